@@ -20,9 +20,9 @@ from PIL import ExifTags, Image
 from rasterio.enums import Resampling
 from rasterio.io import MemoryFile
 
-from lpn.cli.map import MapCommand
 from lpn.core.demo import DEMO_PLACE
 from lpn.core.files import write_atomic
+from lpn.flight.commands.map import MapCommand
 from lpn.flight.maps import MapPlace, _gdal, open_map
 from lpn.flight.maps.folder import write_own_map
 

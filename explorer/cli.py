@@ -14,12 +14,12 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, cast
 import tyro
 
 from explorer.parameters import DATA
-from lpn.cli.live import LiveInput, MapError
 from lpn.core.demo import DEMO, DEMO_ANSWERS, DEMO_BASELINE, DEMO_FLIGHT, DEMO_MODEL, DEMO_PHOTO, DEMO_PLACE, DEMO_QUERY
 from lpn.core.errors import InputError
 from lpn.core.files import check_outputs, printable
 from lpn.core.resources import ProviderName
 from lpn.descriptors.weather import WeatherName
+from lpn.flight.commands.live import LiveInput, MapError
 from lpn.flight.locate.source import FlightSource
 from lpn.models.adapters import Kind
 from lpn.sources import Advanced, ModelOptions, SourceOptions, of_each, shipped_model, source_of

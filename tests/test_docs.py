@@ -9,6 +9,7 @@ import tomllib
 from collections import defaultdict
 from contextlib import redirect_stderr
 from functools import cache
+from importlib import import_module
 from itertools import dropwhile
 from pathlib import Path
 
@@ -111,6 +112,14 @@ def test_a_page_says_first_that_no_figure_of_the_paper_was_reproduced(page: str)
     shown = text if page == "README.md" else text.partition("\n## ")[0]
     assert "**No figure of the paper was reproduced on its own data sets**" in shown
     assert "paper's tables again" not in text
+
+
+def test_the_constants_that_decide_are_those_of_the_code() -> None:
+    page = (ROOT / "docs" / "how-a-photo-is-placed.md").read_text("utf-8")
+    rows = re.findall(r"^\| `(\w+)\.(\w+)` \| ([\d.]+) \|", page, re.MULTILINE)
+    assert len(rows) > 20
+    modules = {name: import_module(f"lpn.flight.locate.{name}") for name, _, _ in rows}
+    assert not [row for row in rows if getattr(modules[row[0]], row[1], None) != float(row[2])]
 
 
 @pytest.mark.parametrize("page", ["scale.md", "serving.md"])

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from explorer.flight.text import STATES, state
 from explorer.screen.panel import SceneLines
 from explorer.workspace import Workspace
 from lpn.core.arrays import Float64Array
@@ -17,6 +18,10 @@ from lpn.flight.locate.coverage import outline
 
 # Share of the flying height that is the depth of a camera's pyramid, and metres of borders above the ground.
 _DEPTH, _LIFT = 0.12, 2.0
+_LEGEND = (
+    "Lines in the scene: the cameras of the placed photos, and the way along them; in another colour this photo's camera, and "
+    "the ground that it shows."
+)
 
 
 def scene_lines(workspace: Workspace, query: int) -> list[SceneLines]:
@@ -59,10 +64,9 @@ def _pyramid(pose: CameraPose, height: float, aspect: float) -> Float64Array:
 
 
 def mark(workspace: Workspace, query: int) -> dict[str, Any] | None:
-    """Return the verdict of registration on a flight's photo in few words, with its sign; None without a flight."""
+    """Return the state of a flight's photo in a word, with its sign; None without a flight."""
     flight = workspace.flight
     if flight is None or query >= len(flight.frames):
         return None
     verdict = workspace.verdicts_of(flight).beliefs[query]
-    text = "placed" if verdict.sign else "in doubt" if verdict.contradicted else "not placed"
-    return {"sign": verdict.sign, "text": f"details: {text}"}
+    return {"sign": verdict.sign, "text": f"photo {STATES[state(verdict)]}", "why": _LEGEND}

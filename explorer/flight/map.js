@@ -1,71 +1,20 @@
-// The map of a flight: its tiles and their movement by Leaflet; tracks, frames, and the chosen photo's marks on a canvas over them.
+// The map of a flight by Leaflet: its tiles, the tracks, and the chosen photo's marks. Metres east and north are x and y.
 
-import { find, make, prepare } from "../../page/dom.js";
+import { find, make } from "../../page/dom.js";
 
 const LEAFLET = "../../vendor/leaflet.js"; // which has no types
 await import(LEAFLET);
 const L = /** @type {any} */ (globalThis).L;
-// Pixels within which the pointer is at a photo's mark, metres around the map within which a photo counts as near.
-const REACH = 12;
-const AROUND = 500;
+const AROUND = 500; // metres around the map within which a photo counts as near
 const TILE = 256;
 const RETRIES = 3;
 const RETRY = 2000; // ms
+const DARK = { color: "#000", opacity: 0.55, interactive: false };
 
-const range = (values) => [Math.min(...values), Math.max(...values)];
 const clamp = (value, low, high) => Math.min(Math.max(value, low), high);
-
-// A line, a dot, a diamond, and words that can be seen on any ground.
-const stroke = (pen, colour, width, dash = []) => {
-  pen.setLineDash([]);
-  pen.lineWidth = width + 2;
-  pen.strokeStyle = "rgba(0,0,0,.55)";
-  pen.stroke();
-  pen.setLineDash(dash);
-  pen.lineWidth = width;
-  pen.strokeStyle = colour;
-  pen.stroke();
-  pen.setLineDash([]);
-};
-export const dot = (pen, /** @type {any} */ [left, top], radius, colour, hollow = false) => {
-  pen.beginPath();
-  pen.arc(left, top, radius, 0, 7);
-  pen.fillStyle = hollow ? "rgba(0,0,0,.35)" : colour;
-  pen.fill();
-  pen.lineWidth = hollow ? 2 : 1;
-  pen.strokeStyle = hollow ? colour : "rgba(0,0,0,.75)";
-  pen.stroke();
-};
-export const diamond = (pen, /** @type {any} */ [left, top], radius, colour) => {
-  pen.beginPath();
-  for (const [right, down] of [[0, -1], [1, 0], [0, 1], [-1, 0]]) pen.lineTo(left + radius * right, top + radius * down);
-  pen.closePath();
-  pen.fillStyle = colour;
-  pen.fill();
-  pen.lineWidth = 1;
-  pen.strokeStyle = "rgba(0,0,0,.75)";
-  pen.stroke();
-};
-const write = (pen, words, left, top) => {
-  pen.font = "12px Inter, system-ui, sans-serif";
-  pen.textBaseline = "middle";
-  pen.lineWidth = 3;
-  pen.strokeStyle = "rgba(0,0,0,.75)";
-  pen.strokeText(words, left, top);
-  pen.fillStyle = "#fff";
-  pen.fillText(words, left, top);
-};
-
-/** Write a text beside a mark, within its parent; an empty one hides it. */
-export const tell = (tip, text, /** @type {any} */ [left, top], reach = REACH) => {
-  tip.textContent = text;
-  tip.hidden = !text;
-  if (!text) return;
-  const { clientWidth, clientHeight } = tip.parentElement;
-  tip.style.left = `${clamp(left - tip.offsetWidth / 2, 0, Math.max(clientWidth - tip.offsetWidth, 0))}px`;
-  const above = top - reach - tip.offsetHeight;
-  tip.style.top = `${clamp(above < 0 ? top + reach : above, 0, Math.max(clientHeight - tip.offsetHeight, 0))}px`;
-};
+const place = (track, i) => (track.x[i] === null || track.y[i] === null ? null : [track.x[i], track.y[i]]);
+const at = ([x, y]) => [y, x];
+const said = (text) => () => make("span", { text }); // Leaflet takes a string for HTML
 
 export class FlightMap {
   /**
@@ -81,8 +30,7 @@ export class FlightMap {
     this.key = "";
     this.bounds = [0, 0, 0, 0];
     this.scale = 1;
-    this.base = null;
-    this.heat = null;
+    this.base = this.heat = this.marks = this.shown = null;
     this.asking = false; // the next click on the map asks which photos show the spot
     this.moved = false; // a person has moved the map since it was fitted
     this.fitting = false;
@@ -90,18 +38,8 @@ export class FlightMap {
     new ResizeObserver(() => {
       this.map?.invalidateSize({ animate: false });
       if (this.map && !this.moved) this.fit();
-      this.draw();
+      this.on.drawn();
     }).observe(box);
-    box.addEventListener("pointermove", (event) => this.map && this.point(this.at(event)));
-    box.addEventListener("pointerleave", () => {
-      find(".read", box).textContent = "";
-      tell(find(".why", box), "", [0, 0]);
-    });
-  }
-
-  at(event) {
-    const { left, top } = this.box.getBoundingClientRect();
-    return [event.clientX - left, event.clientY - top];
   }
 
   /** Lay the tiles of a flight's map; the same map stays as it is. */
@@ -110,29 +48,9 @@ export class FlightMap {
     if (key === this.key) return;
     const same = this.map && String(data.bounds) === String(this.bounds);
     [this.key, this.bounds] = [key, data.bounds];
-    const { west, north, side } = data.pyramid;
-    const scale = TILE / side;
-    const [left, south, right, top] = data.bounds;
-    if (!same) {
-      this.map?.remove();
-      const crs = L.extend({}, L.CRS.Simple, { transformation: new L.Transformation(scale, -scale * west, -scale, scale * north) });
-      const zooms = { minZoom: Math.log2(20 / TILE), maxZoom: Math.log2(8 / (data.resolution * scale)) };
-      // Without animation: the photo and the marks follow each step.
-      const still = { zoomAnimation: false, fadeAnimation: false, inertia: false, boxZoom: false };
-      this.map = L.map(find(".tiles", this.box), { crs, ...zooms, ...still, zoomSnap: 0, zoomDelta: 0.6, wheelPxPerZoomLevel: 110, attributionControl: false });
-      this.map.zoomControl.setPosition("topright");
-      L.control.scale({ imperial: false, maxWidth: 130 }).addTo(this.map);
-      this.scale = scale;
-      this.moved = false;
-      this.map.on("move zoom viewreset", () => this.draw());
-      this.map.on("moveend", () => {
-        if (this.fitting || !this.map) return;
-        this.moved = true;
-        this.on.moved();
-      });
-      this.map.on("click", (event) => this.click([event.containerPoint.x, event.containerPoint.y], event.originalEvent));
-    }
+    if (!same) this.open(data);
     this.base?.remove();
+    const [left, south, right, top] = data.bounds;
     const levels = data.addresses.tiles;
     const Tiles = L.TileLayer.extend({ getTileUrl: ({ x, y, z }) => `${levels[z]}${y * 2 ** z + x}` });
     this.base = new Tiles("", { noWrap: true, bounds: [[south, left], [top, right]], minNativeZoom: 0, maxNativeZoom: levels.length - 1, minZoom: -9, maxZoom: 40, tileSize: TILE, keepBuffer: 1 });
@@ -145,11 +63,48 @@ export class FlightMap {
       if (tile.failures <= RETRIES) setTimeout(() => (tile.src = source), RETRY * tile.failures);
     });
     if (!same) {
-      const { view } = this.flight;
-      if (view?.length === 3) this.look(view);
+      if (this.flight.view?.length === 3) this.look(this.flight.view);
       else this.fit();
     }
     this.base.addTo(this.map);
+  }
+  open(data) {
+    this.map?.remove();
+    const { west, north, side } = data.pyramid;
+    const scale = (this.scale = TILE / side);
+    const crs = L.extend({}, L.CRS.Simple, { transformation: new L.Transformation(scale, -scale * west, -scale, scale * north) });
+    const zooms = { minZoom: Math.log2(20 / TILE), maxZoom: Math.log2(8 / (data.resolution * scale)), zoomSnap: 0, zoomDelta: 0.6, wheelPxPerZoomLevel: 110 };
+    // Without animation: the photo follows each step.
+    const still = { zoomAnimation: false, fadeAnimation: false, inertia: false, boxZoom: false };
+    this.map = L.map(find(".tiles", this.box), { crs, ...zooms, ...still, renderer: L.canvas({ tolerance: 6 }), attributionControl: false });
+    this.map.zoomControl.setPosition("topright");
+    L.control.scale({ imperial: false, maxWidth: 130, position: "bottomright" }).addTo(this.map);
+    this.marks = L.layerGroup().addTo(this.map);
+    this.shown = L.layerGroup().addTo(this.map);
+    this.moved = false;
+    this.map.on("move zoom viewreset", () => this.on.drawn());
+    this.map.on("moveend", () => {
+      if (this.fitting || !this.map) return;
+      this.moved = true;
+      this.on.moved();
+    });
+    this.map.on("mousemove", ({ latlng }) => (find(".read", this.box).textContent = this.told([latlng.lng, latlng.lat])));
+    this.map.on("mouseout", () => (find(".read", this.box).textContent = ""));
+    this.map.on("click", ({ latlng, originalEvent }) => {
+      if (!originalEvent.shiftKey && !this.asking) return;
+      this.asking = false;
+      this.on.spot([latlng.lng, latlng.lat].map((value) => Math.round(100 * value) / 100));
+    });
+  }
+  told(/** @type {any} */ [x, y]) {
+    const { degrees } = this.flight.data;
+    const metres = `${x.toFixed(1)} m E, ${y.toFixed(1)} m N`;
+    if (!degrees) return metres;
+    const [west, south, east, north] = this.bounds;
+    const [u, v] = [(2 * x - west - east) / (east - west), (2 * y - south - north) / (north - south)];
+    const terms = [1, u, v, u * u, u * v, v * v, u * u * u, u * u * v, u * v * v, v * v * v];
+    const [latitude, longitude] = degrees.map((row) => row.reduce((sum, value, i) => sum + value * terms[i], 0));
+    return `${latitude.toFixed(6)}, ${(longitude - 360 * Math.round(longitude / 360)).toFixed(6)} · ${metres}`;
   }
 
   /** Paint scores over the map; null for none. */
@@ -165,19 +120,13 @@ export class FlightMap {
 
   /** From metres to pixels: left = x + scale * east, top = y - scale * north. */
   get affine() {
-    const map = this.map;
-    const { x, y } = map.project([0, 0]).subtract(map.getPixelOrigin()).add(map.layerPointToContainerPoint([0, 0]));
-    return { x, y, scale: this.scale * 2 ** map.getZoom() };
+    const { x, y } = this.map.project([0, 0]).subtract(this.map.getPixelOrigin()).add(this.map.layerPointToContainerPoint([0, 0]));
+    return { x, y, scale: this.scale * 2 ** this.map.getZoom() };
   }
   /** @param {any} point @returns {[number, number]} */
-  toPixels(point, { x, y, scale } = this.affine) {
-    const [east, north] = point;
-    return [x + scale * east, y - scale * north];
-  }
-  /** @param {any} pixels @returns {[number, number]} */
-  toMetres([left, top]) {
+  toPixels([east, north]) {
     const { x, y, scale } = this.affine;
-    return [(left - x) / scale, (y - top) / scale];
+    return [x + scale * east, y - scale * north];
   }
   get size() {
     return [this.box.clientWidth, this.box.clientHeight];
@@ -193,16 +142,15 @@ export class FlightMap {
     this.set([clamp(x, west - AROUND, east + AROUND), clamp(y, south - AROUND, north + AROUND)], this.box.clientWidth / across);
     this.moved = true;
   }
-  /** @param {any} middle */
-  set([x, y], scale) {
+  set(middle, scale) {
     this.fitting = true;
-    this.map.setView([y, x], Math.log2(scale / this.scale), { animate: false });
+    this.map.setView(at(middle), Math.log2(scale / this.scale), { animate: false });
     this.fitting = false;
-    this.draw();
+    this.on.drawn();
   }
   /** Show some points, so that they fill a share of the map. */
   frame(points, share, least = 10) {
-    const [[west, east], [south, north]] = [0, 1].map((axis) => range(points.map((at) => at[axis])));
+    const [[west, east], [south, north]] = [0, 1].map((axis) => [Math.min(...points.map((one) => one[axis])), Math.max(...points.map((one) => one[axis]))]);
     const [width, height] = this.size;
     this.set([(west + east) / 2, (south + north) / 2], share * Math.min(width / Math.max(east - west, least), height / Math.max(north - south, least)));
   }
@@ -210,19 +158,14 @@ export class FlightMap {
   fit() {
     if (!this.map || !this.box.clientWidth) return;
     this.moved = false;
-    const { own } = this.flight;
-    const shown = own ? this.near([...(own.outline ?? []).slice(0, 4), own.place, own.tag]) : [...this.placed(), ...this.newest()];
+    const { own, data } = this.flight;
     const [west, south, east, north] = this.bounds;
-    if (shown.length > 1) this.frame(shown, 0.72, 40);
+    const tracks = Object.entries(data.tracks).filter(([name]) => name !== "retrieval").map(([, track]) => track);
+    const placed = tracks.flatMap((track) => data.names.map((_, i) => (track.state[i] < 2 ? place(track, i) : null)));
+    const points = own ? [...(own.outline ?? []).slice(0, 4), own.place, own.tag] : [...placed, ...this.newest()];
+    const near = points.filter((one) => one && one[0] > west - AROUND && one[0] < east + AROUND && one[1] > south - AROUND && one[1] < north + AROUND);
+    if (near.length > 1) this.frame(near, 0.72, 40);
     else this.frame([[west, south], [east, north]], 0.9);
-  }
-  near(points) {
-    const [west, south, east, north] = this.bounds;
-    return points.filter((at) => at && at[0] > west - AROUND && at[0] < east + AROUND && at[1] > south - AROUND && at[1] < north + AROUND);
-  }
-  placed() {
-    const { data } = this.flight;
-    return this.near(Object.entries(data.tracks).flatMap(([name, track]) => (name === "retrieval" ? [] : data.names.map((_, i) => (track.state[i] < 2 ? place(track, i) : null)))));
   }
   /** The corners of the newest photo of a flight that goes on. */
   newest() {
@@ -231,183 +174,94 @@ export class FlightMap {
   }
   sees(points, beyond = 0) {
     const [width, height] = this.size;
-    return points.map((at) => this.toPixels(at)).every(([left, top]) => left > -beyond * width && left < (1 + beyond) * width && top > -beyond * height && top < (1 + beyond) * height);
+    return points.map((one) => this.toPixels(one)).every(([left, top]) => left > -beyond * width && left < (1 + beyond) * width && top > -beyond * height && top < (1 + beyond) * height);
   }
-  /** Look at a photo's corners, unless they are in sight and fill nearly half of it. */
-  approach(points) {
-    const [across, up] = [0, 1].map((axis) => range(points.map((at) => at[axis])));
+  /** Look at a photo's corners, unless they are in sight and large enough; return whether the map moves. */
+  approach(points, large = true) {
+    const across = [0, 1].map((axis) => Math.max(...points.map((one) => one[axis])) - Math.min(...points.map((one) => one[axis])));
     const [width, height] = this.size;
-    const large = Math.max((across[1] - across[0]) / width, (up[1] - up[0]) / height) * this.affine.scale;
-    if (this.sees(points, 0.2) && large > 0.45) return;
+    const fills = Math.max(across[0] / width, across[1] / height) * this.affine.scale > 0.45;
+    if (this.sees(points, large ? 0.2 : 0) && (fills || !large)) return false;
     this.frame(points, 0.85);
     this.moved = true;
-  }
-  include(points) {
-    if (this.sees(points)) return;
-    this.frame(points, 0.8);
-    this.moved = true;
+    return true;
   }
 
-  // Drawing.
+  // Marks.
 
   draw() {
-    const { data } = this.flight;
+    const { data, chosen, own, compares, over, spotted } = this.flight;
     if (!this.map || !data || !this.box.clientWidth) return;
-    const followed = `${data.names.length} ${this.flight.chosen}`;
+    const followed = `${data.names.length} ${chosen}`;
     if (data.live && !this.moved && followed !== this.seen) {
       this.seen = followed;
-      if (!this.sees(this.newest())) return this.fit();
+      if (!this.sees(this.newest())) this.fit();
     }
-    const { pen } = prepare(find(".over", this.box));
-    const at = this.affine;
-    const path = (points, close = false) => {
-      pen.beginPath();
-      points.forEach((point, i) => pen[i ? "lineTo" : "moveTo"](...this.toPixels(point, at)));
-      if (close) pen.closePath();
-    };
-    if (!this.flight.own && !this.flight.compares && this.flight.over !== "correct") this.drawTracks(pen, at);
-    if (this.flight.spotted) this.drawSpot(pen, path);
-    if (this.flight.photo) this.drawChosen(pen, path, at);
-    for (const sheet of data.sheets) {
-      path(sheet.outline, true);
-      stroke(pen, sheet.colour, 2);
-      const [left, top] = this.toPixels(sheet.outline.reduce((best, p) => (p[1] - p[0] > best[1] - best[0] ? p : best)), at);
-      write(pen, sheet.name, clamp(left + 8, 8, this.size[0] - 60), clamp(top + 14, 14, this.size[1] - 40));
-    }
+    this.marks.clearLayers();
+    this.shown.clearLayers();
+    for (const { outline, colour, name } of data.sheets) this.line([...outline, outline[0]], colour, 2).bindTooltip(said(name), { permanent: true, direction: "center" });
+    if (!own && !compares && over !== "correct") for (const [name, track] of this.flight.shown()) this.drawTrack(name, track);
+    for (const i of spotted?.frames ?? []) this.line([...data.outlines[i].slice(0, 4), data.outlines[i][0]], "#fff", 1);
+    if (spotted) this.dot(spotted.spot, 6, "#fff", true);
+    if (this.flight.photo) this.drawChosen();
     this.on.drawn();
   }
-
-  drawTracks(pen, at) {
-    const { data, shown, doubted } = this.flight;
-    for (const [name, track] of shown()) {
-      const colour = data.colours[name];
-      // A line joins neighbours that were not refused; nothing has verified the retrieval, so it has no line.
-      if (name !== "retrieval") {
-        pen.beginPath();
-        let down = false;
-        data.names.forEach((_, i) => {
-          const point = place(track, i);
-          if (track.state[i] === 2) return;
-          if (point) pen[down ? "lineTo" : "moveTo"](...this.toPixels(point, at));
-          down = Boolean(point);
-        });
-        pen.globalAlpha = name === "tag" ? 0.75 : 1;
-        stroke(pen, colour, name === "tag" ? 1 : 2, name === "tag" ? [5, 4] : []);
-        pen.globalAlpha = 1;
+  line(points, colour, weight, dashArray = "") {
+    L.polyline(points.map(at), { ...DARK, weight: weight + 2 }).addTo(this.marks);
+    return L.polyline(points.map(at), { color: colour, weight, dashArray, interactive: false }).addTo(this.marks);
+  }
+  dot(point, radius, colour, hollow = false, to = this.marks) {
+    return L.circleMarker(at(point), { radius, weight: hollow ? 2 : 1, color: hollow ? colour : "#000c", fillColor: hollow ? "#000" : colour, fillOpacity: hollow ? 0.35 : 1 }).addTo(to);
+  }
+  drawTrack(name, track) {
+    const { data } = this.flight;
+    const tag = name === "tag";
+    // A line joins neighbours that were not refused; nothing has verified the retrieval, so it has no line.
+    let run = [];
+    const end = () => run.length > 1 && this.line(run.splice(0), data.colours[name], tag ? 1 : 2, tag ? "5 4" : "");
+    data.names.forEach((file, i) => {
+      const point = place(track, i);
+      if (name !== "retrieval" && track.state[i] !== 2) {
+        if (point) run.push(point);
+        else end();
+        if (!point) run = [];
       }
-      data.names.forEach((_, i) => {
-        const point = place(track, i);
-        if (!point) return;
-        if (doubted(name, i)) diamond(pen, this.toPixels(point, at), 6, data.colours.contradicted);
-        else dot(pen, this.toPixels(point, at), name === "tag" ? 2 : 4, colour, track.state[i] === 2);
-      });
-    }
+      if (!point) return;
+      const doubted = name === data.stages[i] && data.states[i] === "contradicted";
+      const mark = this.dot(point, tag ? 2 : doubted ? 6 : 4, doubted ? data.colours.contradicted : data.colours[name], track.state[i] === 2, this.shown);
+      mark.bindTooltip(said(data.reasons[i] && !tag ? `${file}: ${data.words[data.states[i]]}. ${data.reasons[i]}` : file), { className: "reason" });
+      mark.on("click", ({ originalEvent }) => !this.asking && !originalEvent.shiftKey && this.on.choose(i));
+    });
+    end();
   }
-
-  drawSpot(pen, path) {
-    const { data, spotted } = this.flight;
-    for (const i of spotted.frames) {
-      path(data.outlines[i].slice(0, 4), true);
-      pen.fillStyle = "rgba(255,255,255,.05)";
-      pen.fill();
-      pen.lineWidth = 1;
-      pen.strokeStyle = "rgba(255,255,255,.6)";
-      pen.stroke();
-    }
-    const [left, top] = this.toPixels(spotted.spot);
-    pen.beginPath();
-    for (const [right, down] of [[1, 0], [-1, 0], [0, 1], [0, -1]]) {
-      pen.moveTo(left + 4 * right, top + 4 * down);
-      pen.lineTo(left + 13 * right, top + 13 * down);
-    }
-    stroke(pen, "#fff", 2);
-  }
-
-  /** Outline, answer, details, and places of the chosen photo, which may be a person's own. */
-  drawChosen(pen, path, at) {
-    const { data, photo, own, answered, shown, doubted, chosen } = this.flight;
+  /** Outline, details, and places of the chosen photo, which may be a person's own. */
+  drawChosen() {
+    const { data, photo, own, answered, chosen, compares } = this.flight;
     const { colours } = data;
+    const colour = colours[photo.card.state];
     const outline = own ? own.outline : data.outlines[chosen];
     if (outline) {
-      const colour = colours[own ? photo.card.state : data.states[chosen]];
-      path(outline.slice(0, 4), true);
-      stroke(pen, colour, 2, outline[4] ? [] : [7, 5]);
-      path(outline.slice(0, 2)); // the picture's top edge is thicker
-      stroke(pen, colour, 4);
+      this.line([...outline.slice(0, 4), outline[0]], colour, 2, outline[4] ? "" : "7 5");
+      this.line(outline.slice(0, 2), colour, 4); // the picture's top edge
     }
-    if (answered && (!own || own.place)) {
+    if (answered && !compares && (!own || own.place)) {
       const [x, y, half] = [answered[0], answered[1], answered[2] / 2];
-      path([[x - half, y - half], [x + half, y - half], [x + half, y + half], [x - half, y + half]], true);
-      stroke(pen, colours.retrieval, 1.5, [2, 3]);
+      this.line([[x - half, y - half], [x + half, y - half], [x + half, y + half], [x - half, y + half], [x - half, y - half]], colours.retrieval, 1.5, "2 3");
     }
-    for (const [i, [x, y, east, north]] of (this.flight.compares ? photo.pins : []).entries()) {
-      path([[x, y], [x + east, y + north]]);
-      stroke(pen, colours.accent, 2);
-      const [left, top] = this.toPixels([x + east, y + north], at);
-      dot(pen, [left, top], 3, colours.accent);
-      write(pen, String(i + 1), left + 6, top - 6);
+    for (const [x, y, east, north] of compares ? photo.pins : []) {
+      this.line([[x, y], [x + east, y + north]], colours.accent, 2);
+      this.dot([x + east, y + north], 3, colours.accent);
     }
-    const mark = (point, radius, colour, size, hollow, doubt) => {
-      const pixels = this.toPixels(point, at);
-      if (radius) {
-        pen.beginPath();
-        pen.arc(...pixels, Math.max(radius * at.scale, 1), 0, 7);
-        stroke(pen, doubt ? colours.contradicted : colour, 1.5, hollow ? [3, 4] : []);
-      }
-      if (doubt) diamond(pen, pixels, 9, colours.contradicted);
-      else dot(pen, pixels, size, colour, hollow);
+    const mark = (point, radius, tint, size) => {
+      if (radius) L.circle(at(point), { radius, color: tint, weight: 1.5, fill: false, interactive: false }).addTo(this.marks);
+      this.dot(point, size, tint);
     };
-    if (own) {
-      if (own.place && own.tag) {
-        path([own.place, own.tag]);
-        stroke(pen, colours.tag, 1.5, [5, 4]);
-      }
-      if (own.place) mark(own.place, own.radius, colours.registration, 7, false, photo.card.sign === null);
-      if (own.tag) mark(own.tag, 0, colours.tag, 5, false, false);
-      return;
-    }
-    // The answer that counts is there, too, where its track is switched off.
-    const counts = data.stages[chosen];
-    const tracks = new Map([...shown(), ...(counts ? [[counts, data.tracks[counts]]] : [])]);
-    for (const [name, track] of tracks) {
-      const point = place(track, chosen);
-      if (point) mark(point, track.radius[chosen], colours[name], name === "tag" ? 5 : 7, track.state[chosen] === 2, doubted(name, chosen));
-    }
-  }
-
-  // The pointer.
-
-  /** The frame of the nearest dot, and its track; -1 where none is near. */
-  hit(at) {
-    let [best, frame, found] = [REACH, -1, null];
-    for (const [, track] of this.flight.shown())
-      this.flight.data.names.forEach((_, i) => {
-        const point = place(track, i);
-        if (!point) return;
-        const [left, top] = this.toPixels(point);
-        const far = Math.hypot(left - at[0], top - at[1]);
-        if (far < best) [best, frame, found] = [far, i, track];
-      });
-    return { frame, track: found };
-  }
-  point(at) {
-    const { data, own } = this.flight;
-    if (!data) return;
-    const { frame, track } = own ? { frame: -1, track: null } : this.hit(at);
-    const reason = track?.reason[frame];
-    tell(find(".why", this.box), reason ? `${data.names[frame]}. ${reason}` : "", reason ? this.toPixels(place(track, frame)) : [0, 0]);
-    const metres = this.toMetres(at);
-    const name = frame >= 0 ? `${data.names[frame]} · ` : "";
-    find(".read", this.box).textContent = `${name}${data.degrees ? `${degrees(data, metres)} · ` : ""}${metres[0].toFixed(1)} m E, ${metres[1].toFixed(1)} m N`;
-  }
-  click(at, { shiftKey }) {
-    if (shiftKey || this.asking) {
-      this.asking = false;
-      return this.on.spot(this.toMetres(at).map((value) => Math.round(100 * value) / 100));
-    }
-    const { frame } = this.flight.own ? { frame: -1 } : this.hit(at);
-    this.point(at);
-    if (frame >= 0) this.on.choose(frame);
+    const counts = data.tracks[data.stages[chosen]];
+    const [spot, radius] = own ? [own.place, own.radius] : counts ? [place(counts, chosen), counts.radius[chosen]] : [null, 0];
+    const tag = own ? own.tag : place(data.tracks.tag, chosen);
+    if (own && spot && tag) this.line([spot, tag], colours.tag, 1.5, "5 4");
+    if (tag) mark(tag, 0, colours.tag, 5);
+    if (spot) mark(spot, radius, colour, 7);
   }
   close() {
     this.map?.remove();
@@ -415,21 +269,10 @@ export class FlightMap {
   }
 }
 
-const place = (track, i) => (track.x[i] === null || track.y[i] === null ? null : [track.x[i], track.y[i]]);
-
-const degrees = (data, /** @type {any} */ [x, y]) => {
-  const [west, south, east, north] = data.bounds;
-  const [u, v] = [(2 * x - west - east) / (east - west), (2 * y - south - north) / (north - south)];
-  const terms = [1, u, v, u * u, u * v, v * v, u * u * u, u * u * v, u * v * v, v * v * v];
-  const [latitude, longitude] = data.degrees.map((row) => row.reduce((sum, value, i) => sum + value * terms[i], 0));
-  return `${latitude.toFixed(6)}, ${(longitude - 360 * Math.round(longitude / 360)).toFixed(6)}`;
-};
-
 /** Make the elements of a map. */
 export const makeMap = () =>
   make("div", { class: "view" }, make("div", { class: "tiles", tabindex: 0, role: "application", "aria-label": "Map: arrows move it, plus and minus zoom" }),
-    make("div", { class: "laid" }, make("img", { alt: "" })), make("canvas", { class: "over", "aria-hidden": "true" }), make("div", { class: "plate scores", hidden: true }, make("img", { alt: "" }), make("span")),
-    make("div", { class: "plate read" }), make("div", { class: "plate why", role: "status", hidden: true }),
+    make("div", { class: "laid" }, make("img", { alt: "" })), make("div", { class: "plate scores", hidden: true }, make("img", { alt: "" }), make("span")), make("div", { class: "plate read" }),
     make("div", { class: "ties", hidden: true },
       ...["upper left", "upper right", "lower right", "lower left"].map((name, i) => make("button", { "data-tie": i, title: `Tie point, ${name}: drag it, or move it with arrows`, "aria-label": `Tie point, ${name}` })),
       make("button", { "data-tie": "all", title: "The whole photo: drag it, or move it with arrows", "aria-label": "The whole photo", text: "✥" })),

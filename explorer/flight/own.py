@@ -57,7 +57,7 @@ def own_photo(
     shown |= page.chosen(one, 0, addresses, answer.agreement)
     searched = "" if own.whole_map else "The map is large, so only the most similar windows were searched."
     card = shown["card"] | {"name": picture.name, "facts": []}
-    shown |= {"frame": -1, "card": card | {"lines": page.lines_of([*card["lines"], tagged, searched])}}
+    shown |= {"frame": -1, "card": card | {"lines": [line for line in (*card["lines"], tagged, searched) if line]}}
     shown |= {"photo": "", "square": encoded(middle_square(located.frame.undistorted(picture.picture))).data_uri}
     shown |= {"ground": ground(basemap, located).data_uri if answer.accepted else ""}
     if answer.accepted and answer.x is not None and answer.y is not None:
@@ -77,15 +77,6 @@ def _waiting(picture: OwnPicture, job: BackgroundJob[OwnPhoto] | None, tagged: s
     elif job is not None:
         tries = f" {job.done} of {job.total} tries" if job.total else ""
         headline = f"Being compared with the map ...{tries}"
-    return {
-        "name": picture.name,
-        "facts": [],
-        "sign": None,
-        "state": "unknown",
-        "headline": headline,
-        "stage": None,
-        "what": "",
-        "at": "",
-        "link": "",
-        "lines": page.lines_of(lines),
-    }
+    card: dict[str, Any] = dict.fromkeys(("what", "at", "link"), "")
+    card |= {"name": picture.name, "facts": [], "state": "unknown", "mark": "?", "headline": headline, "stage": None}
+    return card | {"lines": [line for line in lines if line]}

@@ -77,13 +77,10 @@ class PaintedPart:
 
 PAINT: PanelField[str] = PanelField("flight_paint", PaintedPart(), "off", "flight_paint")
 SPOT: PanelField[tuple[float, ...]] = PanelField("flight_spot", MetresOf(2), (), "flight_spot")
-_LISTS = ("refused", "audit", "unchecked", "worst", "notes", "spot")
 FIELDS: tuple[PanelField[Any], ...] = (
     PAINT,
     SPOT,
-    PanelField("flight_over", OneOf(("off", "swipe", "blink", "correct")), "off", "flight_over"),
-    PanelField("flight_plot", OneOf(("error", "radius", "height")), "error", "flight_plot"),
-    PanelField("flight_list", OneOf(_LISTS), "refused", "flight_list"),
+    PanelField("flight_over", OneOf(("off", "swipe", "correct")), "off", "flight_over"),
     PanelField("flight_tracks", Tracks(), "", "flight_tracks"),
     # The middle of the map's view, and the metres from side to side.
     PanelField("flight_view", MetresOf(3), (), "flight_view"),

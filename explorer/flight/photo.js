@@ -1,4 +1,4 @@
-// The chosen photo over the map: swiped, blinking, or dragged to its place by tie points.
+// The chosen photo over the map: swiped, or dragged to its place by tie points.
 
 import { find, findAll } from "../../page/dom.js";
 
@@ -6,7 +6,6 @@ import { find, findAll } from "../../page/dom.js";
 const CORNERS = [[0, 0], [1, 0], [1, 1], [0, 1]];
 const ARROWS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] };
 const HANDLE = 36; // pixels of the slider's handle, as in the style sheet
-const SAME = 0.02; // metres within which a tie point lies where the photo's corner does
 const clamp = (value, low, high) => Math.min(Math.max(value, low), high);
 
 /** The point that a homography, 9 numbers by rows, maps a point to. */
@@ -58,8 +57,7 @@ export class LaidPhoto {
     this.flight = flight;
     this.map = map;
     this.on = on;
-    this.ties = null; // frame, key of the draft, points in metres, and how many saves there were when they were sent
-    this.drafts = new Map(); // for a browser that denies its storage
+    this.ties = null; // frame, points in metres, and how many saves there were when they were sent
     this.near = ""; // the photo and the mode that were brought near last
     find(".swipe", root).addEventListener("input", () => this.lay());
     const box = find(".ties", root);
@@ -80,36 +78,6 @@ export class LaidPhoto {
     return CORNERS.map((tie) => this.pixel(tie));
   }
 
-  // Tie points that are not saved stay in the browser until Save or Cancel.
-  get draftKey() {
-    const { data, chosen } = this.flight;
-    return ["lpn-ties", data.bounds.join(), data.names[chosen]].join(" ");
-  }
-  draft(key = this.draftKey) {
-    try {
-      const points = this.drafts.get(key) ?? JSON.parse(localStorage.getItem(key) ?? "null");
-      return points?.length === CORNERS.length && points.every((at) => at.length === 2 && at.every(Number.isFinite)) ? points : null;
-    } catch {
-      return null; // another program's text, or no storage
-    }
-  }
-  keep(key, points) {
-    if (points) this.drafts.set(key, points);
-    else this.drafts.delete(key);
-    try {
-      if (points) localStorage.setItem(key, JSON.stringify(points));
-      else localStorage.removeItem(key);
-    } catch {} // the browser may deny its storage
-  }
-  /** The unsaved tie points of the photo; null where it lies by now. */
-  get unsaved() {
-    const { photo, own, data } = this.flight;
-    const points = photo && !own && !data.live ? this.draft() : null;
-    const h = photo?.homography;
-    const same = points && h && this.corners.map((tie) => through(h, tie)).every(([x, y], i) => Math.hypot(x - points[i][0], y - points[i][1]) < SAME);
-    return same ? null : points;
-  }
-
   start() {
     const { photo, data, chosen } = this.flight;
     const outline = data.outlines[chosen];
@@ -121,8 +89,8 @@ export class LaidPhoto {
       const [half, tall] = [0.2 * across, (0.2 * across * photo.size[1]) / photo.size[0]];
       h = homography(this.corners, [[-1, 1], [1, 1], [1, -1], [-1, -1]].map(([right, up]) => [x + right * half, y + up * tall]));
     }
-    this.ties = { frame: chosen, key: this.draftKey, points: this.unsaved ?? this.corners.map((tie) => through(h, tie)), sent: null, forgot: null };
-    this.map.include(this.ties.points);
+    this.ties = { frame: chosen, points: this.corners.map((tie) => through(h, tie)), sent: null };
+    this.map.approach(this.ties.points, false);
   }
   get tied() {
     return homography(this.corners, this.ties.points);
@@ -130,8 +98,7 @@ export class LaidPhoto {
   move(which, /** @type {any} */ [right, up]) {
     const { ties } = this;
     ties.points = ties.points.map(([x, y], i) => (which === "all" || which === String(i) ? [x + right, y + up] : [x, y]));
-    ties.sent = ties.forgot = null; // what was sent are other points
-    this.keep(ties.key, ties.points);
+    ties.sent = null; // what was sent are other points
     this.map.draw();
   }
   onTie(event) {
@@ -155,16 +122,15 @@ export class LaidPhoto {
   save() {
     const h = this.ties && this.tied;
     if (!h) return this.on.say("The tie points do not span a picture.");
-    [this.ties.sent, this.ties.forgot] = [this.flight.photo.saves, null];
+    this.ties.sent = this.flight.photo.saves;
     const corners = this.corners.map((tie) => through(h, tie).map((value) => Math.round(1000 * value) / 1000));
     this.on.act("correct", { frame: this.ties.frame, corners });
   }
   forget() {
-    if (this.ties) [this.ties.sent, this.ties.forgot] = [null, this.flight.photo.saves];
+    if (this.ties) this.ties.sent = this.flight.photo.saves;
     this.on.act("forget", { frame: this.flight.chosen });
   }
   cancel() {
-    if (this.ties) this.keep(this.ties.key, null);
     this.ties = null;
     this.on.use("off");
   }
@@ -173,10 +139,7 @@ export class LaidPhoto {
     const { ties, flight } = this;
     if (!ties || !flight.photo) return;
     if (ties.sent !== null && ties.sent !== flight.photo.saves) this.cancel();
-    else if (ties.forgot !== null && ties.forgot !== flight.photo.saves) {
-      this.ties = null;
-      this.on.use("off");
-    } else if (ties.frame !== flight.chosen) this.ties = null;
+    else if (ties.frame !== flight.chosen) this.ties = null;
   }
 
   /** From the photo's pixels to metres; null while it has no place. */
@@ -195,18 +158,14 @@ export class LaidPhoto {
     const correcting = mode === "correct" && Boolean(this.ties) && !flight.own;
     layer.hidden = !matrix;
     layer.style.opacity = correcting ? "0.6" : "1";
-    layer.classList.toggle("blinks", mode === "blink");
     swipe.hidden = edge.hidden = !matrix || mode !== "swipe";
     find(".ties", root).hidden = find(".how", root).hidden = !correcting;
-    const waits = this.unsaved !== null;
-    find("[data-over=correct]", root).classList.toggle("unsaved", waits);
-    find(".how b", root).hidden = !waits;
     if (correcting) this.placeTies();
     if (!matrix) return;
     const key = `${flight.chosen} ${mode} ${flight.own?.key ?? ""}`;
-    if (["swipe", "blink"].includes(mode) && key !== this.near) {
+    if (mode === "swipe" && key !== this.near) {
       this.near = key;
-      if (!flight.data.live) return this.map.approach(this.corners.map((one) => through(matrix, one)));
+      if (!flight.data.live && this.map.approach(this.corners.map((one) => through(matrix, one)))) return;
     }
     const image = find("img", layer);
     if (image.getAttribute("src") !== flight.photo.photo) {

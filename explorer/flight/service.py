@@ -22,14 +22,14 @@ from lpn.core.demo import own_file, own_file_place
 from lpn.core.errors import DataError, InputError, LPNError, PictureError
 from lpn.flight.locate import corrections
 from lpn.flight.locate.agreement import MapAgreement, map_agreement
-from lpn.flight.locate.belief import Belief, Disagreement, FlightVerdicts, best_track
+from lpn.flight.locate.belief import Belief, Disagreement, FlightVerdicts
 from lpn.flight.locate.corrections import Correction
 from lpn.flight.locate.coverage import Outline, outline
+from lpn.flight.locate.errors import Errors
 from lpn.flight.locate.located import LocatedFlight
 from lpn.flight.locate.summary import placed_errors
-from lpn.flight.locate.surveyed import SurveyedErrors
 from lpn.flight.locate.tags import enter_corrections
-from lpn.flight.locate.tracks import track_bytes
+from lpn.flight.locate.tracks import best_track, track_bytes
 
 # Longer side in pixels of a photo that is compared with the map, and comparisons of corrected photos in the cache.
 _COMPARED, _COMPARISONS = 960, 100
@@ -67,8 +67,23 @@ class FlightSnapshot:
         return [outline(located) for located in self.flight.frames]
 
     @cached_property
-    def errors(self) -> SurveyedErrors | None:
-        """The errors of the placed photos against their GPS tags; None if no placed photo has one."""
+    def measured(self) -> LocatedFlight:
+        """The flight with the tags that errors are told by: without their lag, where they have one."""
+        return self.flight.without_lag()
+
+    @property
+    def lag(self) -> float | None:
+        """Seconds by which the tags of the flight are late; None where they are not."""
+        return None if self.flight.tags_without_lag is None or self.flight.audit is None else self.flight.audit.lag
+
+    @cached_property
+    def errors(self) -> Errors | None:
+        """The errors of the placed photos against the tags of `measured`; None if no placed photo has one."""
+        return placed_errors(self.measured, self.beliefs)
+
+    @cached_property
+    def errors_as_told(self) -> Errors | None:
+        """The same against the tags in the photos' files."""
         return placed_errors(self.flight, self.beliefs)
 
     def corrected(self, frame: int) -> tuple[float, float] | None:

@@ -26,9 +26,9 @@ from lpn.core.shutdown import WRITE_SECONDS, StopSignals, exit_now, writes_finis
 
 @cache  # it looks through all installed packages
 def commands() -> dict[str, type[Any]]:
-    """Return each subcommand by its name: those of other packages (entry points `lpn.commands`), then our own.
+    """Return each subcommand by its name, in their order: those of entry points `lpn.commands`, and those of `lpn.cli`.
 
-    Our own are the classes NameCommand in the modules of `lpn.cli`.
+    The latter are the classes NameCommand in its modules.
     """
     found = {point.name: point.load() for point in entry_points(group="lpn.commands")}
     for module in iter_modules(lpn.cli.__path__):
@@ -38,7 +38,7 @@ def commands() -> dict[str, type[Any]]:
             found |= {
                 name.removesuffix("Command").lower(): getattr(of, name) for name in classes if name.endswith("Command")
             }
-    return found
+    return dict(sorted(found.items()))
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -50,7 +50,9 @@ def test_what_was_saved_stays_whole_and_saving_again_works(kind: str, disk: Path
 def test_a_disk_that_fills_up_within_a_file_leaves_the_old_one(tmp_path: Path) -> None:
     """As a quota does, in a process of its own: the limit holds for every file that it writes."""
     track = tmp_path / "track.kml"
-    write_track(track, "monday", [TrackPoint("a.jpg", "retrieval", "accepted", "", None, 46.0, 7.0)])
+    write_track(
+        track, "monday", [TrackPoint(frame="a.jpg", stage="retrieval", state="accepted", latitude=46.0, longitude=7.0)]
+    )
     before = track.read_bytes()
     process = get_context("fork").Process(target=_write_beyond_the_limit, args=(track,))
     process.start()
@@ -61,7 +63,10 @@ def test_a_disk_that_fills_up_within_a_file_leaves_the_old_one(tmp_path: Path) -
 
 def _write_beyond_the_limit(track: Path) -> None:
     resource.setrlimit(resource.RLIMIT_FSIZE, (10_000, 10_000))
-    points = [TrackPoint(f"{i}.jpg", "retrieval", "accepted", "", None, 46.0, 7.0) for i in range(999)]
+    points = [
+        TrackPoint(frame=f"{i}.jpg", stage="retrieval", state="accepted", latitude=46.0, longitude=7.0)
+        for i in range(999)
+    ]
     try:
         write_track(track, "monday", points)
     except OutputError as error:

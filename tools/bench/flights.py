@@ -21,9 +21,9 @@ from typing import Any
 import numpy as np
 
 import lpn
-from lpn.cli.locate import print_summary
 from lpn.core.consoles import Console
 from lpn.core.files import write_atomic
+from lpn.flight.commands.locate import print_summary
 from lpn.flight.files import open_flight
 from lpn.flight.locate.belief import TAG_RADIUS, disagreements
 from lpn.flight.locate.located import LocatedFlight
@@ -51,7 +51,7 @@ def measured(folder: Path, options: LocateOptions, model: Path | None) -> dict[s
         "flight": folder.name,
         "frames": len(flight.frames),
         "processor seconds a frame": seconds / len(flight.frames),
-        "stages": {stage: asdict(summary) for stage, summary in located.summaries(30.0).items()},
+        "stages": {stage: errors.figures() for stage, errors in located.errors().items()},
         "field": located.field_measures(),
         "radii": [asdict(row) for row in radii],
         "audit": None if located.audit is None else {**asdict(located.audit), "sentence": located.audit.sentence},

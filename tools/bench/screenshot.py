@@ -82,7 +82,7 @@ SHOTS = (
     Shot("story-turn.webp", "0334/08", "panel=sweep&sweep=rotation"),
     Shot("story-constant.webp", "0381/02", "shows=evidence"),
     Shot("dinov2-beside-lpn.webp", "0445/05", "panel=compare&shows=evidence", vit=True),
-    Shot("flight.webp", "LPN_0100.webp", "show=flight&panel=flight", demo=True),
+    Shot("flight.webp", "LPN_0106.webp", "show=flight&panel=flight&flight_over=swipe", demo=True),
 )
 
 

@@ -1,7 +1,7 @@
 """Flights located anew: the shipped ones, forged tags, maps of other places, and single photos.
 
-Registration runs without a model, over the whole map. The arguments are those of docs/flights.md. Real flights lie in the folder
-that LPN_FLIGHTS names, see `tools.bench.wrong_maps.open_pair`.
+Registration runs without a model, over the whole map. Real flights lie in the folder that LPN_FLIGHTS names, see
+`tools.bench.wrong_maps.open_pair`.
 """
 
 from __future__ import annotations

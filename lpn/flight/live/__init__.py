@@ -6,5 +6,5 @@
     outputs       GeoJSON lines
     run           all of these together until the flight ends
 
-It imports `locate`, `flights`, `maps`, and `models`; `cli` and `explorer` import it. docs/live.md shows its use.
+It imports `locate`, `flights`, `maps`, and `models`; `cli` and `explorer` import it. docs/locate-a-flight.md shows its use.
 """

@@ -29,7 +29,7 @@ from lpn.flight.locate.belief import map_misfit
 from lpn.flight.locate.camera_place import below_camera
 from lpn.flight.locate.continuity import NEW_HEADING, are_alike, other_turn
 from lpn.flight.locate.ground import MapFeatures
-from lpn.flight.locate.located import APART, LocatedFrame, StageRecord, WindowRecord
+from lpn.flight.locate.located import APART, LocatedFrame, StageRecord, State, WindowRecord
 from lpn.flight.locate.map_proof import ONE_VIEW
 from lpn.flight.locate.matchers import MatcherName, open_matcher
 from lpn.flight.locate.options import LocateOptions
@@ -45,7 +45,6 @@ from lpn.flight.locate.retrieval import (
     whitening_of,
 )
 from lpn.flight.locate.sequence import PRIOR_FRAMES, ForwardFilter, MotionModel, emissions
-from lpn.flight.locate.tracks import State
 from lpn.flight.maps import Map, Window
 from lpn.models.base import Model, normalise, whitened
 

@@ -50,7 +50,7 @@ class LiveFix:
         return self.best.usable or (self.answer.accepted and self.best.doubt == ("tag",))
 
     def feature(self) -> dict[str, Any]:
-        """Return the fix as a feature of GeoJSON (RFC 7946), see docs/live.md."""
+        """Return the fix as a feature of GeoJSON (RFC 7946), see docs/locate-a-flight.md."""
         answer, best = self.answer, self.best
         geometry = None
         if self.latitude is not None and self.longitude is not None:

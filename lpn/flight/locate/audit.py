@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import cast
 
@@ -36,7 +35,6 @@ class TagAudit:
         without_offset: median of the metres that remain without the constant offset that explains most if there is no lag.
         ahead: metres flown in the lag at the median speed, which a tilted camera may look ahead instead (behind, if negative);
             None if the positions are the camera's.
-        bearing: direction of `offset`, degrees clockwise from north; None without one.
     """
 
     frames: int
@@ -48,7 +46,6 @@ class TagAudit:
     offset: float | None = None
     without_offset: float | None = None
     ahead: float | None = None
-    bearing: float | None = None
 
     @property
     def has_lag(self) -> bool:
@@ -129,7 +126,6 @@ def audit_tags(times: Float64Array, tags: Float64Array, positions: Float64Array,
         float(np.linalg.norm(solution[1:])),
         float(np.median(np.linalg.norm(d - constant, axis=1))),
         float(-solution[0] * np.median(np.linalg.norm(v, axis=1))) if middles else None,
-        math.degrees(math.atan2(solution[1], solution[2])) % 360,
     )
 
 

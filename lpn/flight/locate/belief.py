@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 from itertools import combinations
 from typing import Literal
 
 from lpn.core.numbers import upper_bound
-from lpn.flight.locate.located import BY_HAND, LocatedFlight, LocatedFrame, StageRecord, checked_beside_middle
-from lpn.flight.locate.tracks import TrackPoint, TrackState
+from lpn.flight.locate.located import (
+    BY_HAND,
+    LocatedFlight,
+    LocatedFrame,
+    StageRecord,
+    TrackState,
+    checked_beside_middle,
+)
 
 # 1-sigma radius in metres of a tag by a consumer's receiver in the open.
 TAG_RADIUS = 5.0
@@ -90,7 +96,7 @@ class BestAnswer:
 
     @property
     def checked(self) -> Literal["yes", "no", "contradicted", ""]:
-        """If places beside a registered photo's middle lie where the map has them, see `TrackPoint.checked`."""
+        """If places beside a registered photo's middle lie where the map has them, see `TrackPoint.checked_beside_middle`."""
         if self.stage != "registration" or not self.answer.accepted:
             return ""
         return "contradicted" if "map" in self.doubt else checked_beside_middle(self.answer)
@@ -200,27 +206,6 @@ class FlightVerdicts:
         return cls(contradictions, beliefs(flight.frames, contradictions))
 
 
-def full_track(flight: LocatedFlight) -> list[TrackPoint]:
-    """Return the points of all stages, each with the answers that contradict it."""
-    of_frame = _by_frame(disagreements(flight.frames))
-    frames = {one.frame.name: (one, of_frame.get(i, ())) for i, one in enumerate(flight.frames)}
-    confirmed = flight.radii_confirmed
-    return [
-        _doubted(_confirmed(point, confirmed), _doubt(*frames[point.frame], point.stage)) for point in flight.track()
-    ]
-
-
-def _confirmed(point: TrackPoint, stages: Mapping[str, bool]) -> TrackPoint:
-    """Return a point that tells if its radius is confirmed; `stages` are those of `LocatedFlight.radii_confirmed`."""
-    if point.radius is None or point.state == "refused" or point.stage not in stages:
-        return point
-    return replace(point, radius_confirmed="yes" if stages[point.stage] else "no")
-
-
-def _doubted(point: TrackPoint, doubt: tuple[str, ...]) -> TrackPoint:
-    return replace(point, doubt=doubt, checked="contradicted" if "map" in doubt else point.checked)
-
-
 def best_answers(flight: LocatedFlight) -> list[BestAnswer]:
     """Return the answer that counts for each frame: its correction by hand, or that of the stage that the verdict names."""
     of_frame = _by_frame(disagreements(flight.frames))
@@ -247,23 +232,7 @@ def best_answer(
         stage, answer = verdict.stage, located.stages[verdict.stage]
     is_doubted = stage == "registration" and answer.accepted and verdict.sign is None
     state: TrackState = "contradicted" if is_doubted else answer.state
-    return BestAnswer(stage, answer, state, _doubt(located, contradictions, stage), verdict)
-
-
-def best_track(flight: LocatedFlight) -> list[TrackPoint]:
-    """Return one point a frame, that of the answer that counts, see `best_answers`; state and reason are those of the verdict."""
-    points, confirmed = [], flight.radii_confirmed
-    for located, best in zip(flight.frames, best_answers(flight), strict=True):
-        point = _confirmed(flight.point(located, best.stage, best.answer), confirmed)
-        if best.stage != BY_HAND:
-            point = replace(
-                _doubted(point, best.doubt),
-                state=best.state,
-                reason=best.reason,
-                note=best.verdict.reason,
-            )
-        points.append(point)
-    return points
+    return BestAnswer(stage, answer, state, doubts(located, contradictions, stage), verdict)
 
 
 def _by_frame(contradictions: Sequence[Disagreement]) -> dict[int, list[Disagreement]]:
@@ -273,7 +242,7 @@ def _by_frame(contradictions: Sequence[Disagreement]) -> dict[int, list[Disagree
     return of_frame
 
 
-def _doubt(located: LocatedFrame, contradictions: Sequence[Disagreement], stage: str) -> tuple[str, ...]:
+def doubts(located: LocatedFrame, contradictions: Sequence[Disagreement], stage: str) -> tuple[str, ...]:
     """Return the answers for a frame that contradict a stage's, given its contradictions; a correction settles it."""
     if located.by_hand is not None:
         return ()

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, Literal
+from typing import Literal
 
 import msgspec
 import numpy as np
@@ -16,20 +16,23 @@ from lpn.core.homography import apply_homography, middle_pixel
 from lpn.core.numbers import distance
 from lpn.datasets.rendered import is_rendered_flight
 from lpn.flight.files import Flight, Frame
-from lpn.flight.locate import measures
 from lpn.flight.locate.agreement import MapAgreement
 from lpn.flight.locate.audit import UNKNOWN, TagAudit, audit_tags, corrected_tags
 from lpn.flight.locate.camera_pose import CameraPose
+from lpn.flight.locate.errors import CONFIRMED_SHARE, Errors
 from lpn.flight.locate.matched_details import MatchedDetails
 from lpn.flight.locate.options import TOP
 from lpn.flight.locate.retrieval import MapRetrieval
-from lpn.flight.locate.tracks import POSE_AXES, State, TrackPoint
 from lpn.flight.maps import Map
 from lpn.retrieval import field_metrics
 
 STAGES = ("retrieval", "sequence", "registration")
 # The stage of a track that has the places of corrected frames.
 BY_HAND = "by hand"
+# "not verified" is a position that nothing has checked against the picture: the best guess of the retrieval.
+State = Literal["accepted", "refused", "not verified"]
+# "contradicted" is an accepted position that lies too far from the frame's tag, or from its neighbours' answer, for their errors.
+TrackState = State | Literal["contradicted"]
 # By what a photo's look is graded.
 Judge = Literal["its GPS tag", "its GPS tag without its lag", "its details"]
 # Least distance between the centres of a frame's kept windows, as a share of their side; windows that overlap show one place.
@@ -187,9 +190,14 @@ class LocatedFrame:
 
     def error_of(self, answer: StageRecord) -> float | None:
         """Return the metres from the truth to an answer's position; None without one of them."""
+        off = self.offset(answer)
+        return None if off is None else math.hypot(*off)
+
+    def offset(self, answer: StageRecord) -> tuple[float, float] | None:
+        """Return the metres east and north from the truth to an answer's position; None without one of them."""
         if answer.x is None or answer.y is None or (truth := self.truth(answer.camera)) is None:
             return None
-        return answer.distance(truth)
+        return answer.x - float(truth[0]), answer.y - float(truth[1])
 
     @property
     def sentence(self) -> str:
@@ -229,7 +237,6 @@ class LocatedFlight:
         retrieval: scores of all windows; None without a model.
         tags_without_lag: positions of the tags in metres without the constant lag that the audit finds, (N, 2), NaN where they
             are not known; None if it finds none.
-        tags_corrected: whether the frames have these as their tags.
         map_error: 1-sigma error in metres along each axis that the radii of registrations hold for the map; None without them.
         place_error: the part of it that is the error of the map's place on earth, see `Map.place_error`.
         tags_away: metres from the map's edge to the nearest tag where all lie far off the map, so that they were left out;
@@ -246,7 +253,6 @@ class LocatedFlight:
     retrieval: MapRetrieval | None
     shipped: Mapping[str, StageRecord] = field(default_factory=dict)
     tags_without_lag: Float64Array | None = None
-    tags_corrected: bool = False
     map_error: float | None = None
     place_error: float = 0.0
     tags_away: float | None = None
@@ -304,94 +310,29 @@ class LocatedFlight:
             return None
         return located.middle(answer)
 
-    def track(self) -> list[TrackPoint]:
-        """Return the track's points, stage by stage; a correction takes the place of its frame's registration."""
-        return [
-            self.point(located, stage, answer)
-            for stage in (*self.stages, BY_HAND)
-            for located in self.frames
-            if (answer := located.by_hand if stage == BY_HAND else located.stages.get(stage)) is not None
-            and not (stage == "registration" and located.by_hand is not None)
-        ]
-
-    def point(self, located: LocatedFrame, stage: str, answer: StageRecord) -> TrackPoint:
-        """Return the track's point of a frame's answer by a stage."""
-        latitude = longitude = easting = northing = projection = apart = east = north = None
-        frame = self.basemap.frame
-        if answer.x is not None and answer.y is not None:
-            latitude, longitude = frame.degrees([(answer.x, answer.y)])[0].tolist()
-            easting, northing = frame.utm([(answer.x, answer.y)])[0].tolist()
-            projection = frame.utm_zone
-            if (tag := self._told_tag(located)) is not None:
-                apart = answer.distance(tag)
-                east, north = ((easting, northing) - frame.utm([tag])[0]).tolist()
-        reason, note = short_reason(located.by_hand_sentence if stage == BY_HAND else answer.sentence)
-        return TrackPoint(
-            located.frame.name,
-            stage,
-            answer.state,
-            reason,
-            located.frame.time,
-            latitude,
-            longitude,
-            answer.camera,
-            answer.radius_on_map,
-            answer.radius if answer.on_earth else None,
-            answer.heading,
-            apart,
-            note=note,
-            easting=easting,
-            northing=northing,
-            projection=projection,
-            misfit=None if answer.agreement is None else answer.agreement.median,
-            largest_misfit=None if answer.agreement is None else answer.agreement.largest,
-            east_from_tag=east,
-            north_from_tag=north,
-            tag_latitude=located.frame.latitude,
-            tag_longitude=located.frame.longitude,
-            checked=checked_beside_middle(answer) if stage == "registration" and answer.accepted else "",
-            **_of_pose(answer.pose, self.basemap),
-        )
-
-    def _told_tag(self, located: LocatedFrame) -> Float64Array | None:
-        """Return the tag in the frame's file in metres, (2,), which is late where the tags have a lag; None without one."""
-        frame = located.frame
-        if self.tags_corrected and frame.latitude is not None and frame.longitude is not None:
-            place: Float64Array = self.basemap.frame.xy([frame.latitude], [frame.longitude])[0]
-            return place
-        return located.tag
-
     def without_lag(self) -> LocatedFlight:
-        """Return the flight with the tags of `tags_without_lag`; itself if there are none, or it has them already."""
-        if self.tags_without_lag is None or self.tags_corrected:
+        """Return the flight with the tags of `tags_without_lag`; itself if there are none."""
+        if self.tags_without_lag is None:
             return self
         pairs = zip(self.frames, self.tags_without_lag, strict=True)
         frames = [replace(located, tag=None if np.isnan(tag).any() else tag) for located, tag in pairs]
-        return replace(self, frames=frames, tags_corrected=True)
+        return replace(self, frames=frames, tags_without_lag=None)
 
-    def summaries(self, limit: float = 50.0) -> dict[str, measures.ErrorSummary]:
-        """Return the errors of each stage against `LocatedFrame.truth`; frames without one are left out, refused positions do
-        not count.
-
-        Answers of the retrieval are ordered by their scores, those of the other stages by their radii.
-        """
+    def errors(self) -> dict[str, Errors]:
+        """Return the errors of each stage against `LocatedFrame.truth`; refused positions do not count."""
         known = [located for located in self.frames if located.truth(False) is not None]
-        summaries = {}
-        for stage in self.stages:
-            answers = [located.stages.get(stage) for located in known]
-            errors = [
-                math.nan if answer is None or answer.state == "refused" or error is None else error
-                for answer, error in zip(answers, (located.error(stage) for located in known), strict=True)
-            ]
-            radii = [math.nan if answer is None or answer.radius is None else answer.radius for answer in answers]
-            scores = [located.windows[0].score if located.windows else math.nan for located in known]
-            summaries[stage] = measures.summarise(errors, radii, limit, scores=scores if stage == "retrieval" else None)
-        return summaries
-
-    @cached_property
-    def registration_summary(self) -> measures.ErrorSummary | None:
-        """The summary of the registration's errors, see `summaries`; None while no frame is registered."""
-        return self.summaries().get("registration")
+        return {
+            stage: Errors.of(
+                len(known),
+                [
+                    (*off, answer.radius)
+                    for located in known
+                    if (answer := located.stages.get(stage)) is not None and answer.state != "refused"
+                    if (off := located.offset(answer)) is not None
+                ],
+            )
+            for stage in self.stages
+        }
 
     @cached_property
     def radii_confirmed(self) -> dict[str, bool]:
@@ -399,8 +340,8 @@ class LocatedFlight:
 
         A search with a prior finds nothing far from the tags, so these may refute its radii, and confirm none.
         """
-        checked = {stage: one.calibration for stage, one in self.summaries().items() if one.calibration}
-        confirmed = {stage: shares[3] >= measures.CONFIRMED_SHARE for stage, shares in checked.items()}
+        checked = {stage: one.calibration for stage, one in self.errors().items() if one.calibration}
+        confirmed = {stage: shares[3] >= CONFIRMED_SHARE for stage, shares in checked.items()}
         return confirmed if self.prior is None else {stage: False for stage, held in confirmed.items() if not held}
 
     def field_measures(self) -> dict[str, float]:
@@ -461,24 +402,6 @@ def short_reason(text: str) -> tuple[str, str]:
 def checked_beside_middle(answer: StageRecord) -> Literal["yes", "no"]:
     """Return "yes" if places away from the photo's middle are enough to check it by the map; they may contradict it."""
     return "no" if answer.agreement is None or answer.agreement.unchecked else "yes"
-
-
-def _of_pose(pose: CameraPose | None, basemap: Map) -> dict[str, Any]:
-    """Return the entries of a track's point that a pose has."""
-    if pose is None:
-        return {}
-    latitude, longitude = basemap.frame.degrees([(pose.east, pose.north)])[0].tolist()
-    return {
-        "pose_latitude": latitude,
-        "pose_longitude": longitude,
-        "altitude": None if pose.flat else pose.altitude,
-        "height": pose.height,
-        "yaw": pose.heading,
-        "pitch": pose.pitch,
-        "roll": pose.roll,
-        "fov": pose.fov,
-        **dict(zip((f"sigma_{name}" for name in POSE_AXES), pose.sigmas.tolist(), strict=True)),
-    }
 
 
 def _sentence(what: str, metres: float | None) -> str:

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Literal
 
 from lpn.core.errors import InputError
 from lpn.flight.locate.matchers import MatcherName
 
+# Windows that are kept for each frame, of places apart.
 TOP = 5
-# Tags as the flight's files have them, or without the constant lag that the audit finds.
-TagsName = Literal["told", "corrected"]
 
 
 @dataclass(frozen=True)
@@ -25,11 +23,7 @@ class LocateOptions:
         map_error: 1-sigma error of the map's places in metres, along each axis; None takes `Map.default_error`.
         sizes: sides of windows in metres; None chooses them from the flight.
         overlap: of neighbouring windows, 0 to below 1.
-        centre: whether descriptors are centred by view, and whitened.
         speed: of the motion model, metres a second; None takes the one at which the flight's scores are most probable.
-        tags: those that errors are measured against: as the flight's files have them, or without the constant lag that the
-            registration finds, see `lpn.flight.locate.audit.corrected_tags`.
-        top: windows that are kept for each frame, of places apart.
     """
 
     sequence: bool = True
@@ -39,10 +33,7 @@ class LocateOptions:
     map_error: float | None = None
     sizes: tuple[float, ...] | None = None
     overlap: float = 0.75
-    centre: bool = True
     speed: float | None = None
-    top: int = TOP
-    tags: TagsName = "told"
 
     def __post_init__(self) -> None:
         if self.prior is not None and not 0 < self.prior < math.inf:
@@ -51,9 +42,3 @@ class LocateOptions:
             raise InputError(f"The map's error is {self.map_error:g} m; expected 0 or more metres.")
         if self.speed is not None and not 0 < self.speed < math.inf:
             raise InputError(f"The speed is {self.speed:g} m/s; expected metres a second above 0.")
-        if self.tags == "corrected" and not self.register:
-            raise InputError(
-                "GPS tags are corrected by the lag that the registration finds; leave --tags corrected or --no-register out."
-            )
-        if self.top < 1:
-            raise InputError(f"{self.top} windows would be kept for each photo; expected 1 or more.")

@@ -13,13 +13,13 @@ from lpn.core.arrays import Float64Array
 from lpn.core.errors import DataError, InputError
 from lpn.core.numbers import error_figure
 from lpn.flight.files import Flight
-from lpn.flight.locate.audit import TagAudit, audit_tags, corrected_tags
+from lpn.flight.locate.audit import audit_tags, corrected_tags
 from lpn.flight.locate.beyond import places_beyond
 from lpn.flight.locate.corrections import Correction
 from lpn.flight.locate.index_windows import WindowIndex
 from lpn.flight.locate.located import LocatedFlight, LocatedFrame, tag_positions
 from lpn.flight.locate.map_proof import refuse_unproven
-from lpn.flight.locate.options import LocateOptions
+from lpn.flight.locate.options import TOP, LocateOptions
 from lpn.flight.locate.ranked_stages import OVERLAP, confirm_sequence, enter_retrieval, enter_sequence
 from lpn.flight.locate.registered_stage import FORMAT, refuse_contradicted, register_frames
 from lpn.flight.locate.registration import is_turned_over
@@ -85,14 +85,14 @@ def locate(
     if model is not None:
         if shipped is not None:
             answers = ShippedAnswers.open(shipped, FORMAT, model, basemap, flight)
-        retrieval = retrieve(model, basemap, flight, options.sizes, options.overlap, options.centre, indexed, answers)
+        retrieval = retrieve(model, basemap, flight, options.sizes, options.overlap, True, indexed, answers)
         notes += retrieval.notes
         if retrieval.broken:
             notes.append(
                 f"{len(retrieval.broken)} of {len(frames)} photos cannot be read; the retrieval's measures count them as misses, "
                 "and Dis@K leaves them out."
             )
-        enter_retrieval(retrieval, frames, options.top)
+        enter_retrieval(retrieval, frames, TOP)
         if options.sequence and answers is not None and len(answers.sequence) == len(frames):
             for frame in frames:
                 frame.stages["sequence"] = answers.sequence[frame.frame.name]
@@ -155,13 +155,7 @@ def registered(
             f"Radii of registrations hold {error_figure(map_error)} m for the error of the map itself{source}."
         )
     moved = corrected_tags(located.flight.times, tags, audit.lag) if audit.has_lag and audit.lag is not None else None
-    if options.tags == "corrected":
-        notes.append(
-            _corrected_note(audit)
-            if audit.has_lag
-            else "GPS tags were left as they are, because the registration finds no constant lag of them."
-        )
-    found = replace(
+    return replace(
         located,
         frames=frames,
         audit=audit,
@@ -170,7 +164,6 @@ def registered(
         map_error=map_error,
         place_error=place_error,
     )
-    return found.without_lag() if options.tags == "corrected" else found
 
 
 def _beyond(retrieval: MapRetrieval, basemap: Map) -> Float64Array:
@@ -194,16 +187,6 @@ def _know_frames_on_map(located: LocatedFlight, frames: list[LocatedFrame], opti
     if refused and on_map:
         beyond = _beyond(located.retrieval, located.basemap)
         enter_sequence(located.retrieval, located.flight, frames, options, beyond, on_map)
-
-
-def _corrected_note(audit: TagAudit) -> str:
-    """Return a sentence about errors against tags without their lag."""
-    note = f"Errors are against the GPS tags without their lag of {audit.lag:.1f} s (--tags corrected)."
-    if audit.looks_ahead:
-        note += (
-            f" If {audit.looks_ahead} instead, these are the places of the pictures' middles, and not of the camera."
-        )
-    return note
 
 
 def _turn_notes(frames: list[LocatedFrame]) -> Iterator[str]:

@@ -11,7 +11,7 @@ import numpy as np
 from lpn.core.arrays import Float64Array
 from lpn.core.numbers import SIGMA
 from lpn.flight.files import Flight
-from lpn.flight.locate.located import APART, LocatedFrame, StageRecord, WindowRecord
+from lpn.flight.locate.located import APART, LocatedFrame, StageRecord, State, WindowRecord
 from lpn.flight.locate.map_proof import middle_reach, new_views, share_near
 from lpn.flight.locate.options import TOP, LocateOptions
 from lpn.flight.locate.retrieval import MapRetrieval
@@ -25,7 +25,6 @@ from lpn.flight.locate.sequence import (
     score_units,
     smooth,
 )
-from lpn.flight.locate.tracks import State
 
 # A place is told by windows that overlap it, whose centres lie within this share of a side, and with this probability.
 OVERLAP = 0.75

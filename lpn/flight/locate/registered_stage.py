@@ -31,7 +31,7 @@ from lpn.flight.locate.line_records import LineRecords
 from lpn.flight.locate.located import LocatedFrame, StageRecord, tag_positions
 from lpn.flight.locate.matched_details import MatchedDetails
 from lpn.flight.locate.matchers import Matcher, open_matchers
-from lpn.flight.locate.options import TOP, LocateOptions
+from lpn.flight.locate.options import LocateOptions
 from lpn.flight.locate.photo_pose import photo_pose
 from lpn.flight.locate.registration import (
     APART,
@@ -95,7 +95,7 @@ def register_frames(
     features = [MapFeatures(basemap, matcher) for matcher in matchers]
     # The limit of frames is not part of the key, as a frame's answer depends on those before it only.
     names = [matcher.name for matcher in matchers]
-    searched = replace(options, top=TOP, map_error=None, tags="told")
+    searched = replace(options, map_error=None)
     side = None if retrieval is None else float(np.median(retrieval.sizes))
     heights = None if basemap.elevation is None else basemap.elevation.digest()
     key = [FORMAT, _POSES, basemap.digest(), heights, names, asdict(searched), model and model.fingerprint, side]

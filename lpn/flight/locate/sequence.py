@@ -489,8 +489,7 @@ def heading_evidence(
     """Return the log odds of steps along the headings, against the likeliest of those backwards and at right angles to them.
 
     Over a map of another place a frame's scores know nothing of the direction of flight, so one direction is seldom much more
-    probable than the others: docs/flights.md has the share of such maps that exceed 4. The frames are those that the motion
-    was fitted to.
+    probable than the others. The frames are those that the motion was fitted to.
 
     Args:
         scores, headings, places, times: as for `fitted`.

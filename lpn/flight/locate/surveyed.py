@@ -13,22 +13,20 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePath
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
-from lpn.core.arrays import BoolArray, Float64Array
 from lpn.core.csv_cells import csv_bytes, mixed_separators, unescape
 from lpn.core.errors import DataError, InputError
 from lpn.core.files import first_few, printable, write_atomic
 from lpn.core.lists import read_text, separated
 from lpn.core.numbers import distance
-from lpn.flight.files.logs import nearest_in_folders, path_parts
+from lpn.flight.files.logs import path_parts
 from lpn.flight.locate.belief import BestAnswer, best_answers
 from lpn.flight.locate.camera_place import below_camera
-from lpn.flight.locate.located import LocatedFlight, LocatedFrame, StageRecord
-from lpn.flight.locate.measures import RIGHT_CALIBRATION
-from lpn.flight.locate.tracks import TrackState
+from lpn.flight.locate.errors import Errors
+from lpn.flight.locate.located import LocatedFlight, LocatedFrame, StageRecord, TrackState
 from lpn.flight.maps import LocalFrame, Map
 from lpn.flight.maps.sources import parse_crs
 
@@ -49,18 +47,6 @@ _EXPECTED = "expected photo and latitude,longitude or easting,northing,epsg, and
 _WGS84 = "EPSG:4326"
 # Names in one sentence at most.
 _MOST_NAMES = 10
-# Errors that differ by fewer metres are equal: their mean, and so their distances from it, are inexact.
-_EQUAL = 1e-6
-# Independent photos from which a mean is compared with its standard error.
-_LEAST_FOR_BIAS = 5
-# The multiple of the standard error that a mean of normal errors exceeds by chance once in 370 surveys (the 3 sigma of many
-# photos), by degrees of freedom: quantiles of Student's t.
-_BIAS = {4: 6.62, 5: 5.51, 6: 4.90, 8: 4.28, 10: 3.96, 15: 3.59, 25: 3.33, 50: 3.16, math.inf: 3.00}
-_SYSTEMATIC = (
-    "it is more than chance gives in 99.7 % of surveys of as many independent photos, so a systematic error is likely"
-)
-_CHANCE = "chance is not ruled out at 99.7 %"
-_UNTOLD = f"there are too few independent photos to tell ({_LEAST_FOR_BIAS} are needed)"
 _RESIDUAL_COLUMNS = (
     *("photo", "point", "answer_is", "stage", "state", "doubt"),
     *("surveyed_easting_m", "surveyed_northing_m", "easting_m", "northing_m", "crs"),
@@ -134,105 +120,6 @@ class Residual:
         return self.state in ("accepted", "contradicted")
 
 
-@dataclass(frozen=True)
-class AxisMean:
-    """The mean of errors along one axis, in metres.
-
-    Attributes:
-        mean, sd: of the errors; the standard deviation is NaN for one error.
-        independent: errors that do not depend on each other and tell as much.
-    """
-
-    mean: float
-    sd: float
-    independent: float
-
-    @property
-    def error(self) -> float:
-        """The standard error of the mean; it means little unless `enough`."""
-        return self.sd / math.sqrt(self.independent)
-
-    @property
-    def enough(self) -> bool:
-        """True if there are enough independent errors to compare the mean with its standard error."""
-        return self.independent >= _LEAST_FOR_BIAS
-
-    @property
-    def systematic(self) -> bool:
-        """True if chance leaves so large a mean in less than 0.3 % of surveys."""
-        return self.enough and abs(self.mean) > _most_by_chance(self.independent - 1) * self.error
-
-
-@dataclass(frozen=True)
-class SurveyedErrors:
-    """Errors of a stage's accepted answers against surveyed positions of one point, in metres.
-
-    Attributes:
-        photos: with an accepted answer and a surveyed position.
-        rmse_east, rmse_north, rmse: root mean squares along both axes and in the plane.
-        bias_east, bias_north: means, answer minus survey.
-        sd_east, sd_north: standard deviations about these means, of n - 1 photos; NaN for one photo.
-        independent_east, independent_north: photos that err independently and tell as much as all of them, by the correlation of
-            neighbours in the flight; the standard error of a mean is its standard deviation over the root of this number.
-        median, ce90, ce95, largest: distances in the plane; `ce90` and `ce95` are the circular errors that hold 90 and 95 % of
-            them.
-        radii: photos whose answer has a radius and is of the surveyed point.
-        within: of these, the share in percent within 1, 2, and 3 radii; empty without any. Right radii have
-            `measures.RIGHT_CALIBRATION`.
-    """
-
-    photos: int
-    rmse_east: float
-    rmse_north: float
-    rmse: float
-    bias_east: float
-    bias_north: float
-    sd_east: float
-    sd_north: float
-    independent_east: float
-    independent_north: float
-    median: float
-    ce90: float
-    ce95: float
-    largest: float
-    radii: int
-    within: dict[int, float]
-
-    @property
-    def means(self) -> dict[str, AxisMean]:
-        """The mean along each axis, "east" and "north"."""
-        return {
-            "east": AxisMean(self.bias_east, self.sd_east, self.independent_east),
-            "north": AxisMean(self.bias_north, self.sd_north, self.independent_north),
-        }
-
-    @property
-    def counted_as(self) -> str:
-        """Say as how many independent photos these count, as neighbours err alike; "" if each counts as one."""
-        if min(self.independent_east, self.independent_north) > self.photos - 0.5:
-            return ""
-        east, north = (
-            f"{number} independent {'ones' if number > 1 else 'one'} to the {axis}"
-            for axis, mean in self.means.items()
-            for number in [int(mean.independent)]
-        )
-        return f"Photos that follow each other err alike, so the {self.photos} count as {east} and {north}."
-
-    @property
-    def bias_sentence(self) -> str:
-        """Say along which axes the mean is more than chance explains; "" of fewer photos than could tell."""
-        if self.photos < _LEAST_FOR_BIAS:
-            return ""
-        means, verdicts = [], dict[str, list[str]]()
-        for axis, one in self.means.items():
-            means.append(f"{round(one.mean, 2) + 0.0:.2f} m {axis}" + (f" (± {one.error:.2f})" if one.enough else ""))
-            verdict = _SYSTEMATIC if one.systematic else _CHANCE if one.enough else _UNTOLD
-            verdicts.setdefault(verdict, []).append(axis)
-        judged = "; ".join(f"to the {' and '.join(named)} {verdict}" for verdict, named in verdicts.items())
-        known = ", with its standard error" if {*verdicts} - {_UNTOLD} else ""
-        return f"The mean is {' and '.join(means)}{known}: {judged}. {self.counted_as}".rstrip()
-
-
 def read_surveyed(file: Path, frame: LocalFrame, crs: str | None = None) -> list[SurveyedPosition]:
     """Read a table of surveyed positions.
 
@@ -247,13 +134,92 @@ def read_surveyed(file: Path, frame: LocalFrame, crs: str | None = None) -> list
     name = printable(file.name)
     decimal_comma, rows = separated(read_text(file, name), name, strict=True)
     header = _header(next(rows, (0, []))[1], name)
-    entries = [_entry(values, header, f"Line {line} of {name}", decimal_comma) for line, values in rows]
-    if not entries:
+    degrees = "latitude" in header
+    photos, points, numbers, systems = list[str](), list[SurveyedPoint](), list[list[float]](), dict[str, str]()
+    lines = []
+    for number, values in rows:
+        line = f"Line {number} of {name}"
+        if len(values) <= max(header.values()):
+            raise DataError(
+                f"{line} has {len(values)} values, and its columns need {max(header.values()) + 1}; complete it."
+            )
+        cells = {key: unescape(values[column].strip()) for key, column in header.items()}
+        point = cells.get("point", "").lower() or "camera"
+        if not cells["photo"]:
+            raise DataError(f"{line} has no photo; expected its file name.")
+        if point not in ("camera", "ground"):
+            raise DataError(f"{line} has the point {printable(point)[:100]!r}; expected camera or ground.")
+        # A geographic CRS has its longitude first here; spreadsheets write a whole number as 32614.0, too.
+        keys = _DEGREES[::-1] if degrees else _METRES
+        numbers.append([_number(cells[key], key, line, decimal_comma) for key in keys])
+        systems.setdefault(cells.get("crs", "").removesuffix(".0"), line)
+        photos.append(cells["photo"])
+        points.append("ground" if point == "ground" else "camera")
+        lines.append(line)
+    if not photos:
         raise DataError(f"{name} has no position below its first line; add a line for each photo.")
-    xy = _in_metres(entries, "latitude" in header, frame, crs, name)
-    return [
-        SurveyedPosition(entry.photo, x, y, entry.point) for entry, (x, y) in zip(entries, xy.tolist(), strict=True)
-    ]
+    placed = frame.from_crs(_system(systems, crs, degrees, name), np.array(numbers))
+    if not np.isfinite(placed).all():
+        raise DataError(
+            f"The CRS of {name} cannot be brought to the map's plane for all positions, from {lines[0]} on; check CRS and "
+            "coordinates."
+        )
+    return [SurveyedPosition(*row) for row in zip(photos, *placed.T.tolist(), points, strict=True)]
+
+
+def _system(told: Mapping[str, str], crs: str | None, degrees: bool, file: str) -> object:
+    """Return the CRS of a table, whose lines tell those of `told`, each with its first line."""
+    if crs and set(told) != {""}:
+        raise InputError(f"{file} tells its CRS in a column; leave --crs out, or take the column away.")
+    if len(told) > 1:
+        both = " and ".join(f"{printable(one)[:100] or 'none'} ({line})" for one, line in list(told.items())[:2])
+        raise DataError(f"{file} has the CRS {both}; expected one for the whole table.")
+    text = crs or next(iter(told)) or (_WGS84 if degrees else "")
+    if not text:
+        raise InputError(
+            f"{file} has eastings and northings without their CRS; add a column epsg, or give it, such as --crs EPSG:32614."
+        )
+    system = parse_crs(text)
+    if not (system.is_geographic if degrees else system.is_projected):
+        columns, kind, such = ("eastings and northings", "projected", "EPSG:32614")
+        if degrees:
+            columns, kind, such = ("latitudes and longitudes", "geographic", _WGS84)
+        raise InputError(
+            f"The CRS {printable(text)[:100]} is not {kind}, and {file} has {columns}; expected one such as {such}."
+        )
+    return system
+
+
+def _header(names: Sequence[str], file: str) -> dict[str, int]:
+    """Return the column of each known name."""
+    given = {name.strip().lower(): i for i, name in reversed(list(enumerate(names)))}
+    header = {
+        key: next(given[one] for one in known if one in given) for key, known in COLUMNS.items() if {*known} & {*given}
+    }
+    pairs = [pair for pair in (_DEGREES, _METRES) if {*pair} <= {*header}]
+    if len(pairs) > 1:
+        both = " and ".join(",".join(names[header[key]].strip() for key in pair) for pair in pairs)
+        raise DataError(
+            f"The first line of {file} has {printable(both)[:200]}, and only one of the two can be the survey; take the other "
+            "one away."
+        )
+    if "photo" not in header or not pairs:
+        found = printable(",".join(names))[:200] or "empty"
+        raise DataError(f"The first line of {file} is {found}; {_EXPECTED}.{mixed_separators(found)}")
+    other = _METRES if pairs[0] is _DEGREES else _DEGREES
+    return {key: column for key, column in header.items() if key not in other}
+
+
+def _number(text: str, key: str, line: str, decimal_comma: bool) -> float:
+    try:
+        value = float(text.replace(",", ".", 1) if decimal_comma else text)
+    except ValueError:
+        value = math.nan
+    most = {"latitude": 90.0, "longitude": 180.0}.get(key, math.inf)
+    if not (math.isfinite(value) and abs(value) <= most):
+        limits = f"degrees from {-most:g} to {most:g}" if math.isfinite(most) else "metres"
+        raise DataError(f"{line} has the {key} {printable(text)[:100]!r}; expected {limits}.")
+    return value
 
 
 def match_surveyed(names: Sequence[str], surveyed: Sequence[SurveyedPosition], basemap: Map) -> MatchedSurvey:
@@ -266,11 +232,11 @@ def match_surveyed(names: Sequence[str], surveyed: Sequence[SurveyedPosition], b
         InputError: if no photo of the flight has a surveyed position, a name may be two photos, a photo has two positions of one
             point, or most positions lie farther off the map than its longer side.
     """
-    frames = _Names(names)
+    frames = _by_stem(names)
     by_frame: dict[int, list[SurveyedPosition]] = {}
     strangers: list[str] = []
     for position in surveyed:
-        number = frames.number(position.photo)
+        number = _frame_of(position.photo, names, frames)
         if number is None:
             strangers.append(position.photo)
             continue
@@ -304,68 +270,22 @@ def compare_surveyed(located: LocatedFlight, matched: MatchedSurvey) -> list[Res
     ]
 
 
-def summarise_surveyed(rows: Sequence[Residual]) -> dict[str, dict[SurveyedPoint, SurveyedErrors]]:
-    """Summarise the residuals of accepted answers by their stage, and by what was surveyed."""
+def summarise_surveyed(rows: Sequence[Residual]) -> dict[str, dict[SurveyedPoint, Errors]]:
+    """Return the errors of accepted answers by their stage, and by what was surveyed."""
     known: dict[str, dict[SurveyedPoint, list[Residual]]] = {}
     for row in rows:
         if row.counts:
             known.setdefault(row.stage, {}).setdefault(row.point, []).append(row)
-    return {stage: {point: _summary(chosen) for point, chosen in points.items()} for stage, points in known.items()}
-
-
-def _summary(rows: Sequence[Residual]) -> SurveyedErrors:
-    off = np.array([(row.east, row.north) for row in rows])
-    return summarise_offsets(off, np.array([row.radii for row in rows if not math.isnan(row.radii)]))
-
-
-def summarise_offsets(off: Float64Array, radii: Float64Array) -> SurveyedErrors:
-    """Summarise errors in metres east and north, (N, 2), in the flight's order; N is at least 1.
-
-    Args:
-        radii: the lengths of some of them in radii, (M,).
-    """
-    metres = np.linalg.norm(off, axis=1)
-    rmse_east, rmse_north = np.sqrt((off**2).mean(axis=0)).tolist()
-    bias_east, bias_north = off.mean(axis=0).tolist()
-    sd_east, sd_north = off.std(axis=0, ddof=1).tolist() if len(off) > 1 else (math.nan, math.nan)
-    median, ce90, ce95 = np.quantile(metres, (0.5, 0.9, 0.95)).tolist()
-    return SurveyedErrors(
-        len(off),
-        rmse_east,
-        rmse_north,
-        math.hypot(rmse_east, rmse_north),
-        bias_east,
-        bias_north,
-        sd_east,
-        sd_north,
-        _independent(off[:, 0]),
-        _independent(off[:, 1]),
-        median,
-        ce90,
-        ce95,
-        float(metres.max()),
-        len(radii),
-        {k: 100 * float((radii <= k).mean()) for k in RIGHT_CALIBRATION if len(radii)},
-    )
-
-
-def _independent(errors: Float64Array) -> float:
-    """Return how many errors that do not depend on each other tell as much of the mean as these, (n,), in the flight's order.
-
-    With a correlation r of neighbours these are n (1 - r) / (1 + r) (Bayley and Hammersley, 1946); r below 0 counts as 0. About
-    their own mean n errors show r too low by (1 + 4 r) / n (Kendall, 1954), which is added.
-    """
-    off, n = errors - errors.mean(), len(errors)
-    if np.ptp(errors) < _EQUAL:
-        return float(n)
-    shown = float((off[1:] * off[:-1]).sum()) / float((off**2).sum())
-    alike = min(max(shown + (1 + 4 * shown) / n, 0.0), 1.0)
-    return max(n * (1 - alike) / (1 + alike), 1.0)
-
-
-def _most_by_chance(freedom: float) -> float:
-    """Return the multiple of the standard error within which chance leaves a mean, by degrees of freedom from 4 on."""
-    return float(np.interp(-1 / freedom, [-1 / known for known in _BIAS], list(_BIAS.values())))
+    return {
+        stage: {
+            point: Errors.of(
+                len(chosen),
+                [(row.east, row.north, row.radius if row.answered == row.point else math.nan) for row in chosen],
+            )
+            for point, chosen in points.items()
+        }
+        for stage, points in known.items()
+    }
 
 
 def write_residuals(file: Path, rows: Sequence[Residual], frame: LocalFrame) -> None:
@@ -389,152 +309,35 @@ def _rounded(value: float) -> float | None:
     return round(value, 3) if math.isfinite(value) else None
 
 
-@dataclass(frozen=True)
-class _Entry:
-    line: str
-    photo: str
-    numbers: tuple[float, float]
-    crs: str
-    point: SurveyedPoint
+def _by_stem(names: Sequence[str]) -> dict[str, list[int]]:
+    """Return the numbers of the frames by their names without folders and suffix."""
+    found: dict[str, list[int]] = {}
+    for i, name in enumerate(names):
+        found.setdefault(PurePath(path_parts(name)[-1]).stem, []).append(i)
+    return found
 
 
-def _header(names: Sequence[str], file: str) -> dict[str, int]:
-    """Return the column of each known name."""
-    given = {name.strip().lower(): i for i, name in reversed(list(enumerate(names)))}
-    header = {
-        key: next(given[one] for one in known if one in given) for key, known in COLUMNS.items() if {*known} & {*given}
-    }
-    pairs = [pair for pair in (_DEGREES, _METRES) if {*pair} <= {*header}]
-    if len(pairs) > 1:
-        both = " and ".join(",".join(names[header[key]].strip() for key in pair) for pair in pairs)
-        raise DataError(
-            f"The first line of {file} has {printable(both)[:200]}, and only one of the two can be the survey; take the other "
-            "one away."
-        )
-    if "photo" not in header or not pairs:
-        found = printable(",".join(names))[:200] or "empty"
-        raise DataError(f"The first line of {file} is {found}; {_EXPECTED}.{mixed_separators(found)}")
-    other = _METRES if pairs[0] is _DEGREES else _DEGREES
-    return {key: column for key, column in header.items() if key not in other}
+def _frame_of(path: str, names: Sequence[str], by_stem: Mapping[str, Sequence[int]]) -> int | None:
+    """Return the number of the frame that a table names; None without one.
 
-
-def _entry(values: Sequence[str], header: Mapping[str, int], line: str, decimal_comma: bool) -> _Entry:
-    if len(values) <= max(header.values()):
-        raise DataError(
-            f"{line} has {len(values)} values, and its columns need {max(header.values()) + 1}; complete it."
-        )
-    cells = {key: unescape(values[column].strip()) for key, column in header.items()}
-    if not cells["photo"]:
-        raise DataError(f"{line} has no photo; expected its file name.")
-    keys = _DEGREES if "latitude" in header else _METRES
-    first, second = (_number(cells[key], key, line, decimal_comma) for key in keys)
-    point = cells.get("point", "").lower() or "camera"
-    if point not in ("camera", "ground"):
-        raise DataError(f"{line} has the point {printable(point)[:100]!r}; expected camera or ground.")
-    return _Entry(
-        line, cells["photo"], (first, second), cells.get("crs", ""), "ground" if point == "ground" else "camera"
-    )
-
-
-def _number(text: str, key: str, line: str, decimal_comma: bool) -> float:
-    try:
-        value = float(text.replace(",", ".", 1) if decimal_comma else text)
-    except ValueError:
-        value = math.nan
-    most = {"latitude": 90.0, "longitude": 180.0}.get(key, math.inf)
-    if not (math.isfinite(value) and abs(value) <= most):
-        limits = f"degrees from {-most:g} to {most:g}" if math.isfinite(most) else "metres"
-        raise DataError(f"{line} has the {key} {printable(text)[:100]!r}; expected {limits}.")
-    return value
-
-
-def _in_metres(entries: Sequence[_Entry], degrees: bool, frame: LocalFrame, crs: str | None, file: str) -> Float64Array:
-    """Return coordinates, each in its own CRS, in the map's metres, (N, 2)."""
-    xy = np.empty((len(entries), 2))
-    if crs and any(entry.crs for entry in entries):
-        raise InputError(f"{file} tells its CRS in a column; leave --crs out, or take the column away.")
-    # Spreadsheets write a whole number as 32614.0, too.
-    told = [(crs or entry.crs or (_WGS84 if degrees else "")).removesuffix(".0") for entry in entries]
-    for text in dict.fromkeys(told):
-        if not text:
-            raise InputError(
-                f"{file} has eastings and northings without their CRS; add a column epsg, or give it, such as --crs EPSG:32614."
-            )
-        system = parse_crs(text)
-        _check_kind(text, system, degrees, file)
-        chosen = [i for i, one in enumerate(told) if one == text]
-        # A geographic CRS has its longitude first here.
-        numbers = np.array([entries[i].numbers for i in chosen])[:, :: -1 if degrees else 1]
-        placed = frame.from_crs(system, numbers)
-        if not np.isfinite(placed).all():  # one position that the projection cannot place makes all of them NaN
-            placed = np.concatenate([frame.from_crs(system, [row]) for row in numbers])
-            _refuse_unplaced([entries[i].line for i in chosen], np.isfinite(placed[:, 0]), text)
-        xy[chosen] = placed
-    return xy
-
-
-def _check_kind(text: str, crs: Any, degrees: bool, file: str) -> None:
-    """Raise InputError unless a CRS is geographic for degrees, or projected for metres."""
-    if crs.is_geographic if degrees else crs.is_projected:
-        return
-    columns, kind, such = (
-        ("latitudes and longitudes", "geographic", _WGS84)
-        if degrees
-        else ("eastings and northings", "projected", "EPSG:32614")
-    )
-    raise InputError(
-        f"The CRS {printable(text)[:100]} is not {kind}, and {file} has {columns}; expected one such as {such}."
-    )
-
-
-def _refuse_unplaced(lines: Sequence[str], placed: BoolArray, crs: str) -> None:
-    """Raise DataError about the lines whose position has no place on the map's plane."""
-    if not placed.any():
+    The folders of the path with fewer of them must end the other's. Of several frames, the one of the equal path counts, then of
+    the equal name, then of the most folders.
+    """
+    wanted = path_parts(path)
+    ranked: list[tuple[tuple[bool, bool, bool, int], int]] = []
+    for i in {*by_stem.get(PurePath(wanted[-1]).stem, ()), *by_stem.get(wanted[-1], ())}:
+        parts = path_parts(names[i])
+        least = min(len(parts), len(wanted))
+        if parts[-least:-1] == wanted[-least:-1]:
+            exact = path.replace("\\", "/") == names[i]
+            ranked.append(((exact, parts == wanted, parts[-1] == wanted[-1], least), i))
+    ranked.sort(key=lambda one: (one[0], -one[1]), reverse=True)
+    if len(ranked) > 1 and ranked[0][0] == ranked[1][0]:
+        either = " or ".join(printable(names[i]) for _, i in ranked[:2])
         raise InputError(
-            f"The CRS {printable(crs)[:100]} cannot be brought to the map's plane for any position; check the CRS."
+            f"The surveyed photo {printable(path)[:100]} may be {either} of the flight; write the name as the flight has it."
         )
-    failed = [line for line, known in zip(lines, placed, strict=True) if not known]
-    raise DataError(
-        f"{first_few(failed, _MOST_NAMES)}: the CRS {printable(crs)[:100]} has no such position; check the coordinates."
-    )
-
-
-class _Names:
-    """The names of a flight's frames, found by what a table calls them."""
-
-    def __init__(self, names: Sequence[str]) -> None:
-        self._names = names
-        self._whole = {name: i for i, name in enumerate(names)}
-        self._parts = [path_parts(name) for name in names]
-        self._by_name: dict[str, list[int]] = {}
-        self._by_stem: dict[str, list[int]] = {}
-        for i, parts in enumerate(self._parts):
-            self._by_name.setdefault(parts[-1], []).append(i)
-            self._by_stem.setdefault(PurePath(parts[-1]).stem, []).append(i)
-
-    def number(self, path: str) -> int | None:
-        """Return the number of a frame: of its whole path, else its name, else its name without suffix, by the most folders.
-
-        A frame of another folder is none; a flight names the folders of its photos only where names repeat.
-        """
-        if (number := self._whole.get(path.replace("\\", "/"))) is not None:
-            return number
-        parts = path_parts(path)
-        near = (
-            self._by_name.get(parts[-1])
-            or self._by_stem.get(parts[-1])
-            or self._by_stem.get(PurePath(parts[-1]).stem, [])
-        )
-        near = [i for i in near if self._parts[i][-2:-1] in (parts[-2:-1], ()) or len(parts) == 1]
-        near = [i for i in near if self._parts[i] == parts] or [
-            near[k] for k in nearest_in_folders(parts, [self._parts[i] for i in near])
-        ]
-        if len(near) > 1:
-            either = " or ".join(printable(self._names[i]) for i in near[:2])
-            raise InputError(
-                f"The surveyed photo {printable(path)[:100]} may be {either} of the flight; write the name as the flight has it."
-            )
-        return near[0] if near else None
+    return ranked[0][1] if ranked else None
 
 
 def _residual(located: LocatedFrame, position: SurveyedPosition, best: BestAnswer, frame: LocalFrame) -> Residual:
@@ -576,43 +379,28 @@ def survey_remarks(rows: Sequence[Residual], photos: int) -> list[str]:
         photos: of the flight.
     """
     sentences = []
-    if missing := _names_of(row for row in rows if not row.counts):
-        sentences.append(
-            f"No answer is accepted for {_photos(missing)}, which {'does' if len(missing) == 1 else 'do'} not count: "
-            f"{_listed(missing)}."
-        )
-    if doubted := _names_of(row for row in rows if row.counts and row.doubt):
+    if missing := [row.photo for row in rows if not row.counts]:
+        sentences.append(f"Photos without an accepted answer do not count: {_listed(missing)}.")
+    if doubted := [row.photo for row in rows if row.counts and row.doubt]:
         sentences.append(f"Contradicted by other answers, and counted all the same: {_listed(doubted)}.")
     for point, other in (("camera", "ground at the photo's middle"), ("ground", "camera")):
-        moved = sum(row.counts and row.point == point != row.answered for row in rows)
-        if moved:
+        if moved := sum(row.counts and row.point == point != row.answered for row in rows):
             sentences.append(
-                f"{moved} surveyed position{'s' * (moved > 1)} of the {point} {'are' if moved > 1 else 'is'} compared with the "
-                f"{other}, as the answer tells no more; a tilted camera keeps the two apart, so the shares within radii leave "
-                f"{'them' if moved > 1 else 'it'} out."
+                f"Surveyed positions of the {point} that are compared with the {other}, as the answer tells no more: {moved}. A "
+                "tilted camera keeps the two apart, so the shares within radii leave them out."
             )
-    if without := photos - len(_names_of(rows)):
-        has = "photos of the flight have" if without > 1 else "photo of the flight has"
-        sentences.append(f"{without} {has} no surveyed position.")
+    if without := photos - len({row.photo for row in rows}):
+        sentences.append(f"Photos of the flight without a surveyed position: {without}.")
     return sentences
 
 
 def strangers_sentence(matched: MatchedSurvey) -> str:
     """Name the surveyed photos that are not in the flight; "" if all are."""
-    names = list(dict.fromkeys(matched.strangers))
-    if not names:
+    if not matched.strangers:
         return ""
-    return f"{_photos(names)} {'is' if len(names) == 1 else 'are'} not in the flight, so check the names: {_listed(names)}."
+    return f"Surveyed photos that are not in the flight; check the names: {_listed(matched.strangers)}."
 
 
-def _names_of(rows: Iterable[Residual]) -> list[str]:
-    """Return the photos of rows, each once."""
-    return list(dict.fromkeys(row.photo for row in rows))
-
-
-def _photos(names: Sequence[str]) -> str:
-    return f"{len(names)} surveyed photo{'s' * (len(names) > 1)}"
-
-
-def _listed(names: Sequence[str]) -> str:
-    return printable(first_few(list(names), _MOST_NAMES))
+def _listed(names: Iterable[str]) -> str:
+    """Name photos, each once."""
+    return printable(first_few(list(dict.fromkeys(names)), _MOST_NAMES))

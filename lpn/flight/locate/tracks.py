@@ -1,6 +1,6 @@
-"""Tracks of located frames as GeoJSON, GPX, KML, or CSV, each written whole or not at all.
+"""Tracks of a located flight: a point for each answer, and files of them as GeoJSON, KML, or CSV.
 
-A CSV has a column for each property of a GeoJSON's point, and latitude and longitude; docs/flights.md tells what they mean.
+A CSV has a column for each property of a GeoJSON's point; docs/locate-a-flight.md tells what they mean.
 A column in which no point has a value is left out, but for the frame, its state, its place, and the reason.
 """
 
@@ -9,124 +9,206 @@ from __future__ import annotations
 import html
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, fields
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 from xml.etree import ElementTree
 
 from lpn.core.csv_cells import csv_bytes
 from lpn.core.files import check_ending, json_bytes, portable, printable, write_atomic
 from lpn.core.numbers import SIGMA, heading_figure
 from lpn.drawing import theme
+from lpn.flight.locate.belief import best_answers, disagreements, doubts
+from lpn.flight.locate.camera_pose import CameraPose
+from lpn.flight.locate.located import (
+    BY_HAND,
+    LocatedFlight,
+    LocatedFrame,
+    StageRecord,
+    TrackState,
+    checked_beside_middle,
+    short_reason,
+)
+from lpn.flight.maps import Map
 
-SUFFIXES = (".geojson", ".gpx", ".kml", ".csv")
+SUFFIXES = (".geojson", ".kml", ".csv")
 # A time under this value is counted from the start of a video; it is not a UTC epoch.
 _FIRST_EPOCH = 10**8
-_GPX = "http://www.topografix.com/GPX/1/1"
-_OURS = "urn:lpn-explorer:track"
 _KML = "http://www.opengis.net/kml/2.2"
-# The six degrees of a pose in the order of its covariance.
-POSE_AXES = ("east", "north", "up", "yaw", "pitch", "roll")
-# "not verified" is a position that nothing has checked against the picture: the best guess of the retrieval.
-State = Literal["accepted", "refused", "not verified"]
-# "contradicted" is an accepted position that lies too far from the frame's tag, or from its neighbours' answer, for their errors.
-TrackState = State | Literal["contradicted"]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class TrackPoint:
-    """One stage's answer for one frame.
+    """One answer for one frame; its fields are the columns of a file, in their order. None and "" are unknown.
 
     Attributes:
         frame: name of the frame.
         stage: "retrieval", "sequence", "registration", or "by hand" for a person's correction.
         state: "accepted" if the position may be used, "contradicted" if the verdict of all stages doubts it, "refused" if it may
             not be used, "not verified" if the stage cannot tell.
-        reason: in one short sentence why it was refused, or on what it rests.
-        time: seconds, UTC epoch where known; None if unknown.
-        latitude, longitude: WGS 84 degrees; None without a position.
-        camera: whether they are the camera's; otherwise those of the picture's middle on the ground.
-        radius: 1-sigma radius in metres on this map; None if unknown.
-        radius_on_earth: the same with the error of the map's place on earth; None where the map does not tell it.
-        radius_confirmed: "yes" if the GPS tags of the flight lie within three radii of this stage as often as they should,
-            "no" if not; "" without a radius, or where no tag tells.
-        heading: of the picture's top, degrees clockwise from north; None if unknown.
-        metres_from_tag: metres from the position to the tag in the frame's file; None without one of them.
-        east_from_tag, north_from_tag: position minus tag along the axes of the projected system.
-        tag_latitude, tag_longitude: of that tag in degrees; None without one.
         doubt: the answers that contradict this one, "tag", stages, or "map": what the map has away from the photo's middle.
+        point: whether the position is the "camera", or the "ground" at the picture's middle.
+        latitude, longitude: WGS 84 degrees.
+        easting_m, northing_m, projected_crs: metres in a UTM zone.
+        radius_on_map_m: 1-sigma radius on this map.
+        radius_on_earth_m: the same with the error of the map's place on earth, where the map tells it.
+        radius_confirmed_by_tags: "yes" if the flight's GPS tags lie within three radii of this stage as often as they should,
+            "no" if not.
+        checked_beside_middle: "yes" if places beside a registered photo's middle lie where the map has them, "contradicted" if
+            not, "no" if too few were found to tell.
+        misfit_median_m, misfit_max_m: from places away from the photo's middle to where the map has them.
+        metres_from_tag, east_from_tag_m, north_from_tag_m: position minus the tag in the frame's file, the last two along the
+            axes of the UTM zone.
+        tag_latitude, tag_longitude: that tag.
+        time_utc: of the frame, where its time is one of day; else `seconds` has it.
+        heading_deg: of the picture's top, clockwise from north.
+        pose_latitude, pose_longitude: of the camera by its pose.
+        pose_altitude_m: metres above the datum of the map's elevation.
+        pose_height_m: metres above ground.
+        pose_yaw_deg, pose_pitch_deg, pose_roll_deg: a pitch of -90 looks straight down, one below it beyond that.
+        pose_fov_deg: horizontal field of view.
+        pose_sigma_east_m to pose_sigma_roll_deg: 1-sigma errors of the pose, without the map's own.
+        reason: in one short sentence why it was refused, or on what it rests.
         note: further sentences.
-        easting, northing, projection: metres in the projected system of an EPSG code; None without a position.
-        misfit, largest_misfit: median and most of the metres from places away from the photo's middle to where the map has them;
-            None where they were not compared, or too few tell.
-        checked: "yes" if places beside a registered photo's middle lie where the map has them, "contradicted" if not, "no" if
-            too few were found to tell; "" for other answers.
-        pose_latitude, pose_longitude: of the camera by its pose, in degrees; None without one.
-        altitude: of the camera by its pose, metres above the datum of the map's elevation; None without one.
-        height: of the camera by its pose, metres above ground; None where that is unknown.
-        yaw, pitch, roll: of the camera by its pose, in degrees; a pitch of -90 looks straight down, one below it beyond that.
-        fov: horizontal field of view of the pose in degrees.
-        sigma_east, sigma_north, sigma_up: 1-sigma errors of the pose in metres, without the map's own.
-        sigma_yaw, sigma_pitch, sigma_roll: 1-sigma errors of the pose in degrees.
     """
 
     frame: str
     stage: str
     state: TrackState
-    reason: str
-    time: float | None = None
+    doubt: str = ""
+    point: str = ""
     latitude: float | None = None
     longitude: float | None = None
-    camera: bool = False
-    radius: float | None = None
-    radius_on_earth: float | None = None
-    heading: float | None = None
+    crs: str = ""
+    easting_m: float | None = None
+    northing_m: float | None = None
+    projected_crs: str = ""
+    radius_on_map_m: float | None = None
+    radius_on_earth_m: float | None = None
+    radius_confirmed_by_tags: str = ""
+    checked_beside_middle: str = ""
+    misfit_median_m: float | None = None
+    misfit_max_m: float | None = None
     metres_from_tag: float | None = None
-    doubt: tuple[str, ...] = ()
-    note: str = ""
-    easting: float | None = None
-    northing: float | None = None
-    projection: int | None = None
-    misfit: float | None = None
-    largest_misfit: float | None = None
-    east_from_tag: float | None = None
-    north_from_tag: float | None = None
+    east_from_tag_m: float | None = None
+    north_from_tag_m: float | None = None
     tag_latitude: float | None = None
     tag_longitude: float | None = None
-    checked: Literal["yes", "no", "contradicted", ""] = ""
+    time_utc: str = ""
+    seconds: float | None = None
+    heading_deg: float | None = None
     pose_latitude: float | None = None
     pose_longitude: float | None = None
-    altitude: float | None = None
-    height: float | None = None
-    yaw: float | None = None
-    pitch: float | None = None
-    roll: float | None = None
-    fov: float | None = None
-    sigma_east: float | None = None
-    sigma_north: float | None = None
-    sigma_up: float | None = None
-    sigma_yaw: float | None = None
-    sigma_pitch: float | None = None
-    sigma_roll: float | None = None
-    radius_confirmed: Literal["yes", "no", ""] = ""
+    pose_altitude_m: float | None = None
+    pose_height_m: float | None = None
+    pose_yaw_deg: float | None = None
+    pose_pitch_deg: float | None = None
+    pose_roll_deg: float | None = None
+    pose_fov_deg: float | None = None
+    pose_sigma_east_m: float | None = None
+    pose_sigma_north_m: float | None = None
+    pose_sigma_up_m: float | None = None
+    pose_sigma_yaw_deg: float | None = None
+    pose_sigma_pitch_deg: float | None = None
+    pose_sigma_roll_deg: float | None = None
+    reason: str = ""
+    note: str = ""
 
 
-# Columns that each file has; another one is left out where nothing is known.
+# The columns that each file has.
 _ALWAYS = ("frame", "stage", "state", "latitude", "longitude", "reason")
-# The entries of a pose by their columns, and the digits behind the point.
-_POSE_COLUMNS = {
-    "pose_latitude": ("pose_latitude", 7),
-    "pose_longitude": ("pose_longitude", 7),
-    "altitude": ("pose_altitude_m", 2),
-    "height": ("pose_height_m", 2),
-    "yaw": ("pose_yaw_deg", 2),
-    "pitch": ("pose_pitch_deg", 2),
-    "roll": ("pose_roll_deg", 2),
-    "fov": ("pose_fov_deg", 2),
-    **{f"sigma_{axis}": (f"pose_sigma_{axis}_m", 2) for axis in POSE_AXES[:3]},
-    **{f"sigma_{axis}": (f"pose_sigma_{axis}_deg", 3) for axis in POSE_AXES[3:]},
+# Digits behind the point, where they are not two.
+_DIGITS = {
+    **dict.fromkeys(("latitude", "longitude", "tag_latitude", "tag_longitude", "pose_latitude", "pose_longitude"), 7),
+    **dict.fromkeys(("seconds", "pose_sigma_yaw_deg", "pose_sigma_pitch_deg", "pose_sigma_roll_deg"), 3),
+    "metres_from_tag": 1,
 }
+_SIGMAS = ("east_m", "north_m", "up_m", "yaw_deg", "pitch_deg", "roll_deg")
+
+
+def full_track(flight: LocatedFlight) -> list[TrackPoint]:
+    """Return the points of all stages, stage by stage; a correction takes the place of its frame's registration."""
+    against = disagreements(flight.frames)
+    return [
+        _point(flight, located, stage, answer, doubt=doubts(located, [one for one in against if one.frame == i], stage))
+        for stage in (*flight.stages, BY_HAND)
+        for i, located in enumerate(flight.frames)
+        if (answer := located.by_hand if stage == BY_HAND else located.stages.get(stage)) is not None
+        and not (stage == "registration" and located.by_hand is not None)
+    ]
+
+
+def best_track(flight: LocatedFlight) -> list[TrackPoint]:
+    """Return one point a frame, that of the answer that counts; state and reason are those of the verdict."""
+    points = []
+    for located, best in zip(flight.frames, best_answers(flight), strict=True):
+        told: dict[str, Any] = {}
+        if best.stage != BY_HAND:
+            told = {"state": best.state, "reason": best.reason, "note": best.verdict.reason}
+        points.append(_point(flight, located, best.stage, best.answer, doubt=best.doubt, **told))
+    return points
+
+
+def _point(
+    flight: LocatedFlight,
+    located: LocatedFrame,
+    stage: str,
+    answer: StageRecord,
+    doubt: tuple[str, ...],
+    **told: Any,
+) -> TrackPoint:
+    frame, basemap = located.frame, flight.basemap
+    values: dict[str, Any] = {"tag_latitude": frame.latitude, "tag_longitude": frame.longitude}
+    if answer.x is not None and answer.y is not None:
+        at = [(answer.x, answer.y)]
+        ((values["latitude"], values["longitude"]),) = basemap.frame.degrees(at).tolist()
+        ((east, north),) = basemap.frame.utm(at).tolist()
+        values |= {"point": "camera" if answer.camera else "ground", "crs": "EPSG:4326", "easting_m": east}
+        values |= {"northing_m": north, "projected_crs": f"EPSG:{basemap.frame.utm_zone}"}
+        if located.tag is not None:
+            tag = basemap.frame.utm([located.tag])[0]
+            values |= {"metres_from_tag": answer.distance(located.tag)}
+            values |= {"east_from_tag_m": east - tag[0], "north_from_tag_m": north - tag[1]}
+    if answer.radius is not None and answer.state != "refused" and stage in flight.radii_confirmed:
+        values["radius_confirmed_by_tags"] = "yes" if flight.radii_confirmed[stage] else "no"
+    if answer.agreement is not None:
+        values |= {"misfit_median_m": answer.agreement.median, "misfit_max_m": answer.agreement.largest}
+    if "map" in doubt:
+        values["checked_beside_middle"] = "contradicted"
+    elif stage == "registration" and answer.accepted:
+        values["checked_beside_middle"] = checked_beside_middle(answer)
+    moment = _moment(frame.time)
+    reason, note = short_reason(located.by_hand_sentence if stage == BY_HAND else answer.sentence)
+    values |= {
+        "radius_on_map_m": answer.radius_on_map,
+        "radius_on_earth_m": answer.radius if answer.on_earth else None,
+        "time_utc": moment or "",
+        "seconds": None if moment else frame.time,
+        "heading_deg": answer.heading,
+        **_of_pose(answer.pose, basemap),
+        "state": answer.state,
+        "reason": reason,
+        "note": note,
+    }
+    return TrackPoint(frame=frame.name, stage=stage, doubt=", ".join(doubt), **values | told)
+
+
+def _of_pose(pose: CameraPose | None, basemap: Map) -> dict[str, Any]:
+    if pose is None:
+        return {}
+    latitude, longitude = basemap.frame.degrees([(pose.east, pose.north)])[0].tolist()
+    return {
+        "pose_latitude": latitude,
+        "pose_longitude": longitude,
+        "pose_altitude_m": None if pose.flat else pose.altitude,
+        "pose_height_m": pose.height,
+        "pose_yaw_deg": pose.heading,
+        "pose_pitch_deg": pose.pitch,
+        "pose_roll_deg": pose.roll,
+        "pose_fov_deg": pose.fov,
+        **{f"pose_sigma_{name}": sigma for name, sigma in zip(_SIGMAS, pose.sigmas.tolist(), strict=True)},
+    }
 
 
 def check_suffix(path: Path) -> None:
@@ -135,10 +217,7 @@ def check_suffix(path: Path) -> None:
 
 
 def write_track(path: Path, name: str, points: Sequence[TrackPoint]) -> None:
-    """Write a track in the format of its suffix.
-
-    GPX leaves refused positions out; the others have every frame of every stage. A stage's positions that are not verified are a
-    line of their own in GPX and KML, whose name says so.
+    """Write a track in the format of its suffix, with every frame of every stage.
 
     Args:
         name: of the flight.
@@ -154,204 +233,100 @@ def write_track(path: Path, name: str, points: Sequence[TrackPoint]) -> None:
 
 def track_bytes(suffix: str, name: str, points: Sequence[TrackPoint]) -> bytes:
     """Return a track as a file in the format of one of `SUFFIXES`, see `write_track`."""
+    if suffix == ".kml":
+        return _kml(name, points)
+    rows = [_rounded(point) for point in points]
+    known = {name for row in rows for name, value in row.items() if value not in (None, "")}
+    columns = [one.name for one in fields(TrackPoint) if one.name in known or one.name in _ALWAYS]
     if suffix == ".csv":
-        return _csv(points)
-    return {".geojson": _geojson, ".gpx": _gpx, ".kml": _kml}[suffix](name, points)
-
-
-def _geojson(name: str, points: Sequence[TrackPoint]) -> bytes:
-    """Return a FeatureCollection (RFC 7946) with a feature per frame and stage, all of the same properties."""
-    features: list[dict[str, Any]] = []
-    columns, rows = _table(points)
-    for point, row in zip(points, rows, strict=True):
+        return csv_bytes([columns, *([portable(row[name]) for name in columns] for row in rows)])
+    features = []
+    for row in rows:
+        at = [row["longitude"], row["latitude"]]
+        geometry = None if None in at else {"type": "Point", "coordinates": at}
         properties = {name: row[name] for name in columns if name not in ("latitude", "longitude")}
-        geometry = None if point.latitude is None else {"type": "Point", "coordinates": _position(point)}
         features.append({"type": "Feature", "geometry": geometry, "properties": properties})
-    collection = {"type": "FeatureCollection", "name": name, "features": features}
-    return json_bytes(collection)
+    return json_bytes({"type": "FeatureCollection", "name": name, "features": features})
 
 
-def _gpx(name: str, points: Sequence[TrackPoint]) -> bytes:
-    """Return GPX 1.1: a track per stage and state. The radius is an extension, because GPX has no accuracy in metres."""
-    ElementTree.register_namespace("", _GPX)
-    ElementTree.register_namespace("lpn", _OURS)
-    root = ElementTree.Element(f"{{{_GPX}}}gpx", {"version": "1.1", "creator": "lpn locate"})
-    for (stage, state), chosen in _lines(points).items():
-        track = ElementTree.SubElement(root, f"{{{_GPX}}}trk")
-        ElementTree.SubElement(track, f"{{{_GPX}}}name").text = printable(f"{name}: {stage}") + _remark(state)
-        segment = ElementTree.SubElement(track, f"{{{_GPX}}}trkseg")
-        for point in chosen:
-            longitude, latitude = _position(point)
-            place = {"lat": _decimal(latitude), "lon": _decimal(longitude)}
-            entry = ElementTree.SubElement(segment, f"{{{_GPX}}}trkpt", place)
-            if (moment := _moment(point.time)) is not None:
-                ElementTree.SubElement(entry, f"{{{_GPX}}}time").text = moment
-            ElementTree.SubElement(entry, f"{{{_GPX}}}name").text = printable(point.frame)
-            ElementTree.SubElement(entry, f"{{{_GPX}}}desc").text = printable(_told(point))
-            extensions = ElementTree.SubElement(entry, f"{{{_GPX}}}extensions")
-            ElementTree.SubElement(extensions, f"{{{_OURS}}}state").text = state
-            ElementTree.SubElement(extensions, f"{{{_OURS}}}camera").text = str(point.camera).lower()
-            for key, value in (("radius", point.radius), ("radius_on_earth", point.radius_on_earth)):
-                if value is not None and math.isfinite(value):
-                    ElementTree.SubElement(extensions, f"{{{_OURS}}}{key}").text = f"{value:.2f}"
-            if point.radius_confirmed:
-                ElementTree.SubElement(extensions, f"{{{_OURS}}}radius_confirmed_by_tags").text = point.radius_confirmed
-    return _xml(root)
+def _rounded(point: TrackPoint) -> dict[str, Any]:
+    """Return a point by its columns, with the digits of a file."""
+    row = asdict(point)
+    for name, value in row.items():
+        if isinstance(value, float):
+            row[name] = round(value, _DIGITS.get(name, 2)) if math.isfinite(value) else None
+    return row | {"heading_deg": heading_figure(point.heading_deg)}
 
 
 def _kml(name: str, points: Sequence[TrackPoint]) -> bytes:
     """Return KML 2.2: a folder per stage with its lines, and a placemark per frame, refused frames included.
 
-    A description is HTML, which viewers run, so that its text is escaped as HTML, too. A name is plain text.
+    Positions that are not verified are a line of their own, whose name says so. A description is HTML, which viewers run, so that
+    its text is escaped as HTML, too. A name is plain text.
     """
+
+    def add(parent: ElementTree.Element, tag: str, text: str | None = None) -> ElementTree.Element:
+        element = ElementTree.SubElement(parent, f"{{{_KML}}}{tag}")
+        element.text = text
+        return element
+
     ElementTree.register_namespace("", _KML)
     root = ElementTree.Element(f"{{{_KML}}}kml")
-    document = ElementTree.SubElement(root, f"{{{_KML}}}Document")
-    ElementTree.SubElement(document, f"{{{_KML}}}name").text = printable(name)
-    lines = _lines(points)
+    document = add(root, "Document")
+    add(document, "name", printable(name))
     for stage in dict.fromkeys(point.stage for point in points):
-        folder = ElementTree.SubElement(document, f"{{{_KML}}}Folder")
-        ElementTree.SubElement(folder, f"{{{_KML}}}name").text = stage
-        for (_, state), chosen in ((key, line) for key, line in lines.items() if key[0] == stage and len(line) > 1):
-            line = ElementTree.SubElement(folder, f"{{{_KML}}}Placemark")
-            ElementTree.SubElement(line, f"{{{_KML}}}name").text = f"{stage}: track" + _remark(state)
-            style = ElementTree.SubElement(ElementTree.SubElement(line, f"{{{_KML}}}Style"), f"{{{_KML}}}LineStyle")
-            ElementTree.SubElement(style, f"{{{_KML}}}color").text = _kml_colour(stage)
-            ElementTree.SubElement(style, f"{{{_KML}}}width").text = "2"
-            string = ElementTree.SubElement(line, f"{{{_KML}}}LineString")
-            ElementTree.SubElement(string, f"{{{_KML}}}coordinates").text = " ".join(map(_coordinates, chosen))
-        for point in points:
-            if point.stage != stage:
-                continue
-            mark = ElementTree.SubElement(folder, f"{{{_KML}}}Placemark")
-            ElementTree.SubElement(mark, f"{{{_KML}}}name").text = printable(point.frame) + _remark(point.state)
-            radius, unconfirmed = "", _unconfirmed(point)
-            for where, value in (("this map", point.radius), ("earth", point.radius_on_earth)):
-                if value is not None and math.isfinite(value):
-                    radius += f" The radius on {where} is {value:.1f} m ({SIGMA}){unconfirmed}."
-            description = html.escape(printable(_told(point) + _figures(point) + radius).strip(), quote=False)
-            ElementTree.SubElement(mark, f"{{{_KML}}}description").text = description
-            if (moment := _moment(point.time)) is not None:
-                stamp = ElementTree.SubElement(mark, f"{{{_KML}}}TimeStamp")
-                ElementTree.SubElement(stamp, f"{{{_KML}}}when").text = moment
+        folder, of_stage = add(document, "Folder"), [point for point in points if point.stage == stage]
+        add(folder, "name", stage)
+        lines: dict[TrackState, list[TrackPoint]] = {}
+        for point in of_stage:
+            if point.state != "refused" and point.latitude is not None:
+                lines.setdefault(point.state, []).append(point)
+        for state, chosen in lines.items():
+            if len(chosen) > 1:
+                line = add(folder, "Placemark")
+                add(line, "name", f"{stage}: track" + _remark(state))
+                style = add(add(line, "Style"), "LineStyle")
+                red, green, blue = theme.COLOURS.get(stage.replace(" ", "-"), theme.COLOURS["tag"])
+                add(style, "color", f"ff{blue:02x}{green:02x}{red:02x}")
+                add(style, "width", "2")
+                add(add(line, "LineString"), "coordinates", " ".join(map(_coordinates, chosen)))
+        for point in of_stage:
+            mark = add(folder, "Placemark")
+            add(mark, "name", printable(point.frame) + _remark(point.state))
+            add(mark, "description", html.escape(printable(_described(point)), quote=False))
+            if point.time_utc:
+                add(add(mark, "TimeStamp"), "when", point.time_utc)
             if point.latitude is not None:
-                place = ElementTree.SubElement(mark, f"{{{_KML}}}Point")
-                ElementTree.SubElement(place, f"{{{_KML}}}coordinates").text = _coordinates(point)
-    return _xml(root)
+                add(add(mark, "Point"), "coordinates", _coordinates(point))
+    ElementTree.indent(root)
+    return f'<?xml version="1.0" encoding="UTF-8"?>\n{ElementTree.tostring(root, encoding="unicode")}\n'.encode()
 
 
-def _csv(points: Sequence[TrackPoint]) -> bytes:
-    """Return a table with a row per frame and stage; unknown values are empty."""
-    columns, rows = _table(points)
-    return csv_bytes([columns, *([portable(row[name]) for name in columns] for row in rows)])
-
-
-def _table(points: Sequence[TrackPoint]) -> tuple[list[str], list[dict[str, Any]]]:
-    """Return the columns of some points, without those in which nothing is known, and the rows with all columns."""
-    rows = [_row(point) for point in points]
-    known = {name for row in rows for name, value in row.items() if value not in (None, "")}
-    return [name for name in _row(TrackPoint("", "", "refused", "")) if name in known or name in _ALWAYS], rows
-
-
-def _unconfirmed(point: TrackPoint) -> str:
-    return ", not confirmed by the flight's GPS tags" if point.radius_confirmed == "no" else ""
-
-
-def _told(point: TrackPoint) -> str:
-    """Return reason and note in one text."""
-    return " ".join(filter(None, (point.reason, point.note)))
-
-
-def _row(point: TrackPoint) -> dict[str, Any]:
-    """Return a point by the columns of the files."""
-    known = point.latitude is not None
-    longitude, latitude = _position(point) if known else (None, None)
-    moment = _moment(point.time)
-    return {
-        "frame": point.frame,
-        "stage": point.stage,
-        "state": point.state,
-        "doubt": ", ".join(point.doubt),
-        "point": ("camera" if point.camera else "ground") if known else "",
-        "latitude": latitude,
-        "longitude": longitude,
-        "crs": "EPSG:4326" if known else "",
-        "easting_m": _rounded(point.easting, 2),
-        "northing_m": _rounded(point.northing, 2),
-        "projected_crs": "" if point.projection is None else f"EPSG:{point.projection}",
-        "radius_on_map_m": _rounded(point.radius, 2),
-        "radius_on_earth_m": _rounded(point.radius_on_earth, 2),
-        "radius_confirmed_by_tags": point.radius_confirmed,
-        "checked_beside_middle": point.checked,
-        "misfit_median_m": _rounded(point.misfit, 2),
-        "misfit_max_m": _rounded(point.largest_misfit, 2),
-        "metres_from_tag": _rounded(point.metres_from_tag, 1),
-        "east_from_tag_m": _rounded(point.east_from_tag, 2),
-        "north_from_tag_m": _rounded(point.north_from_tag, 2),
-        "tag_latitude": _rounded(point.tag_latitude, 7),
-        "tag_longitude": _rounded(point.tag_longitude, 7),
-        "time_utc": moment or "",
-        "seconds": None if moment else _rounded(point.time, 3),
-        "heading_deg": heading_figure(point.heading),
-        **{column: _rounded(getattr(point, name), digits) for name, (column, digits) in _POSE_COLUMNS.items()},
-        "reason": point.reason,
-        "note": point.note,
-    }
-
-
-def _rounded(value: float | None, digits: int) -> float | None:
-    return None if value is None or not math.isfinite(value) else round(value, digits)
-
-
-def _lines(points: Sequence[TrackPoint]) -> dict[tuple[str, TrackState], list[TrackPoint]]:
-    """Return the points with a position that was not refused, by stage and state."""
-    lines: dict[tuple[str, TrackState], list[TrackPoint]] = {}
-    for point in points:
-        if point.state != "refused" and point.latitude is not None:
-            lines.setdefault((point.stage, point.state), []).append(point)
-    return lines
+def _described(point: TrackPoint) -> str:
+    """Return the reason, the note, which place the position is, and its radii."""
+    told = [point.reason, point.note]
+    if point.latitude is not None:
+        place = "the camera" if point.point == "camera" else "the middle of the picture on the ground"
+        told.append(f"The position is {place}.")
+    unconfirmed = ", not confirmed by the flight's GPS tags" if point.radius_confirmed_by_tags == "no" else ""
+    for where, value in (("this map", point.radius_on_map_m), ("earth", point.radius_on_earth_m)):
+        if value is not None and math.isfinite(value):
+            told.append(f"The radius on {where} is {value:.1f} m ({SIGMA}){unconfirmed}.")
+    return " ".join(filter(None, told))
 
 
 def _remark(state: TrackState) -> str:
     return "" if state == "accepted" else f" ({state})"
 
 
-def _kml_colour(stage: str) -> str:
-    """Return the colour of a stage's line as KML has it, aabbggrr."""
-    red, green, blue = theme.COLOURS.get(stage.replace(" ", "-"), theme.COLOURS["tag"])
-    return f"ff{blue:02x}{green:02x}{red:02x}"
-
-
-def _figures(point: TrackPoint) -> str:
-    """Return a sentence that says which place the position is."""
-    if point.latitude is None:
-        return ""
-    return f" The position is {'the camera' if point.camera else 'the middle of the picture on the ground'}."
-
-
-def _position(point: TrackPoint) -> tuple[float, float]:
+def _coordinates(point: TrackPoint) -> str:
+    """Return longitude and latitude without an exponent, which the schema of KML does not allow."""
     assert point.longitude is not None
     assert point.latitude is not None
-    return round(point.longitude, 7), round(point.latitude, 7)
-
-
-def _coordinates(point: TrackPoint) -> str:
-    longitude, latitude = _position(point)
-    return f"{_decimal(longitude)},{_decimal(latitude)}"
-
-
-def _decimal(degrees: float) -> str:
-    """Return degrees without an exponent, which the schemas of GPX and KML do not allow."""
-    return f"{degrees:.7f}".rstrip("0").rstrip(".")
+    return ",".join(f"{degrees:.7f}".rstrip("0").rstrip(".") for degrees in (point.longitude, point.latitude))
 
 
 def _moment(time: float | None) -> str | None:
     if time is None or not math.isfinite(time) or time < _FIRST_EPOCH:
         return None
     return datetime.fromtimestamp(time, UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
-
-
-def _xml(root: ElementTree.Element) -> bytes:
-    ElementTree.indent(root)
-    text = ElementTree.tostring(root, encoding="unicode")
-    return f'<?xml version="1.0" encoding="UTF-8"?>\n{text}\n'.encode()

@@ -20,6 +20,7 @@ from explorer.flight.service import FlightSnapshot
 from explorer.parameters import UnusableError
 from lpn.core.arrays import UInt8Array
 from lpn.flight.locate.agreement import MapAgreement
+from lpn.flight.locate.audit import TagAudit
 from lpn.flight.locate.belief import FlightVerdicts
 from lpn.flight.locate.camera_pose import CameraPose
 from lpn.flight.locate.located import LocatedFlight, LocatedFrame, StageRecord
@@ -61,21 +62,38 @@ def test_the_script_gets_every_track_and_what_is_unknown_as_null(seen: FlightSna
     data = json.loads(json.dumps(page.data(seen, ADDRESSES), allow_nan=False))
     assert list(data["tracks"]) == ["tag", "retrieval", "sequence", "registration"]
     track = data["tracks"]["registration"]
-    assert (track["x"], track["state"], track["error"]) == ([-20.0, 45.0, None], [0, 0, 2], [1.0, 45.0, None])
-    assert track["count"] == "2 of 3, 1 in doubt"
-    assert track["reason"][0] is None
-    assert "Registration and tag lie 45.0 m apart; their radii allow 15.3 m." in track["reason"][1]
-    assert track["reason"][2] == "Registration: refused. Only <i>4</i> matches agree."
-    assert data["tracks"]["tag"]["count"] == "3 of 3"
+    assert (track["x"], track["state"], track["radius"]) == ([-20.0, 45.0, None], [0, 0, 2], [1.0, 1.0, None])
     assert data["tracks"]["retrieval"]["state"] == [1, 1, 1]
-    assert data["times"] == [0.0, 2.0, 4.0]
+    assert (data["times"], data["errors"], data["off"]) == ([0.0, 2.0, 4.0], [1.0, 45.0, 5.0], "m from its GPS tag")
     # The first frame is registered, the second contradicts its tag, and only neighbours tell the third.
-    assert data["signs"] == [True, None, None]
-    assert data["states"] == ["right", "contradicted", "unknown"]
+    assert (data["states"], data["marks"]) == (["right", "contradicted", "unknown"], ["✓", "?", "?"])
     assert [one[4] for one in data["outlines"]] == [True, True, False]
     assert data["outlines"][0][0] == pytest.approx([-40.0, 16.0])
     assert (data["main"], data["sheets"]) == ("registration", [])
-    assert data["counts"] == "3 photos: 3 placed (2 by registration, 1 by sequence), 1 in doubt."
+    assert data["counts"] == "3 photos: 1 placed, 1 in doubt, 1 not placed."
+    assert data["doubtful"] == [
+        [1, "contradicted", "Registration and tag lie 45.0 m apart; their radii allow 15.3 m."],
+        [2, "unknown", "Only <i>4</i> matches agree."],
+    ]
+    assert data["notes"][:2] == ["Said.", "A note."]
+
+
+def test_tags_far_off_the_map_are_told(flight: LocatedFlight) -> None:
+    away = page.data(seen_of(replace(flight, tags_away=5200.0)), ADDRESSES)["counts"]
+    assert "GPS tags lie 5,200 m from this map: give the map of the tags' place, unless the tags are wrong." in away
+
+
+def test_where_tags_lag_the_figures_are_those_without_the_lag(flight: LocatedFlight) -> None:
+    moved = np.array([(-20.0, 0.5), (44.0, 0.0), (np.nan, np.nan)])
+    late = replace(flight, audit=TagAudit(8, 4.0, 9.0, 1.9, 0.1, 0.5, 0.2, 3.0), tags_without_lag=moved)
+    data = page.data(seen_of(late), ADDRESSES)
+    assert (data["errors"], data["off"]) == ([0.5, 1.0, None], "m from its GPS tag without the lag")
+    name, figure, source = data["accuracy"][2]
+    assert (name, figure) == ("GPS tags without their lag of 1.9 s", "0.8 m")
+    assert source == "Median of 2 photos, at most 1.0 m. With it 5.0 m."
+    assert (
+        page.chosen(seen_of(late), 1, ADDRESSES, None)["card"]["facts"][2] == "1.0 m from its GPS tag without the lag"
+    )
 
 
 def test_frames_that_wait_for_their_registration_are_neither_accepted_nor_refused(flight: LocatedFlight) -> None:
@@ -92,99 +110,58 @@ def test_several_sheets_have_a_colour_each(flight: LocatedFlight, tmp_path: Path
     assert len({sheet["colour"] for sheet in sheets}) == 2
 
 
-def test_a_card_has_verdict_place_and_grounds(seen: FlightSnapshot, flight: LocatedFlight) -> None:
+def test_a_card_has_verdict_place_and_grounds(seen: FlightSnapshot) -> None:
     cards = [page.chosen(seen, frame, ADDRESSES, None)["card"] for frame in range(3)]
-    assert [(card["sign"], card["state"], card["stage"]) for card in cards] == [
-        (True, "right", "registration"),
-        (None, "contradicted", "registration"),
-        (None, "unknown", "sequence"),
+    assert [(card["mark"], card["state"], card["stage"]) for card in cards] == [
+        ("✓", "right", "registration"),
+        ("?", "contradicted", "registration"),
+        ("?", "unknown", "sequence"),
     ]
     assert cards[0]["headline"] == "Placed by its details, ± 1.0 m on this map"
-    assert cards[0]["facts"] == ["1 of 3", "30 m high", "top points to 0.0°"]
+    assert cards[0]["facts"] == ["1 of 3", "30 m high", "1.0 m from its GPS tag"]
     assert cards[0]["what"] == "Below the drone"
-    assert cards[0]["at"].startswith("latitude 47.")
+    assert cards[0]["at"].startswith("47.")
     assert cards[0]["link"].startswith("https://www.openstreetmap.org/?mlat=47.")
-    assert any("1.0 m from its GPS tag" in line for line in cards[0]["lines"])
-    assert any("45.0 m apart" in line for line in cards[1]["lines"])
-    assert cards[2]["lines"].count("✗ Registration: refused. Only <i>4</i> matches agree.") == 1
-    assert not any("of this photo's ground" in line for card in cards for line in card["lines"])
-    edge = with_answer(flight, 0, x=flight.basemap.bounds[2] + 5.0, homography=None)
-    told = page.chosen(seen_of(edge), 0, ADDRESSES, None)["card"]["lines"]
-    assert any(line.startswith("The map shows only ") for line in told)
+    assert cards[0]["lines"] == ["40 matches agree."]
+    assert "45.0 m apart" in cards[1]["lines"][0]
+    assert cards[2]["lines"] == ["Only <i>4</i> matches agree."]
 
 
-def test_places_beside_the_middle_say_how_far_off_they_are_and_whether_that_fits(flight: LocatedFlight) -> None:
-    def said(*metres: float, **changes: Any) -> str:
-        one = seen_of(with_answer(compared(flight, 0, *metres), 0, **changes))
-        answer = one.flight.frames[0].stages["registration"]
-        assert answer.agreement is not None
-        return text.agreement(one, 0, answer.agreement)
+@pytest.mark.parametrize(
+    ("metres", "radius", "said"),
+    [
+        (
+            (0.4, 5.2, 1.0),
+            1.0,
+            "Checked at 3 places: 1.0 m off in the median, 5.2 m at the upper left; 3.0 m are allowed.",
+        ),
+        (
+            (0.4, 0.2, 1.0),
+            1.01,
+            "Checked at 3 places: 0.4 m off in the median, 1.0 m at the bottom; 3.1 m are allowed.",
+        ),
+        (
+            (2.4, 0.2, 1.0),
+            1.0,
+            "Checked at 3 places: 1.0 m off in the median, 2.4 m near the middle; 3.0 m are allowed.",
+        ),
+        ((0.4, 5.2), 1.0, "Not checked: away from its middle, only 2 places of the photo could be found on the map."),
+    ],
+)
+def test_places_beside_the_middle_say_how_far_off_they_are(
+    flight: LocatedFlight, metres: tuple[float, ...], radius: float, said: str
+) -> None:
+    one = seen_of(with_answer(compared(flight, 0, *metres), 0, radius=radius))
+    assert text.agreement(one, 0, one.flight.frames[0].stages["registration"].agreement) == said
 
-    assert said(0.4, 5.2, 1.0) == (
-        "✓ Checked at 3 places away from its middle: 1.0 m off in the median, 5.2 m at the upper left. Allowed: 3.0 m."
-    )
-    assert "1.0 m at the bottom." in said(0.4, 0.2, 1.0)
-    assert "2.4 m near the middle." in said(2.4, 0.2, 1.0)
-    assert said(0.4, 5.2, 1.0, radius=1.01).endswith("Allowed: 3.1 m."), "a bound is rounded up"
-    assert said(0.4, 5.2).startswith("Not checked: away from its middle, only 2 places")
-    assert said(4.0, 8.2, 3.2) == "", "the verdict says it"
 
-
-def test_a_photo_that_does_not_fit_beside_its_middle_is_in_doubt_wherever_it_is_told(flight: LocatedFlight) -> None:
+def test_a_photo_that_does_not_fit_beside_its_middle_is_in_doubt(flight: LocatedFlight) -> None:
     one = seen_of(compared(flight, 0, 4.0, 8.2, 3.2))
-    assert one.beliefs[0].sign is None
-    told = "Checked at 3 places away from its middle: 4.0 m off in the median, at least 8.2 m at the upper left."
-    data = page.data(one, ADDRESSES)
-    card = page.chosen(one, 0, ADDRESSES, one.flight.frames[0].stages["registration"].agreement)["card"]
-    assert sum(told in line for line in card["lines"]) == 1
-    assert told in data["tracks"]["registration"]["reason"][0]
-    assert sum(told in line for _, _, told_lines in data["lists"]["audit"]["entries"] for line in told_lines) == 1
-    assert "2 in doubt" in data["counts"]
-    assert "1 of 1 photos do not fit the map" in data["accuracy"][0][2]
-    unchecked = page.data(seen_of(compared(flight, 0, 0.4)), ADDRESSES)["lists"]
-    assert unchecked["unchecked"]["title"] == "Not checked 1"
-    assert [frame for frame, _, _ in unchecked["unchecked"]["entries"]] == [0]
+    assert text.state(one.beliefs[0]) == "contradicted"
+    assert [entry[0] for entry in page.data(one, ADDRESSES)["doubtful"]] == [0, 1, 2]
     assert text.headline(one.beliefs[0], one.flight.frames[0]).endswith("it does not fit the map")
     half = seen_of(compared(flight, 0, 0.4))
     assert text.headline(half.beliefs[0], half.flight.frames[0]).endswith(", at least its middle")
-
-
-def test_lists_have_refused_frames_contradictions_and_notes(flight: LocatedFlight) -> None:
-    stages = {name: answer for name, answer in flight.frames[2].stages.items() if name != "sequence"}
-    guessed = replace(flight, frames=[*flight.frames[:2], replace(flight.frames[2], stages=stages)])
-    lists = page.data(seen_of(guessed), ADDRESSES)["lists"]
-    assert lists["refused"]["title"] == "Not placed 1"
-    assert [(frame, lines[0][:22]) for frame, _, lines in lists["refused"]["entries"]] == [
-        (2, "Registration: refused.")
-    ]
-    assert lists["audit"]["title"] == "Audit 1"
-    assert "up to 45." in lists["audit"]["sentence"]
-    assert lists["notes"]["sentence"].split("\n") == ["Said.", "A note."]
-    placed = page.data(seen_of(flight), ADDRESSES)["lists"]["refused"]
-    assert (placed["title"], placed["sentence"], placed["total"]) == ("Not placed 0", "Every photo is placed.", 1)
-
-
-def worst(flight: LocatedFlight) -> list[tuple[int, str]]:
-    return [(frame, lines[0]) for frame, _, lines in text.worst(seen_of(flight))]
-
-
-def test_the_worst_photo_is_first(flight: LocatedFlight) -> None:
-    assert worst(flight) == [
-        (1, "? 45.0 m from its GPS tag (15.3 m allowed), registration, ± 1.0 m on this map"),
-        (2, "5.0 m from its GPS tag, sequence, ± 10.0 m on this map"),
-        (0, "1.0 m from its GPS tag, registration, ± 1.0 m on this map"),
-    ]
-    # The tag of photo1 is 45 m off where 15.3 m are allowed, 2.9 times as many; away from their middles 3.0 m are allowed.
-    of_map = compared(flight, 0, 10.0, 10.0, 10.0)
-    assert [frame for frame, _ in worst(of_map)[:2]] == [0, 1], "3.3 times"
-    assert "away from its middle 10.0 m, 3.0 m allowed" in worst(of_map)[0][1]
-    both = compared(of_map, 1, 12.0, 12.0, 12.0)
-    assert [frame for frame, _ in worst(both)[:2]] == [1, 0], "4 times, by the map"
-    # What contradicts another answer neither orders a photo nor is its limit.
-    far = with_answer(compared(flight, 0, 4.0, 4.0, 4.0), 0, "sequence", x=90.0, y=90.0, radius=1.0)
-    assert [frame for frame, _ in worst(far)[:2]] == [1, 0]
-    untagged = replace(flight, frames=[flight.frames[0], replace(flight.frames[1], tag=None), flight.frames[2]])
-    assert "from its place by sequence 45.3 m, 38.5 m allowed" in dict(worst(untagged))[1]
 
 
 def test_accuracy_has_three_rows_with_their_sources(flight: LocatedFlight, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -192,18 +169,16 @@ def test_accuracy_has_three_rows_with_their_sources(flight: LocatedFlight, monke
         return {name: (figure, source) for name, figure, source in text.accuracy(seen_of(replace(flight, **changes)))}
 
     known = rows(map_error=0.8)
-    assert list(known) == ["On this map", "On earth", "GPS tags"]
+    assert list(known) == ["On this map", "On Earth", "GPS tags"]
     assert known["On this map"][0] == "± 1.0 m"
-    assert "Details give ± 0.6 m, and the map is taken as ± 0.8 m" in known["On this map"][1]
-    assert "Not confirmed: 50 % of the tags lie within 3 radii, where 99 % should" in known["On this map"][1]
-    assert known["GPS tags"][0] == "5.0 m"
-    assert known["GPS tags"][1].startswith("Median of 3 photos, at most 45.0 m")
+    assert "GPS tags do not confirm it: 50 % lie within 3 radii, where 99 % should" in known["On this map"][1]
+    assert known["GPS tags"] == ("5.0 m", "Median of 3 photos, at most 45.0 m.")
     surveyed = rows(map_error=0.02, place_error=0.02)
-    assert surveyed["On earth"] == ("± 0.02 m", "The map was surveyed; lpn map --error tells its error.")
+    assert surveyed["On Earth"] == ("± 0.02 m", "The error that lpn map --error keeps.")
     assert rows(frames=[replace(frame, stages={}) for frame in flight.frames]) == {}
     note = "The map is made of 30 photos. Place and scale are those of the GPS tags, which lie 13.2 m from the photos."
     monkeypatch.setattr(type(flight.basemap), "notes", [note])
-    assert rows()["On earth"] == ("", note.partition(". ")[2])
+    assert rows()["On Earth"] == ("", note.partition(". ")[2])
 
 
 def test_the_drone_has_a_place_and_a_tilt(flight: LocatedFlight) -> None:
@@ -214,13 +189,12 @@ def test_the_drone_has_a_place_and_a_tilt(flight: LocatedFlight) -> None:
         return text.drone(flight, with_answer(flight, 0, pose=pose, **changes).frames[0])
 
     said = drone(camera=False)
-    assert "(±\N{NO-BREAK SPACE}1.0 m on this map), 21.1 m from its GPS tag, 40 m above the ground" in said
+    assert "(± 1.0 m on this map), 40 m above the ground (± 2 m)" in said
     # 3 degrees to the back, which is north, and 4 to the side.
-    assert "looked 5.0° (±\N{NO-BREAK SPACE}2.0°) away from straight down, to the north-east" in said
+    assert said.endswith("its camera 5.0° (± 2.0°) from straight down, to the north-east.")
     # The pose is 1 m off on the map, whose own error is 2.4 m.
-    assert "(±\N{NO-BREAK SPACE}2.6 m on earth)" in drone(camera=False, map_error=2.4, place_error=2.0)
-    assert drone(x=1.0, y=2.0).startswith("Drone: there, 40 m above the ground")
-    assert drone().endswith("Its place rests on the tilt in the photo's file.")
+    assert "(± 2.6 m on earth)" in drone(camera=False, map_error=2.4, place_error=2.0)
+    assert drone(x=1.0, y=2.0).startswith("The drone: 40 m above the ground")
     assert text.drone(flight, flight.frames[0]) == ""
 
 
@@ -255,8 +229,7 @@ def test_a_spot_lists_the_frames_that_show_it(seen: FlightSnapshot) -> None:
     spot = page.spot(seen, (-20.0, 0.0))
     assert 0 in spot["frames"]
     assert 1 not in spot["frames"]
-    assert spot["list"]["sentence"].startswith(f"{len(spot['frames'])} of 3 photos show latitude 47.")
-    assert spot["list"]["entries"][0][2] == ["by its registration"]
+    assert spot["sentence"].startswith(f"{len(spot['frames'])} of 3 photos show 47.")
 
 
 def test_pins_go_from_where_the_photo_has_a_detail_to_where_the_map_has_it(flight: LocatedFlight) -> None:
@@ -298,7 +271,7 @@ def test_an_own_photo_has_a_card_of_the_same_kind(seen: FlightSnapshot, flight: 
     assert placed["card"]["name"] == "mine.jpg"
     refused = shown(StageRecord("refused", "Too few matches."))
     assert (refused["own"]["place"], refused["homography"], refused["ground"]) == (None, None, "")
-    assert refused["card"]["sign"] is False
+    assert refused["card"]["mark"] == "✗"
     assert any("Too few matches." in line for line in refused["card"]["lines"])
     assert any("only the most similar windows were searched" in line for line in refused["card"]["lines"])
 

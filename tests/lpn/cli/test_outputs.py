@@ -51,7 +51,7 @@ SEARCH = ["search", "--index", "none", "--model", "none.onnx", "--picture", "a.j
             ".md, .tex, .csv, .html, or .htm",
         ),
         (["compare", "none", "--map", "none.tif", "--model", "none.onnx", "other.onnx"], "--page", "page.docx", ".md"),
-        (["locate", *FLOWN], "--out", "track.shp", ".geojson, .gpx, .kml, or .csv"),
+        (["locate", *FLOWN], "--out", "track.shp", ".geojson, .kml, or .csv"),
         (["export", "--model", "none.pth"], "--out", "model.pt", ".onnx"),
     ],
 )

@@ -43,11 +43,10 @@ from lpn.flight.live.outputs import LineOutput
 from lpn.flight.live.run import LiveRun, live_answer
 from lpn.flight.live.telemetry import LiveTelemetry, LogTelemetry, MavlinkLink, open_telemetry
 from lpn.flight.locate.agreement import MapAgreement
-from lpn.flight.locate.belief import best_track
 from lpn.flight.locate.camera_place import below_camera
 from lpn.flight.locate.located import LocatedFlight, StageRecord
 from lpn.flight.locate.registered_stage import PhotoSearch
-from lpn.flight.locate.tracks import track_bytes
+from lpn.flight.locate.tracks import best_track, track_bytes
 from lpn.flight.maps import Map
 from tests.lpn.flight.locate.scenery import GridModel, ground_to_photo, land, photo_of, write_map
 from tools.fixtures.photos import exif, write_photo

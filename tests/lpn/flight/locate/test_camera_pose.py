@@ -27,6 +27,7 @@ from lpn.flight.locate.options import LocateOptions
 from lpn.flight.locate.pipeline import locate
 from lpn.flight.locate.pose_errors import pose_errors
 from lpn.flight.locate.registration import Expectation, Ground, Registration, register
+from lpn.flight.locate.tracks import full_track
 from lpn.flight.maps import Map, open_map
 from lpn.flight.maps.elevation import ElevationFile
 from lpn.flight.maps.folder import build_map
@@ -207,14 +208,19 @@ def test_a_photo_of_hills_has_the_pose_that_it_was_taken_from(
     )
     errors = pose_errors(located)
     assert errors is not None
-    assert (errors.frames, errors.poses, errors.beyond) == (1, 1, 0)
-    assert errors.position[0] == pytest.approx(np.linalg.norm(off - [0, 0, 3]), abs=0.01)
-    assert "1 of 1 photos have one (100%)" in errors.sentence
+    assert (errors.places.known, errors.places.photos) == (1, 1)
+    assert errors.places.median == pytest.approx(np.linalg.norm(off[:2]), abs=0.01)
+    assert errors.others[0, 0] == pytest.approx(abs(off[2] - 3), abs=0.01)
+    assert "1 of 1 photos have one" in errors.sentence
     (tmp_path / "truth.csv").write_text("file,latitude\na.png,here\n")
     with pytest.raises(DataError, match="has no exact poses"):
         pose_errors(located)
-    point = located.track()[0]
-    assert (point.yaw, point.altitude, point.sigma_up) == (pose.heading, pose.altitude, pose.sigmas[2])
+    point = full_track(located)[0]
+    assert (point.pose_yaw_deg, point.pose_altitude_m, point.pose_sigma_up_m) == (
+        pose.heading,
+        pose.altitude,
+        pose.sigmas[2],
+    )
 
 
 @pytest.mark.parametrize("rival", [0.0, 500.0])

@@ -11,10 +11,10 @@ import cv2
 import numpy as np
 import pytest
 
-from lpn.cli.locate import LocateCommand
 from lpn.core.arrays import Float32Array
 from lpn.core.consoles import Console
 from lpn.core.errors import InputError, StoreError
+from lpn.flight.commands.locate import LocateCommand
 from lpn.flight.files import Flight, Frame
 from lpn.flight.files.base import HeadingSource
 from lpn.flight.locate import index_windows

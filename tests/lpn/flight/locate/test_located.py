@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from lpn.cli.locate import print_summary
+from lpn.flight.commands.locate import print_summary
 from lpn.flight.files import Flight, Frame
 from lpn.flight.locate.agreement import MapAgreement
-from lpn.flight.locate.belief import best_track, full_track
 from lpn.flight.locate.located import LocatedFlight, LocatedFrame, StageRecord
 from lpn.flight.locate.registered_stage import with_map_error
+from lpn.flight.locate.tracks import best_track, full_track
 from lpn.flight.maps import LocalFrame, Map
 
 # A degree east of the middle of UTM zone 15, whose grid is turned by 0.7 degrees there.
@@ -39,12 +39,12 @@ def photo(name: str, tag: tuple[float, float] | None, **others: object) -> Locat
 
 def test_differences_from_the_tag_are_along_the_grid_of_the_eastings() -> None:
     located = flight(a=photo("a.jpg", (0.0, 0.0)))
-    (point,) = located.track()
+    (point,) = full_track(located)
     (there,) = ORIGIN.utm([(0.0, 0.0)])
-    assert point.easting is not None
-    assert point.northing is not None
-    assert (point.east_from_tag, point.north_from_tag) == (point.easting - there[0], point.northing - there[1])
-    assert point.east_from_tag == pytest.approx(-12.7, abs=0.3), "the grid is turned against the map's frame"
+    assert point.easting_m is not None
+    assert point.northing_m is not None
+    assert (point.east_from_tag_m, point.north_from_tag_m) == (point.easting_m - there[0], point.northing_m - there[1])
+    assert point.east_from_tag_m == pytest.approx(-12.7, abs=0.3), "the grid is turned against the map's frame"
     assert point.metres_from_tag == 1000.0
 
 
@@ -60,7 +60,7 @@ def test_a_track_says_which_photos_were_checked_beside_their_middle() -> None:
         e=LocatedFrame(Frame("e.jpg", Path("e.jpg"), 80, 60), None, {"registration": StageRecord("refused", "No.")}),
     )
     for track in (full_track(located), best_track(located)):
-        assert [point.checked for point in track] == ["yes", "no", "contradicted", "no", ""]
+        assert [point.checked_beside_middle for point in track] == ["yes", "no", "contradicted", "no", ""]
 
 
 def test_a_track_says_if_the_tags_of_the_flight_confirm_its_radii() -> None:
@@ -73,7 +73,7 @@ def test_a_track_says_if_the_tags_of_the_flight_confirm_its_radii() -> None:
     ):
         located = flight(**{one.frame.name: one for one in frames})
         for track in (full_track(located), best_track(located)):
-            assert [point.radius_confirmed for point in track] == told
+            assert [point.radius_confirmed_by_tags for point in track] == told
 
 
 def test_tags_that_the_search_used_refute_radii_and_confirm_none() -> None:
@@ -81,7 +81,7 @@ def test_tags_that_the_search_used_refute_radii_and_confirm_none() -> None:
     for frames, told in (((near,), [""]), ((near, far), ["no", "no"])):
         located = replace(flight(**{one.frame.name: one for one in frames}), prior=30.0)
         for track in (full_track(located), best_track(located)):
-            assert [point.radius_confirmed for point in track] == told
+            assert [point.radius_confirmed_by_tags for point in track] == told
 
 
 def test_the_radius_of_the_middle_has_the_error_of_the_map() -> None:
@@ -98,8 +98,21 @@ def test_the_percentiles_of_errors_are_bounds_and_so_rounded_up() -> None:
     assert "p90 and p95 are bounds, and so rounded up" in written.getvalue()
 
 
+def test_where_tags_lag_the_errors_without_the_lag_come_first() -> None:
+    late = flight(a=photo("a.jpg", (0.0, 990.0)), b=photo("b.jpg", (0.0, 990.0)))
+    late.tags_without_lag = np.array([(0.0, 998.0), (np.nan, np.nan)])
+    print_summary(late, Console(file=(written := io.StringIO()), width=140))
+    rows = [
+        [cell.strip() for cell in line.split("│")[1:4]] for line in written.getvalue().splitlines() if "tags" in line
+    ]
+    assert rows[:2] == [
+        ["registration, tags without their lag", "2", "2.0"],
+        ["registration, tags as told", "2", "10.0"],
+    ]
+
+
 def test_without_a_truth_no_share_is_told() -> None:
     print_summary(flight(a=photo("a.jpg", None)), Console(file=(written := io.StringIO()), width=140))
     (row,) = (line for line in written.getvalue().splitlines() if "registration" in line)
-    assert [cell.strip() for cell in row.split("│")[2:-1]] == ["1", *["-"] * 9]
+    assert [cell.strip() for cell in row.split("│")[2:-1]] == ["1", *["-"] * 7]
     assert "how far off the places are is not known" in written.getvalue()

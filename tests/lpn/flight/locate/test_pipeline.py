@@ -14,18 +14,17 @@ import cv2
 import numpy as np
 import pytest
 
-from lpn.cli.locate import print_summary, unverified_sentence
 from lpn.cli.main import main
 from lpn.core.consoles import wide_console
 from lpn.core.errors import DataError, InputError
 from lpn.core.homography import apply_homography, corner_pixels
 from lpn.datasets.geo import geodesic
+from lpn.flight.commands.locate import print_summary, unverified_sentence
 from lpn.flight.files import Flight, Frame, footprint
 from lpn.flight.files.base import HeadingSource
 from lpn.flight.files.cut import cut_square
 from lpn.flight.files.quality import flight_notes
 from lpn.flight.locate import pipeline, ranked_stages, registered_stage
-from lpn.flight.locate.belief import best_track
 from lpn.flight.locate.camera_place import nadir_pixel
 from lpn.flight.locate.corrections import Correction, set_correction
 from lpn.flight.locate.ground import MapFeatures
@@ -37,7 +36,7 @@ from lpn.flight.locate.ranked_stages import confirm_sequence
 from lpn.flight.locate.registration import Expectation, Registration, Similarity, contested, register
 from lpn.flight.locate.retrieval import MapRetrieval, pyramid_sizes, retrieve
 from lpn.flight.locate.tags import tags_on_map
-from lpn.flight.locate.tracks import TrackPoint
+from lpn.flight.locate.tracks import TrackPoint, best_track, full_track
 from lpn.flight.maps import Map, Window, open_map
 from tests.lpn.flight.locate.scenery import (
     CORNER,
@@ -113,11 +112,11 @@ def test_a_flight_is_registered_without_a_model_and_the_turned_picture_is_named(
     assert found.stages == ["registration"]
     assert any("1 photo is turned by about 180 degrees against its heading: 2.png" in note for note in found.notes)
     assert "turned by 180 degrees" in found.frames[2].sentence
-    summary = found.summaries()["registration"]
-    assert (summary.frames, summary.answered, summary.coverage_at_zero) == (4, 4, 100)
-    points = found.track()
+    summary = found.errors()["registration"]
+    assert (summary.known, summary.photos) == (4, 4)
+    points = full_track(found)
     assert points[0].latitude == pytest.approx(flight.frames[0].latitude, abs=1e-5)
-    off = math.hypot(points[0].east_from_tag, points[0].north_from_tag)
+    off = math.hypot(points[0].east_from_tag_m or 0, points[0].north_from_tag_m or 0)
     assert points[0].metres_from_tag == pytest.approx(off, rel=1e-3), "the grid shortens metres"
     assert points[0].tag_latitude == flight.frames[0].latitude
 
@@ -201,13 +200,13 @@ def test_a_correction_is_the_truth_and_stands_in_place_of_the_registration(
     assert second.error("registration") == pytest.approx(math.hypot(3 + 15, 4 + 28), abs=1e-3)
     np.testing.assert_allclose(last.truth(False), (50.0, 60.0), atol=1e-3)
     np.testing.assert_allclose(last.truth(True), PLACES[3], atol=1e-3)
-    assert {point.frame: point.stage for point in found.track()} == {
+    assert {point.frame: point.stage for point in full_track(found)} == {
         "1.png": "registration",
         "2.png": "registration",
         "0.png": "by hand",
         "3.png": "by hand",
     }
-    by_hand = found.track()[-2]
+    by_hand = full_track(found)[-2]
     assert by_hand.metres_from_tag is not None
     assert by_hand.reason == "A person laid the photo by hand."
     assert by_hand.note.startswith("The GPS tag lies ")
@@ -230,7 +229,7 @@ def test_a_correction_is_the_truth_and_stands_in_place_of_the_registration(
     assert found.audit is not None
     assert found.audit.largest > 80  # between the last frame's tag and its correction
     plain = locate(town, flown, None, SIFT)
-    assert [point.stage for point in plain.track()] == ["registration"] * 4
+    assert [point.stage for point in full_track(plain)] == ["registration"] * 4
     assert plain.frames[0].stages == first.stages
 
 
@@ -315,7 +314,7 @@ def test_bad_frames_get_a_sentence_and_the_run_goes_on(town: Map, flight: Flight
     assert "leave --prior out" in answers[1].sentence
     assert f"it saw the map in a square of {2 * (40 + 0.75 * WIDTH):.0f} m about it" in answers[2].sentence
     assert found.notes[0].startswith("1 of 3 photos has no GPS tag, so how far off its place is cannot")
-    assert [point.state for point in found.track()] == ["refused", "refused", "accepted"]
+    assert [point.state for point in full_track(found)] == ["refused", "refused", "accepted"]
     assert "Registration searched around the GPS tags only (prior 40 m)" in found.notes[1]
     assert found.prior == 40
 
@@ -594,8 +593,6 @@ def test_nothing_to_do_and_wrong_numbers_are_refused(town: Map, flight: Flight) 
         locate(town, flight, None, replace(SIFT, register=False))
     with pytest.raises(InputError, match="prior is -1"):
         LocateOptions(prior=-1)
-    with pytest.raises(InputError, match="leave --tags corrected or --no-register out"):
-        LocateOptions(register=False, tags="corrected")
 
 
 def test_the_nadir_is_where_the_footprint_has_the_camera() -> None:
@@ -856,15 +853,6 @@ def test_a_retrieval_tells_its_score_and_margin(flight: Flight) -> None:
     )
 
 
-def test_retrievals_are_ordered_by_score_for_the_coverage(town: Map, flight: Flight) -> None:
-    scores = np.zeros((4, 25))
-    # The first three are right; the fourth is 113 m off, and has the lowest score.
-    scores[[0, 1, 2, 3], [12, 12, 12, 0]] = 0.9, 0.8, 0.7, 0.6
-    located = LocatedFlight(flight, town, _ranked(flight, scores, {}), None, [], None)
-    summary = located.summaries()["retrieval"]
-    assert (summary.answered, summary.coverage_at_zero) == (4, 75)
-
-
 def test_frames_that_cannot_be_read_are_misses(town: Map, flight: Flight, tmp_path: Path) -> None:
     (tmp_path / "broken.jpg").write_bytes(b"nothing")
     frames = (replace(flight.frames[0], file=tmp_path / "broken.jpg"), flight.frames[1], flight.frames[3])
@@ -967,20 +955,10 @@ def test_the_commands_write_a_track_and_measures(
 
 
 def test_the_best_guesses_of_a_track_are_counted() -> None:
-    guess = TrackPoint("a.jpg", "retrieval", "not verified", "", latitude=47.0, longitude=8.0)
-    track = [guess, TrackPoint("b.jpg", "retrieval", "not verified", ""), replace(guess, state="accepted")]
-    csv = Path("track.csv")
-    assert unverified_sentence(track, csv) == (
-        "1 of its 3 points is a best guess: it has a coordinate, but nothing has verified it, and its state is 'not verified'."
-    )
-    assert unverified_sentence([guess, guess], csv).startswith(
-        "2 of its 2 points are best guesses: they have a coordinate"
-    )
-    assert not unverified_sentence(track[1:], csv)
-    refused = replace(guess, state="refused")
-    assert unverified_sentence([refused, guess, refused], Path("track.gpx")).startswith(
-        "1 of its 1 point is a best guess"
-    )
+    guess = TrackPoint(frame="a.jpg", stage="retrieval", state="not verified", latitude=47.0, longitude=8.0)
+    track = [guess, replace(guess, latitude=None), replace(guess, state="accepted")]
+    assert unverified_sentence(track).startswith("Best guesses that nothing has verified: 1 of its 3 points")
+    assert not unverified_sentence(track[1:])
 
 
 def test_the_command_says_beside_the_track_how_many_points_are_guesses(
@@ -988,13 +966,11 @@ def test_the_command_says_beside_the_track_how_many_points_are_guesses(
 ) -> None:
     located = locate(town, flight, None, SIFT)
     located.frames[0].stages = {"retrieval": StageRecord("not verified", "It is the most similar window.", 0.0, 0.0)}
-    monkeypatch.setattr("lpn.cli.locate.LocateCommand.located", lambda *_: (None, located))
+    monkeypatch.setattr("lpn.flight.commands.locate.LocateCommand.located", lambda *_: (None, located))
     track = tmp_path / "track.geojson"
     assert main(["locate", "--map", "town", "--flight", "monday", "--best", "--out", str(track)]) == 0
     printed = " ".join(capsys.readouterr().out.split())
-    assert (
-        "track.geojson. 1 of its 4 points is a best guess: it has a coordinate, but nothing has verified it" in printed
-    )
+    assert "track.geojson. Best guesses that nothing has verified: 1 of its 4 points" in printed
     features = json.loads(track.read_text())["features"]
     assert [entry["properties"]["frame"] for entry in features] == [frame.name for frame in flight.frames]
 
@@ -1051,4 +1027,4 @@ def test_a_flight_is_evaluated_by_its_tags(
     measured = json.loads((tmp_path / "measures.json").read_text())
     assert measured["notes"] == ["Radii of registrations hold 1.5 m for the error of the map itself."]
     assert (measured["frames"], measured["corrected"]) == (2, 0)
-    assert measured["stages"]["registration"]["answered"] == 2
+    assert measured["stages"]["registration"]["photos"] == 2

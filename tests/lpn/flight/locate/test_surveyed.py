@@ -15,16 +15,14 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from lpn.cli.locate import _print_surveyed
 from lpn.core.errors import DataError, InputError
+from lpn.flight.commands.locate import print_surveyed
 from lpn.flight.files import Flight, Frame
-from lpn.flight.locate.belief import best_track
 from lpn.flight.locate.camera_pose import CameraPose
 from lpn.flight.locate.located import LocatedFlight, LocatedFrame, StageRecord
 from lpn.flight.locate.surveyed import (
     MatchedSurvey,
     Residual,
-    SurveyedErrors,
     SurveyedPosition,
     compare_surveyed,
     match_surveyed,
@@ -34,6 +32,7 @@ from lpn.flight.locate.surveyed import (
     survey_remarks,
     write_residuals,
 )
+from lpn.flight.locate.tracks import best_track
 from lpn.flight.maps import LocalFrame, Map
 from lpn.flight.maps.map import metres_off
 
@@ -114,9 +113,9 @@ def test_positions_are_read_in_degrees_and_in_any_system_in_metres(tmp_path: Pat
         (("photo,lat,lon,epsg", "a,5,6,4978"), r"The CRS 4978 is not geographic"),
         (
             ("photo,e,n,epsg", "a,500000,3338000,32614", "b,9e9,9e9,32614", "c,9e9,9e9,32614"),
-            r"^Line 3 of survey.csv, Line 4 of survey.csv: the CRS 32614 has no such position; check the coordinates",
+            r"The CRS of survey.csv cannot be brought to the map's plane for all positions",
         ),
-        (("photo,e,n,epsg", "a,9e9,9e9,32614"), r"The CRS 32614 cannot be brought to the map's plane for any position"),
+        (("photo,e,n,epsg", "a,5,6,32614", "b,5,6,32615"), r"has the CRS 32614 \(Line 2 .*\) and 32615 \(Line 3 of"),
     ],
 )
 def test_a_bad_table_gets_one_sentence(tmp_path: Path, lines: tuple[str, ...], sentence: str) -> None:
@@ -148,29 +147,15 @@ def test_errors_are_answer_minus_survey_and_refused_photos_do_not_count(tmp_path
     surveyed = [SurveyedPosition(name, 0.0, 0.0, "ground") for name in ("photos/A.JPG", "b", "c.jpg", "e.jpg", "e.jpg")]
     rows = compared(located, surveyed)
     errors = summarise_surveyed(rows)["registration"]["ground"]
-    assert errors.photos == errors.radii == 2
-    figures = (
-        errors.bias_east,
-        errors.bias_north,
-        errors.sd_east,
-        errors.sd_north,
-        errors.rmse_east,
-        errors.rmse_north,
-        errors.rmse,
-        errors.median,
-        errors.ce90,
-        errors.ce95,
-        errors.largest,
-    )
-    roots = [math.sqrt(square) for square in (2, 8, 5, 8, 13)]
-    np.testing.assert_allclose(figures, (2, 2, *roots, 3.0, 4.6, 4.8, 5.0), rtol=1e-3)
-    assert errors.within == {1: 50.0, 2: 50.0, 3: 100.0}
-    assert errors.bias_sentence == "", "two photos tell nothing of chance"
+    assert errors.photos == 2
+    assert errors.bias == pytest.approx((2.0, 2.0), rel=1e-3)
+    assert (errors.median, errors.largest) == pytest.approx((3.0, 5.0), rel=1e-3)
+    assert errors.calibration == {1: 50.0, 2: 50.0, 3: 100.0}
     assert survey_remarks(rows, 4) == [
-        "No answer is accepted for 1 surveyed photo, which does not count: c.jpg.",
-        "1 photo of the flight has no surveyed position.",
+        "Photos without an accepted answer do not count: c.jpg.",
+        "Photos of the flight without a surveyed position: 1.",
     ]
-    stranger = "1 surveyed photo is not in the flight, so check the names: e.jpg."
+    stranger = "Surveyed photos that are not in the flight; check the names: e.jpg."
     assert strangers_sentence(matched(located, surveyed)) == stranger
     write_residuals(tmp_path / "residuals.csv", rows, ORIGIN)
     with (tmp_path / "residuals.csv").open(newline="") as file:
@@ -182,46 +167,6 @@ def test_errors_are_answer_minus_survey_and_refused_photos_do_not_count(tmp_path
     assert float(written_rows[0]["easting_m"]) - float(written_rows[0]["surveyed_easting_m"]) == pytest.approx(
         3, abs=0.01
     )
-
-
-def _errors(norths: Sequence[float]) -> SurveyedErrors:
-    """Summarise errors to the north; those to the east are 1 m to either side by turns."""
-    rows = [
-        Residual(f"{i}.jpg", "ground", "ground", "registration", "accepted", (), (0.0, 0.0), (-1.0) ** i, north, 1.0)
-        for i, north in enumerate(norths)
-    ]
-    return summarise_surveyed(rows)["registration"]["ground"]
-
-
-def test_a_mean_that_chance_hardly_explains_is_called_systematic() -> None:
-    assert _errors([-3.0, -2.5, -2.9, -2.6, -2.8, -2.7]).bias_sentence == (
-        "The mean is 0.00 m east (± 0.45) and -2.75 m north (± 0.08), with its standard error: to the east chance is not ruled "
-        "out at 99.7 %; to the north it is more than chance gives in 99.7 % of surveys of as many independent photos, so a "
-        "systematic error is likely."
-    )
-    # 3.3 standard errors are rare in a large survey, and not among six photos.
-    few = _errors([-3.0, 0.0, -3.0, -0.5, -3.0, -1.5]).bias_sentence
-    assert "to the east and north chance is not ruled out at 99.7 %" in few
-    one_leg = _errors([*[0.0] * 6, *[-3.0] * 6, *[0.0] * 6]).bias_sentence
-    assert "and -1.00 m north, with its standard error: to the east chance is not ruled out at 99.7 %" in one_leg
-    assert "to the north there are too few independent photos to tell (5 are needed)" in one_leg, "a leg errs as one"
-    assert one_leg.endswith("so the 18 count as 18 independent ones to the east and 1 independent one to the north.")
-
-
-def test_equal_errors_count_each_though_their_mean_is_inexact() -> None:
-    equal = [0.1] * 7
-    assert (np.array(equal) - np.mean(equal)).any(), "the mean of these is inexact"
-    found = _errors(equal)
-    assert found.independent_north == 7
-    assert "count as" not in found.bias_sentence
-
-
-def test_neighbours_that_err_alike_are_seldom_called_systematic() -> None:
-    drawn = np.random.default_rng(0).standard_normal((400, 10))
-    for i in range(1, 10):
-        drawn[:, i] = 0.8 * drawn[:, i - 1] + 0.6 * drawn[:, i]
-    called = ["to the north it is more" in _errors(errors).bias_sentence for errors in drawn.tolist()]
-    assert np.mean(called) < 0.1, "of three standard errors, uncorrected, a quarter is"
 
 
 def test_a_camera_is_compared_with_the_pose_and_the_ground_with_the_middle() -> None:
@@ -248,13 +193,13 @@ def test_a_camera_is_compared_with_the_pose_and_the_ground_with_the_middle() -> 
     expected = [(1, 0, 5), (0, 1, 1), (2, 0, 1), (0, 1, 0.5), (0, 1, math.nan)]
     np.testing.assert_allclose(figures, expected, atol=2e-3)
     points = summarise_surveyed(rows)["registration"]
-    assert {point: (one.photos, one.radii, one.within) for point, one in points.items()} == {
-        "camera": (2, 1, {1: 100.0, 2: 100.0, 3: 100.0}),
-        "ground": (3, 2, {1: 50.0, 2: 100.0, 3: 100.0}),
+    assert {point: (one.photos, one.calibration) for point, one in points.items()} == {
+        "camera": (2, {1: 100.0, 2: 100.0, 3: 100.0}),
+        "ground": (3, {1: 50.0, 2: 100.0, 3: 100.0}),
     }
     assert survey_remarks(rows, 4) == [
-        "1 surveyed position of the camera is compared with the ground at the photo's middle, as the answer tells no more; a "
-        "tilted camera keeps the two apart, so the shares within radii leave it out."
+        "Surveyed positions of the camera that are compared with the ground at the photo's middle, as the answer tells no more: "
+        "1. A tilted camera keeps the two apart, so the shares within radii leave them out."
     ]
 
 
@@ -271,12 +216,12 @@ def test_a_camera_without_a_pose_is_compared_with_the_place_below_it_where_the_t
 def test_without_an_accepted_answer_no_table_is_printed() -> None:
     located = flight(photo("a.jpg", StageRecord("refused", "Too few matches.")))
     rows = compared(located, [SurveyedPosition("a.jpg", 0.0, 0.0, point) for point in ("camera", "ground")])
-    _print_surveyed(
+    print_surveyed(
         summarise_surveyed(rows), survey_remarks(rows, 1), Console(file=(written := io.StringIO()), width=140)
     )
     assert written.getvalue().splitlines() == [
         "No surveyed photo has an accepted answer, so there is nothing to compare.",
-        "No answer is accepted for 1 surveyed photo, which does not count: a.jpg.",
+        "Photos without an accepted answer do not count: a.jpg.",
     ]
 
 
@@ -294,14 +239,14 @@ def test_state_and_doubt_are_those_of_the_best_track() -> None:
     rows = compared(located, surveyed)
     of_best = [(point.stage, point.state, point.doubt) for point in best_track(located)]
     assert of_best == [
-        ("registration", "contradicted", ("tag",)),
-        ("by hand", "accepted", ()),
-        ("sequence", "accepted", ("tag",)),
+        ("registration", "contradicted", "tag"),
+        ("by hand", "accepted", ""),
+        ("sequence", "accepted", "tag"),
     ]
-    assert [(row.stage, row.state, row.doubt) for row in rows[::2]] == of_best
+    assert [(row.stage, row.state, ", ".join(row.doubt)) for row in rows[::2]] == of_best
     remarks = survey_remarks(rows, 3)
     assert remarks[0] == "Contradicted by other answers, and counted all the same: a.jpg, c.jpg."
-    assert [remark[:23] for remark in remarks[1:]] == ["3 surveyed positions of"]
+    assert [remark[:26] for remark in remarks[1:]] == ["Surveyed positions of the "]
 
 
 def test_names_are_found_by_path_then_folders_then_name_then_stem() -> None:

@@ -11,8 +11,8 @@ import pytest
 
 from lpn.flight.files import Frame
 from lpn.flight.locate.camera_place import height_of_width, told_tilt_error
+from lpn.flight.locate.errors import RIGHT_CALIBRATION
 from lpn.flight.locate.located import LocatedFrame, StageRecord
-from lpn.flight.locate.measures import RIGHT_CALIBRATION
 from lpn.flight.locate.registered_stage import correct_radii
 from lpn.flight.locate.tilts import tilt_error
 

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
-from lpn.cli.live import LocateLive, MapError
 from lpn.core.demo import own_file
 from lpn.core.errors import InputError
 from lpn.core.files import check_writable, printable
-from lpn.core.numbers import upper_bound
+from lpn.core.numbers import SIGMA, upper_bound
+from lpn.flight.commands.live import LocateLive, MapError
 from lpn.sources import Advanced, ModelOptions
 
 if TYPE_CHECKING:
@@ -19,10 +19,10 @@ if TYPE_CHECKING:
 
     from lpn.core.consoles import Console
     from lpn.flight.files import Flight
+    from lpn.flight.locate.errors import Errors
     from lpn.flight.locate.located import LocatedFlight
-    from lpn.flight.locate.measures import ErrorSummary
     from lpn.flight.locate.options import LocateOptions
-    from lpn.flight.locate.surveyed import MatchedSurvey, SurveyedErrors, SurveyedPoint
+    from lpn.flight.locate.surveyed import MatchedSurvey, SurveyedPoint
     from lpn.flight.locate.tracks import TrackPoint
     from lpn.flight.maps import Map
 
@@ -42,7 +42,7 @@ class LocateCommand(ModelOptions):
     flight: Path
     """Flight: a folder of lpn flight, or one of photos."""
     out: Path | None = None
-    """Track to write: .geojson, .gpx, .kml, or .csv."""
+    """Track to write: .geojson, .kml, or .csv."""
     model: Path | None = None
     """Trained LPN (.onnx, .safetensors, .pth) for retrieval and sequence; without one, registration alone."""
     index: Advanced[str | None] = None
@@ -58,15 +58,8 @@ class LocateCommand(ModelOptions):
     map_error: MapError = None
     size: Advanced[tuple[float, ...] | None] = None
     """Sides of the map's windows in metres; by default chosen from heights and fields of view."""
-    speed: Advanced[float | None] = None
-    """Metres a second that the flight moves, one standard deviation; by default the one at which its scores are most probable."""
-    centre: Advanced[bool] = True
-    """Subtract the mean descriptor of each view, and whiten, which helps a model that has not seen the place."""
     corrections: bool = True
     """Take a photo's position from corrections.csv in the flight's folder where a person corrected it."""
-    tags: Advanced[Literal["told", "corrected"]] = "told"
-    """GPS tags that errors are measured against: told, or corrected by the constant lag that the registration finds. The lag
-    comes from the answers that are measured, so corrected errors may hide a bias that these share."""
     limit: int | None = None
     """Number of photos, the first ones of the flight; by default all."""
     best: bool = False
@@ -85,9 +78,8 @@ class LocateCommand(ModelOptions):
     def run(self) -> None:
         from lpn.core.consoles import wide_console
         from lpn.core.files import check_outputs, write_json
-        from lpn.flight.locate.belief import best_track, full_track
         from lpn.flight.locate.surveyed import compare_surveyed, summarise_surveyed, survey_remarks, write_residuals
-        from lpn.flight.locate.tracks import check_suffix, write_track
+        from lpn.flight.locate.tracks import best_track, check_suffix, full_track, write_track
 
         for option, given in (("--crs", self.crs), ("--residuals", self.residuals)):
             if given is not None and self.positions is None:
@@ -110,7 +102,7 @@ class LocateCommand(ModelOptions):
         if survey is not None:
             rows = compare_surveyed(located, survey)
             errors = summarise_surveyed(rows)
-            _print_surveyed(errors, survey_remarks(rows, len(located.frames)), console)
+            print_surveyed(errors, survey_remarks(rows, len(located.frames)), console)
             if self.residuals is not None:
                 write_residuals(self.residuals, rows, located.basemap.frame)
                 console.print(f"The residuals are in {printable(str(self.residuals))}.", soft_wrap=True, markup=False)
@@ -118,7 +110,7 @@ class LocateCommand(ModelOptions):
             # A stage without an answer has no median, which JSON cannot express as a number.
             write_json(self.json, _measures(located, errors))
         if self.out is not None:
-            written = f"The track is in {printable(str(self.out))}. {unverified_sentence(track, self.out)}"
+            written = f"The track is in {printable(str(self.out))}. {unverified_sentence(track)}"
             console.print(written.rstrip(), soft_wrap=True, markup=False)
 
     def resume_hint(self) -> str:
@@ -191,47 +183,83 @@ class LocateCommand(ModelOptions):
             self.prior,
             self.map_error,
             self.size,
-            centre=self.centre,
-            speed=self.speed,
-            tags=self.tags,
         )
 
 
-def _measures(
-    located: LocatedFlight, surveyed: Mapping[str, Mapping[SurveyedPoint, SurveyedErrors]] | None
-) -> dict[str, Any]:
+def _measures(located: LocatedFlight, surveyed: Mapping[str, Mapping[SurveyedPoint, Errors]] | None) -> dict[str, Any]:
     """Return the errors of a flight as JSON values."""
-    without_lag = located.without_lag() if located.tags_without_lag is not None else None
-    of_stages = [
-        one and {stage: asdict(summary) for stage, summary in one.summaries().items()} for one in (located, without_lag)
-    ]
+
+    def of_stages(flight: LocatedFlight) -> dict[str, Any]:
+        return {stage: one.figures() for stage, one in flight.errors().items()}
+
     result: dict[str, Any] = {
         "frames": len(located.frames),
         "corrected": sum(frame.by_hand is not None for frame in located.frames),
-        "stages": of_stages[0],
-        "stages_without_lag": of_stages[1],
+        "stages": of_stages(located),
+        "stages_without_lag": None if located.tags_without_lag is None else of_stages(located.without_lag()),
         "retrieval": located.field_measures(),
         "tags": None if located.audit is None else located.audit.sentence,
         "notes": located.notes,
     }
     if surveyed is not None:
         result["surveyed"] = {
-            stage: {point: asdict(summary) for point, summary in points.items()} for stage, points in surveyed.items()
+            stage: {point: one.figures() for point, one in points.items()} for stage, points in surveyed.items()
         }
     return result
 
 
-def _share(percent: float) -> str:
-    return "-" if math.isnan(percent) else f"{percent:.0f} %"
+def unverified_sentence(track: Sequence[TrackPoint]) -> str:
+    """Say how many points of a track have a coordinate that nothing has verified; "" if none."""
+    guesses = sum(point.state == "not verified" and point.latitude is not None for point in track)
+    if not guesses:
+        return ""
+    return f"Best guesses that nothing has verified: {guesses} of its {len(track)} points, state 'not verified'."
 
 
-def _in_words(summary: ErrorSummary) -> str:
-    """Return median, 90th and 95th percentile, and shares within radii in words."""
-    return (
-        f"a median of {summary.median:.1f} m, 90 % within {upper_bound(summary.p90)} m, 95 % within "
-        f"{upper_bound(summary.p95)} m, and {summary.calibration_shares} of its errors within 1, 2, and 3 radii, of "
-        f"{summary.frames} photos whose tags can be moved"
-    )
+def print_summary(located: LocatedFlight, console: Console) -> None:
+    """Print a table of the stages against the tags, those without their lag first, and the findings below it."""
+    from lpn.core.text_tables import TextTable
+    from lpn.flight.locate.pose_errors import pose_errors
+
+    errors = located.errors()
+    named = {stage: (stage, one) for stage, one in errors.items()}
+    rows = []
+    if located.tags_without_lag is not None:
+        moved = located.without_lag().errors()
+        named = {f"{stage}, tags without their lag": (stage, one) for stage, one in moved.items()} | {
+            f"{stage}, tags as told": told for stage, told in named.items()
+        }
+    for name, (stage, one) in named.items():
+        accepted = sum(1 for frame in located.frames if stage in frame.stages and frame.stages[stage].accepted)
+        rows.append((name, "not verified" if stage == "retrieval" else f"{accepted}", *_cells(one)))
+    head = ("stage", "accepted", "median m", "p90 m", "p95 m", "<= 5 m", "<= 25 m", "<= 100 m", "within 1, 2, 3 radii")
+    title = f"{printable(located.flight.name)} on {printable(located.basemap.name)}: {len(located.frames)} photos"
+    TextTable(head, rows, title).print(console)
+    findings = [_truth_sentence(located, any(one.known for one in errors.values()))]
+    if posed := sum(any(answer.pose is not None for answer in frame.stages.values()) for frame in located.frames):
+        flat = located.basemap.elevation is None
+        ground = "flat ground, as the map has no elevation" if flat else "the map's elevation"
+        findings.append(f"{posed} of {len(located.frames)} photos have a pose of the camera, over {ground}.")
+    if (poses := pose_errors(located)) is not None:
+        findings.append(poses.sentence)
+    if measured := located.field_measures():
+        findings.append("Retrieval: " + ", ".join(f"{name} {value:.3g}" for name, value in measured.items()))
+    findings += [*located.flight.notes, *located.notes]
+    if located.audit is not None:
+        findings.append(located.audit.sentence)
+    for line in findings:
+        console.print(printable(line), highlight=False, soft_wrap=True, markup=False)
+
+
+def _cells(errors: Errors) -> list[str]:
+    """Return bounds and shares of a stage's errors."""
+    from lpn.flight.locate.errors import percents
+
+    bounds = ["-"] * 3
+    if errors.photos:
+        bounds = [f"{errors.median:.1f}", upper_bound(errors.ce90), upper_bound(errors.ce95)]
+    shares = [f"{errors.within[metres]:.0f} %" if errors.known else "-" for metres in (5, 25, 100)]
+    return [*bounds, *shares, percents(errors.calibration) or "-"]
 
 
 def _truth_sentence(located: LocatedFlight, known: bool) -> str:
@@ -240,132 +268,53 @@ def _truth_sentence(located: LocatedFlight, known: bool) -> str:
     Args:
         known: whether some frame has a truth.
     """
+    from lpn.flight.locate.errors import RIGHT_CALIBRATION, percents
+
     if not known:
         return "No photo has a GPS tag on the map, or a correction by hand, so how far off the places are is not known."
     corrected = sum(frame.by_hand is not None for frame in located.frames)
-    truth = (
-        f"corrections by hand ({corrected}), and the GPS tags of the other photos"
-        if corrected
-        else "the GPS tags of the flight"
-    )
-    if located.audit is not None and located.audit.has_lag:
-        lag = "a lag in them" + (f" (or {located.audit.looks_ahead})" if located.audit.looks_ahead else "")
-        truth += (
-            ", moved by their lag"
-            if located.tags_corrected
-            else f", which are no exact truth, as the registration finds {lag}"
-        )
+    tags = "the GPS tags of the flight"
+    truth = f"corrections by hand ({corrected}), and the GPS tags of the other photos" if corrected else tags
     return (
-        f"Errors are against {truth}; p90 and p95 are bounds, and so rounded up; shares are of all photos with such a truth; "
-        "'no false' is the share that can be accepted before one is more than 50 m off, smallest radius first, for the retrieval "
-        "greatest score first. The retrieval ranks windows and verifies none."
+        f"Errors are against {truth}; p90 and p95 are bounds, and so rounded up; shares in metres are of all photos with such a "
+        f"truth. Right radii ({SIGMA}), against an exact truth, hold {percents(RIGHT_CALIBRATION)}."
     )
 
 
-def unverified_sentence(track: Sequence[TrackPoint], file: Path) -> str:
-    """Say how many points of a file have a coordinate that nothing has verified; "" if none. GPX leaves out what is refused."""
-    if file.suffix.lower() == ".gpx":
-        track = [point for point in track if point.state != "refused" and point.latitude is not None]
-    guesses = sum(point.state == "not verified" and point.latitude is not None for point in track)
-    if not guesses:
-        return ""
-    of = f"{guesses} of its {len(track)} point{'s' if len(track) > 1 else ''}"
-    if guesses == 1:
-        return (
-            f"{of} is a best guess: it has a coordinate, but nothing has verified it, and its state is 'not verified'."
-        )
-    return f"{of} are best guesses: they have a coordinate, but nothing has verified it, and their state is 'not verified'."
-
-
-def print_summary(located: LocatedFlight, console: Console) -> None:
-    """Print a table of the stages against the tags, and the findings below it."""
-    from lpn.core.text_tables import TextTable
-    from lpn.flight.locate.pose_errors import pose_errors
-
-    summaries = located.summaries()
-    rows = []
-    for stage, summary in summaries.items():
-        accepted = sum(1 for frame in located.frames if stage in frame.stages and frame.stages[stage].accepted)
-        shares = [_share(summary.within[m]) for m in sorted(summary.within)]
-        numbers = ["-"] * 3
-        if summary.answered:
-            numbers = [f"{summary.median:.1f}", upper_bound(summary.p90), upper_bound(summary.p95)]
-        number = "not verified" if stage == "retrieval" else f"{accepted}"
-        rows.append((stage, number, *numbers, *shares, _share(summary.coverage_at_zero)))
-    within = (f"<= {metres} m" for metres in (5, 10, 25, 50, 100))
-    head = ("stage", "accepted", "median m", "p90 m", "p95 m", *within, "no false")
-    title = f"{printable(located.flight.name)} on {printable(located.basemap.name)}: {len(located.frames)} photos"
-    TextTable(head, rows, title).print(console)
-    console.print(_truth_sentence(located, any(summary.frames for summary in summaries.values())), soft_wrap=True)
-    for stage, summary in summaries.items():
-        if (sentence := summary.calibration_sentence(stage)) is not None:
-            console.print(sentence, soft_wrap=True)
-    if located.tags_without_lag is not None and not located.tags_corrected:
-        summary = located.without_lag().summaries()["registration"]
-        console.print(
-            f"Against the GPS tags moved by that lag (a constant offset stays), the registration has {_in_words(summary)}.",
-            soft_wrap=True,
-        )
-    posed = sum(frame.stages[stage].pose is not None for frame in located.frames for stage in frame.stages)
-    if posed:
-        ground = (
-            "flat ground, as the map has no elevation" if located.basemap.elevation is None else "the map's elevation"
-        )
-        console.print(
-            f"{posed} of {len(located.frames)} photos have a pose of the camera, over {ground}.", soft_wrap=True
-        )
-    if (errors := pose_errors(located)) is not None:
-        console.print(errors.sentence, soft_wrap=True)
-    if measured := located.field_measures():
-        console.print(
-            "Retrieval: " + ", ".join(f"{name} {value:.3g}" for name, value in measured.items()), soft_wrap=True
-        )
-    findings = [*located.flight.notes, *located.notes]
-    if located.audit is not None:
-        findings.append(located.audit.sentence)
-    for line in findings:
-        console.print(printable(line), highlight=False, soft_wrap=True, markup=False)
-
-
-def _print_surveyed(
-    errors: Mapping[str, Mapping[SurveyedPoint, SurveyedErrors]], remarks: Sequence[str], console: Console
+def print_surveyed(
+    errors: Mapping[str, Mapping[SurveyedPoint, Errors]], remarks: Sequence[str], console: Console
 ) -> None:
     """Print the errors of each stage and point, a column each, and sentences on them."""
-    from lpn.core.numbers import SIGMA
     from lpn.core.text_tables import TextTable
-    from lpn.flight.locate.measures import RIGHT_CALIBRATION
+    from lpn.flight.locate.errors import RIGHT_CALIBRATION, percents
 
     columns = {f"{stage}, {point}": one for stage, points in errors.items() for point, one in points.items()}
     sentences = ["No surveyed photo has an accepted answer, so there is nothing to compare."]
     if columns:
-        figures = {
-            "mean east": "bias_east",
-            "mean north": "bias_north",
-            "standard deviation east": "sd_east",
-            "standard deviation north": "sd_north",
-            "RMSE east": "rmse_east",
-            "RMSE north": "rmse_north",
-            "RMSE in the plane": "rmse",
-            "median": "median",
-            "CE90": "ce90",
-            "CE95": "ce95",
-            "largest": "largest",
-        }
+        names = (
+            *(
+                "mean east",
+                "mean north",
+                "standard deviation east",
+                "standard deviation north",
+                "RMSE east",
+                "RMSE north",
+            ),
+            *("RMSE in the plane", "median", "CE90", "CE95", "largest"),
+        )
+        figures = [
+            [*one.bias, *one.spread, *one.rmse, one.median, one.ce90, one.ce95, one.largest] for one in columns.values()
+        ]
         rows = [("photos", *(f"{one.photos}" for one in columns.values()))]
-        rows += [(name, *(_metres(getattr(one, key)) for one in columns.values())) for name, key in figures.items()]
-        rows.append(("photos with a radius", *(f"{one.radii}" for one in columns.values())))
-        for k in RIGHT_CALIBRATION:
-            shares = [f"{one.within[k]:.0f} %" if k in one.within else "-" for one in columns.values()]
-            rows.append((f"within {k} {'radius' if k == 1 else 'radii'}", *shares))
+        rows += [(name, *map(_metres, values)) for name, *values in zip(names, *figures, strict=True)]
+        rows.append(("within 1, 2, 3 radii", *(percents(one.calibration) or "-" for one in columns.values())))
         title = "Against surveyed positions: answer minus survey, in metres"
         TextTable(("", *columns), rows, title, align="l").print(console)
-        right = ", ".join(f"{share:.0f} %" for share in RIGHT_CALIBRATION.values())
         sentences = [
             "Each photo counts with its accepted answer of the stage that counts, a contradicted one, too. CE90 and CE95 are "
-            "the distances that hold 90 and 95 % of them, interpolated between photos, so that few tell little."
+            "the distances that hold 90 and 95 % of them, interpolated between photos, so that few tell little. "
+            f"Right radii ({SIGMA}, with the map's error) hold {percents(RIGHT_CALIBRATION)}."
         ]
-        if any(one.radii for one in columns.values()):
-            sentences.append(f"Right radii ({SIGMA}, with the map's error) hold {right} within 1, 2, and 3.")
         told = {title: one.bias_sentence for title, one in columns.items()}
         sentences += [f"{title.capitalize()}: {sentence}" for title, sentence in told.items() if sentence]
     for line in (*sentences, *remarks):

@@ -1,0 +1,182 @@
+"""Errors of a flight's places against what is known of them: GPS tags, surveyed positions, exact poses, or corrections."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from lpn.core.arrays import Float64Array
+from lpn.core.numbers import SIGMA
+
+# Metres of the shares in tables and JSON.
+WITHIN = (5, 10, 25, 50, 100)
+# Shares in percent of errors that are normal along both axes, 1 - exp(-k^2 / 2), within k standard deviations.
+RIGHT_CALIBRATION = {k: 100 * (1 - math.exp(-(k**2) / 2)) for k in (1, 2, 3)}
+# Three right radii hold 99 % of the errors; a smaller share than this says that radii or truths are wrong.
+CONFIRMED_SHARE = 90.0
+# Independent photos from which a mean is compared with its standard error, and the multiple of it that is called systematic.
+_LEAST_FOR_BIAS, _SYSTEMATIC = 8, 3.0
+# Errors that differ by fewer metres are equal.
+_EQUAL = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class Errors:
+    """Errors of positions against their truths.
+
+    Attributes:
+        known: photos with a truth.
+        offsets: position minus truth in metres east and north, (N, 2), of those that have a position, in the flight's order.
+        radii: 1-sigma radii of these positions in metres, (N,); NaN where unknown.
+    """
+
+    known: int
+    offsets: Float64Array
+    radii: Float64Array
+
+    @classmethod
+    def of(cls, known: int, rows: Iterable[tuple[float, float, float | None]]) -> Errors:
+        """Return the errors of rows: metres east, metres north, and the radius, None where unknown."""
+        values = np.array([(*row[:2], math.nan if row[2] is None else row[2]) for row in rows], np.float64).reshape(
+            -1, 3
+        )
+        return cls(known, values[:, :2], values[:, 2])
+
+    @property
+    def photos(self) -> int:
+        """Photos with a truth and a position."""
+        return len(self.offsets)
+
+    @cached_property
+    def metres(self) -> Float64Array:
+        """Distances in the plane, (N,)."""
+        metres: Float64Array = np.hypot(self.offsets[:, 0], self.offsets[:, 1])
+        return metres
+
+    def quantile(self, share: float) -> float:
+        """Return the metres that this share of the errors does not exceed, interpolated between photos; NaN without any."""
+        return float(np.quantile(self.metres, share)) if self.photos else math.nan
+
+    @property
+    def median(self) -> float:
+        """Median of the distances; NaN without any."""
+        return self.quantile(0.5)
+
+    @property
+    def ce90(self) -> float:
+        """The circular error that holds 90 % of the distances."""
+        return self.quantile(0.9)
+
+    @property
+    def ce95(self) -> float:
+        """The circular error that holds 95 % of the distances."""
+        return self.quantile(0.95)
+
+    @property
+    def largest(self) -> float:
+        """The largest distance."""
+        return self.quantile(1.0)
+
+    @property
+    def rmse(self) -> tuple[float, float, float]:
+        """Root mean squares to the east, to the north, and in the plane; NaN without any photo."""
+        if not self.photos:
+            return math.nan, math.nan, math.nan
+        east, north = np.sqrt((self.offsets**2).mean(axis=0)).tolist()
+        return east, north, math.hypot(east, north)
+
+    @property
+    def bias(self) -> tuple[float, float]:
+        """Mean to the east and to the north; NaN without any photo."""
+        if not self.photos:
+            return math.nan, math.nan
+        east, north = self.offsets.mean(axis=0).tolist()
+        return east, north
+
+    @property
+    def spread(self) -> tuple[float, float]:
+        """Standard deviations about the means, of N - 1 photos; NaN for fewer than two."""
+        if self.photos < 2:
+            return math.nan, math.nan
+        east, north = self.offsets.std(axis=0, ddof=1).tolist()
+        return east, north
+
+    @property
+    def independent(self) -> tuple[float, float]:
+        """Photos that would tell as much of each mean if neighbours did not err alike."""
+        return _independent(self.offsets[:, 0]), _independent(self.offsets[:, 1])
+
+    @property
+    def calibration(self) -> dict[int, float]:
+        """Share in percent within 1, 2, and 3 radii; empty without radii. Right radii have `RIGHT_CALIBRATION`."""
+        given = self.radii > 0
+        ratios = self.metres[given] / self.radii[given]
+        return {k: 100 * float((ratios <= k).mean()) for k in RIGHT_CALIBRATION if len(ratios)}
+
+    @property
+    def within(self) -> dict[int, float]:
+        """Share in percent of all photos with a truth that have a position within so many metres; empty without any."""
+        return {metres: 100 * int((self.metres <= metres).sum()) / self.known for metres in WITHIN if self.known}
+
+    def figures(self) -> dict[str, Any]:
+        """Return the figures for a JSON file, in metres and percent."""
+        names = ("median", "ce90", "ce95", "largest")
+        figures: dict[str, Any] = {
+            "known": self.known,
+            "photos": self.photos,
+            **{name: getattr(self, name) for name in names},
+        }
+        figures |= dict(zip(("rmse_east", "rmse_north", "rmse"), self.rmse, strict=True))
+        for name in ("bias", "spread", "independent"):
+            figures |= dict(zip((f"{name}_east", f"{name}_north"), getattr(self, name), strict=True))
+        return figures | {
+            "radii": int((self.radii > 0).sum()),
+            "within": self.calibration,
+            "within_metres": self.within,
+        }
+
+    @property
+    def bias_sentence(self) -> str:
+        """Say whether the mean is more than chance explains; "" of photos too few to tell."""
+        told = []
+        for axis, mean, spread, count in zip(("east", "north"), self.bias, self.spread, self.independent, strict=True):
+            if count >= _LEAST_FOR_BIAS:
+                error = spread / math.sqrt(count)
+                beyond = "more" if abs(mean) > _SYSTEMATIC * error else "no more"
+                told.append(
+                    f"{mean + 0.0:.2f} m {axis} (± {error:.2f}, {beyond} than {_SYSTEMATIC:g} standard errors of "
+                    f"{int(count)} independent photos)"
+                )
+        return f"The mean is {' and '.join(told)}." if told else ""
+
+    def calibration_sentence(self, stage: str) -> str | None:
+        """Return how many errors of a stage lie within 1, 2, and 3 radii, and how many should; None without radii."""
+        if not self.calibration:
+            return None
+        return (
+            f"Errors of the {stage} within 1, 2, and 3 of its radii ({SIGMA}): {percents(self.calibration)}; "
+            f"right radii, against an exact truth, have {percents(RIGHT_CALIBRATION)}."
+        )
+
+
+def percents(shares: dict[int, float]) -> str:
+    """Return shares in words."""
+    return ", ".join(f"{share:.0f} %" for share in shares.values())
+
+
+def _independent(errors: Float64Array) -> float:
+    """Return how many independent errors tell as much of their mean as these, (n,), in the flight's order.
+
+    These are n / (1 + 2 sum r), with the correlations r of neighbours, second neighbours, and so on, until one is negative.
+    """
+    off, n = errors - errors.mean() if len(errors) else errors, len(errors)
+    if n < 2 or np.ptp(errors) < _EQUAL:
+        return float(n)
+    shown = np.correlate(off, off, "full")[n:] / (off @ off)
+    negative = np.flatnonzero(shown <= 0)
+    return max(n / (1 + 2 * float(shown[: negative[0] if len(negative) else n].sum())), 1.0)
