@@ -14,7 +14,7 @@ import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, Any, cast, get_type_hints
+from typing import Annotated, Any, get_type_hints
 
 import msgspec
 import numpy as np
@@ -43,7 +43,7 @@ from lpn.reproduce.trainings import TrainingJob
 from lpn.retrieval import metrics
 from lpn.retrieval.calibration import MIN_PICTURES, calibrate, centred
 from lpn.training import recipes
-from lpn.training.recipes import Recipe, RecipeName
+from lpn.training.recipe import Recipe
 from lpn.training.training_set import Fold, paired_pictures
 
 FORMAT = "lpn-cross-validation/1"
@@ -402,7 +402,7 @@ class CrossvalCommand:
     trial: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
     """A recipe to try, NAME or NAME:setting=value,setting=value with settings of lpn train --help; once for each. The first is
     the baseline of the others; without any, the recipe alone is measured as base."""
-    recipe: RecipeName = "small"
+    recipe: str = "small"
     """Recipe of all trials; its settings are flags as well."""
     init: Annotated[tuple[Path, ...], tyro.conf.UseAppendAction] = ()
     """Weights to start from, ImageNet's or a trained model's, once for each backbone; auto searches for those not given."""
@@ -438,9 +438,7 @@ def main(arguments: list[str]) -> int:
     """Run the command line; the recipe sets the defaults of the other flags. Return the exit status, 2 after an error."""
     try:
         name = flag_value(arguments, "--recipe") or "small"
-        default = CrossvalCommand(
-            tyro.MISSING, tyro.MISSING, tyro.MISSING, recipe=cast(RecipeName, name), settings=recipes.find(name)
-        )
+        default = CrossvalCommand(tyro.MISSING, tyro.MISSING, tyro.MISSING, recipe=name, settings=recipes.find(name))
         tyro.cli(CrossvalCommand, args=arguments, prog="python -m tools.crossval", default=default).run()
     except LPNError as error:
         print(f"crossval: {printable(str(error))}", file=sys.stderr)

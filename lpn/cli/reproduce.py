@@ -14,7 +14,8 @@ from lpn.cli.parsing import parse
 from lpn.cli.train import flag_value
 from lpn.core.errors import InputError
 from lpn.sources import Advanced
-from lpn.training.recipes import RECIPES, Recipe
+from lpn.training.recipe import Recipe
+from lpn.training.recipes import RECIPES
 
 if TYPE_CHECKING:
     from lpn.reproduce.tables import Scale

@@ -16,7 +16,7 @@ from lpn.models.backbones import CHANNELS
 from lpn.models.network import LPN
 from lpn.models.shipped import model_file
 from lpn.models.spec import ModelSpec
-from lpn.training.recipes import Recipe
+from lpn.training.recipe import Recipe
 
 
 def by_backbone(files: Sequence[Path]) -> dict[str, Path]:

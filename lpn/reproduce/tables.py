@@ -10,7 +10,8 @@ from lpn.core.errors import InputError
 from lpn.core.views import View
 from lpn.reproduce import paper_values
 from lpn.training import recipes
-from lpn.training.recipes import RECIPES, Recipe, RecipeName
+from lpn.training.recipe import Recipe
+from lpn.training.recipes import RECIPES
 
 DataRole = Literal["places", "panoramas"]
 Measure = Literal["both ways", "ground", "landmarks", "centre"]
@@ -32,7 +33,7 @@ class Training:
     method: str
     role: DataRole = "places"
     changes: Mapping[str, Any] = field(default_factory=dict)
-    recipe: RecipeName | None = None
+    recipe: str | None = None
 
 
 @dataclass(frozen=True)
@@ -98,9 +99,9 @@ class Scale:
     """
 
     name: str
-    places: Recipe | RecipeName
-    panoramas: Recipe | RecipeName
-    safa: RecipeName | None
+    places: Recipe | str
+    panoramas: Recipe | str
+    safa: str | None
     sizes: Mapping[int, int]
     note: str
     changes: Mapping[str, Any] = field(default_factory=dict)
@@ -176,7 +177,7 @@ SCALES: dict[str, Scale] = {
         "paper",
         "paper",
         "cvusa-paper",
-        "safa-paper",
+        "safa-released",
         {size: size for size in paper_values.TABLE3},
         "Recipes paper, cvusa-paper, and safa-paper: what the papers state. Metric losses: metric-released, as released.",
     ),

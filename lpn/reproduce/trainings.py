@@ -29,7 +29,7 @@ from lpn.reproduce.record import Provenance, here
 from lpn.reproduce.sources import Source
 from lpn.reproduce.tables import Training
 from lpn.training.loader import steps_per_epoch
-from lpn.training.recipes import Recipe
+from lpn.training.recipe import Recipe
 from lpn.training.trainer import Trainer
 from lpn.training.training_set import Fold
 

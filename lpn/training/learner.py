@@ -12,9 +12,9 @@ from lpn.core.views import branch_of
 from lpn.models import checkpoints
 from lpn.models.network import LPN
 from lpn.training.loader import TrainingBatch
-from lpn.training.losses import total_loss
+from lpn.training.losses import TrainingStep, loss_terms, open_loss
 from lpn.training.optimizer import MixedPrecision, average_weights, build_optimizer, loss_factor, rate_factor
-from lpn.training.recipes import Recipe
+from lpn.training.recipe import Recipe
 
 
 class Learner:
@@ -27,15 +27,16 @@ class Learner:
     """
 
     def __init__(self, network: LPN, recipe: Recipe, device: torch.device) -> None:
-        self.network, self.recipe = network, recipe
+        self.network, self.recipe, self.device = network, recipe, device
         network.to(device, memory_format=torch.channels_last)  # type: ignore[call-overload]
+        self.own_loss = open_loss(recipe.loss) if recipe.loss else None
         self.average = average_weights(network, recipe.ema) if recipe.ema else None
         self.mixed_precision = MixedPrecision(recipe, device)
         self.optimizer = build_optimizer(network, recipe)
         self.rates = [float(parameters["lr"]) for parameters in self.optimizer.param_groups]
         self.multi_view = MultiViewNetwork(network, recipe.joint_views)
 
-    def step(self, batch: TrainingBatch, step: int, steps: int) -> tuple[Tensor, float]:
+    def step(self, batch: TrainingBatch, step: int, steps: int) -> tuple[dict[str, Tensor], float]:
         """Take one training step.
 
         Args:
@@ -43,7 +44,7 @@ class Learner:
             steps: steps per epoch.
 
         Returns:
-            The loss of the whole batch, without a warm-up's factor, and the learning rate of the heads.
+            The loss of the whole batch and its terms, without a warm-up's factor, and the learning rate of the heads.
         """
         factor = rate_factor(self.recipe, step, steps)
         for parameters, rate in zip(self.optimizer.param_groups, self.rates, strict=True):
@@ -51,13 +52,17 @@ class Learner:
         with self.mixed_precision.convolutions():
             with self.mixed_precision.autocast():
                 outputs = self.multi_view(batch.sets)
-            loss = total_loss(outputs, batch.labels, self.recipe, batch.overlaps, step)
+            parts, scores = ({name: of[i] for name, of in outputs.items()} for i in (0, 1))
+            terms = loss_terms(
+                TrainingStep(parts, scores, batch.labels, batch.overlaps, step), self.recipe, self.own_loss
+            )
+            loss = sum(terms.values(), torch.zeros((), device=self.device))
             self.mixed_precision.step(loss * loss_factor(self.recipe, step, steps), self.optimizer)
         if self.average is not None:
             # A resumed run knows its step, so the count need not be saved.
             self.average.n_averaged.fill_(step + 1)
             self.average.update_parameters(self.network)
-        return loss.detach(), self.rates[-1] * factor
+        return {"loss": loss.detach()} | {name: of.detach() for name, of in terms.items()}, self.rates[-1] * factor
 
     def is_finite(self) -> bool:
         """Check that every weight is a finite number."""

@@ -31,7 +31,7 @@ from lpn.flight.files.cut import CUT, cut_square
 from lpn.flight.maps import Map, Window
 from lpn.flight.maps.window import grid
 from lpn.training.appearance import change_appearance, compress, recolour
-from lpn.training.recipes import Recipe
+from lpn.training.recipe import Recipe
 
 # Default sides of windows, as multiples of the ground that the network's input shows at the map's resolution.
 _SIZES = (0.5, 2.0)

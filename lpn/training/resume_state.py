@@ -15,7 +15,7 @@ from lpn.core.errors import InputError, ModelFileError
 from lpn.core.files import write_atomic
 from lpn.core.formats import newer_version
 from lpn.training.model_selection import EpochMetrics
-from lpn.training.recipes import Recipe
+from lpn.training.recipe import Recipe
 
 FORMAT = 5
 

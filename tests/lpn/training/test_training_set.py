@@ -20,11 +20,12 @@ from lpn.datasets import open_dataset
 from lpn.models.checkpoints import load_torch
 from lpn.training.learner import Learner
 from lpn.training.loader import Loader
-from lpn.training.losses import total_loss
 from lpn.training.model_selection import HeldOut
-from lpn.training.recipes import RECIPES, Recipe, find
+from lpn.training.recipe import Recipe
+from lpn.training.recipes import RECIPES, find
 from lpn.training.trainer import Trainer
 from lpn.training.training_set import Fold, TrainingSet, paired_pictures, trainable
+from tests.lpn.training.test_losses import total_loss
 from tools.fixtures import layouts
 from tools.fixtures.trainings import QUICK
 
