@@ -34,15 +34,15 @@ from lpn.core.formats import decode_json
 from lpn.datasets import Dataset, open_dataset
 from lpn.models.base import Model
 from lpn.models.pretrained_weights import AUTO, find_weights
-from lpn.reproduce import trainings
+from lpn.reproduce import jobs
+from lpn.reproduce.jobs import TrainingJob
 from lpn.reproduce.pretrained import by_backbone
-from lpn.reproduce.record import Provenance, here
 from lpn.reproduce.sources import Source
 from lpn.reproduce.tables import Training
-from lpn.reproduce.trainings import TrainingJob
 from lpn.retrieval import metrics
 from lpn.retrieval.calibration import MIN_PICTURES, calibrate, centred
 from lpn.training import recipes
+from lpn.training.provenance import Provenance, here
 from lpn.training.recipe import Recipe
 from lpn.training.training_set import Fold, paired_pictures
 
@@ -193,7 +193,7 @@ class CrossValidation:
         """
         check_outputs((table, ".json"))
         for step in dict.fromkeys(map(_step, self.jobs)):
-            trainings.train([job for job in self.jobs if _step(job) == step], self.console)
+            jobs.train([job for job in self.jobs if _step(job) == step], self.console)
             values = self.table()
             write_json(table, values, ensure_ascii=False)
         self.console.print(summary(values))
@@ -235,7 +235,9 @@ class CrossValidation:
             "changes": dict(trial.changes),
             "start": start,
             "runs": len(runs),
-            "diverged": [one.folder.name for one in self.jobs if one.training.name == trial.name and one.diverged],
+            "diverged": [
+                one.folder.name for one in self.jobs if one.training.name == trial.name and one.ended == "diverged"
+            ],
             "training seconds of a run": float(np.mean([sum(one.seconds()) for one, _ in runs])) if runs else None,
             "figures": figures,
         }

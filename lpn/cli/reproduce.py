@@ -27,7 +27,7 @@ _Scale = Literal["auto", "paper", "released", "reduced"]
 class RecipeChanges(Recipe):
     """Settings for several recipes; each recipe checks them together with its own."""
 
-    def check_together(self) -> None:
+    def check_conflicts(self) -> None:
         """Check nothing: what excludes a setting in one recipe may fit another."""
 
 
@@ -64,8 +64,8 @@ class ReproduceCommand:
 
     def run(self) -> None:
         import_module("torch")
-        from lpn.reproduce.command import KEYS, Reproduction
-        from lpn.reproduce.tables import ROW_SETTINGS
+        from lpn.reproduce.run import Reproduction
+        from lpn.reproduce.tables import KEYS, ROW_SETTINGS
 
         if not self.what or not self.data:
             raise InputError(

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from lpn.analysis.statistics import half_interval
-from lpn.reproduce.paper_values import CLAIMS, Claim
 from lpn.reproduce.record import RowRecord, TableRecord
+from lpn.reproduce.tables import Claim, claims
 
 
 def verdicts(record: TableRecord) -> list[str]:
     """State for each of the paper's claims whether it held, with the figures."""
-    return [_verdict(claim, record) for claim in CLAIMS.get(record.key, ())]
+    return [_verdict(claim, record) for claim in claims(record.key)]
 
 
 def _verdict(claim: Claim, record: TableRecord) -> str:
@@ -23,7 +23,7 @@ def _verdict(claim: Claim, record: TableRecord) -> str:
     columns = range(len(record.columns)) if claim.columns is None else claim.columns
     verdict = _not_ahead(claim, rows, columns) if claim.tolerance is not None else _ahead(claim, rows, columns)
     figures = "; ".join(_closest(claim, rows, index, record) for index in columns)
-    once = [label for label in labels if rows[label].networks == 1]
+    once = [label for label in labels if len(rows[label].values) == 1]
     networks = (
         "" if not once else "; one network each" if len(once) == len(labels) else f"; one network of {', '.join(once)}"
     )

@@ -16,17 +16,17 @@ from lpn.core.files import exclusive_lock, write_json
 from lpn.core.formats import decode_json
 from lpn.explain.centre import VIEWS, centre_box, centre_shares
 from lpn.models.base import Model
-from lpn.reproduce.paper_values import Values
-from lpn.reproduce.record import Provenance, TableRecord, here
+from lpn.reproduce.record import TableRecord
 from lpn.reproduce.sources import TASKS, Source
-from lpn.reproduce.tables import Measure, TableRow
+from lpn.reproduce.tables import Measure, TableRow, Values
 from lpn.tasks.changes import turned, with_parts
 from lpn.tasks.measure import Result
 from lpn.tasks.opening import lazy_task
+from lpn.training.provenance import Provenance, here
 
 log = logging.getLogger(__name__)
 
-FORMAT = "lpn-measured/2"
+FORMAT = "lpn-measured/3"
 _CENTRE = (
     "Protocol: the last feature map of each test picture without its mirror, summed over channels; the share of the sum in the "
     "cells whose centres lie in the middle half of height and width, which are {}; mean over pictures."

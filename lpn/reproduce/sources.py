@@ -64,18 +64,18 @@ class Source:
 
     def sizes(self, measure: Measure) -> str:
         """Count queries and gallery pictures of each task, with the counts of the complete data set where they are known."""
-        counts_by_task = []
+        published, texts = self.dataset.published_sizes, []
         for task in TASKS[measure]:
             query, gallery = views_of(task)
-            lists = {"query": (query, self.dataset.queries(query)), "gallery": (gallery, self.dataset.gallery(gallery))}
             counts = []
-            for role, (view, pictures) in lists.items():
-                full = self.dataset.published_sizes.get(f"test/{role}_{view}") or self.dataset.published_sizes.get(
-                    f"test/{view}"
-                )
+            for role, view, pictures in (
+                ("query", query, self.dataset.queries(query)),
+                ("gallery", gallery, self.dataset.gallery(gallery)),
+            ):
+                full = published.get(f"test/{role}_{view}") or published.get(f"test/{view}")
                 counts.append(counted(len(pictures), full.pictures if full else None))
-            counts_by_task.append(f"{task} {counts[0]} queries, {counts[1]} pictures in the gallery")
-        return ", ".join(counts_by_task)
+            texts.append(f"{task} {counts[0]} queries, {counts[1]} pictures in the gallery")
+        return ", ".join(texts)
 
     def training_digest(self, sets: tuple[str, ...]) -> str:
         """Hash the list of training pictures; a trained network is reused for the same list only."""
@@ -105,14 +105,15 @@ class Source:
         check_test_split(self.dataset, TASKS[measure])
 
 
-# The data that a table is measured on.
-_MEASURED_ON: dict[Measure, DataRole | Literal["landmarks"]] = {
+Role = DataRole | Literal["landmarks"]
+# The data that a table is measured on, and what each role looks like.
+_MEASURED_ON: dict[Measure, Role] = {
     "both ways": "places",
     "ground": "panoramas",
     "landmarks": "landmarks",
     "centre": "places",
 }
-_LAYOUTS = {
+_LAYOUTS: dict[Role, str] = {
     "places": "places as in University-1652",
     "panoramas": "panoramas and tiles as in CVUSA",
     "landmarks": "landmarks as in Oxford5k or Paris6k",
@@ -121,29 +122,22 @@ _LAYOUTS = {
 
 @dataclass
 class Sources:
-    """The given data sets by role."""
+    """The given data sets by role; several of landmarks, in the paper's order, and at most one of each other role."""
 
-    roles: dict[DataRole, Source] = field(default_factory=dict)
-    landmarks: list[Source] = field(default_factory=list)
+    roles: dict[Role, list[Source]] = field(default_factory=dict)
 
     def lacking(self, measure: Measure, trained_on: DataRole | None = None) -> str:
         """Say what is lacking to measure a network and, if it is not given, to train it; empty if nothing is."""
-        for kind in (_MEASURED_ON[measure], *([trained_on] if trained_on else [])):
-            if not (self.landmarks if kind == "landmarks" else kind in self.roles):
-                return f"no {_LAYOUTS[kind]} are given with --data"
-        return ""
+        needed: list[Role] = [_MEASURED_ON[measure], *([trained_on] if trained_on else [])]
+        return next((f"no {_LAYOUTS[role]} are given with --data" for role in needed if role not in self.roles), "")
 
     def of(self, measure: Measure) -> list[Source]:
-        """Return the data sets of a measure, in the paper's order.
+        """Return the data sets of a measure.
 
         Raises:
             InputError: when none was given.
         """
-        if measure == "landmarks":
-            if not self.landmarks:
-                raise InputError("Table VI needs landmarks as in Oxford5k or Paris6k; give them with --data.")
-            return sorted(self.landmarks, key=lambda source: source.dataset.kind)
-        return [self.role("panoramas" if measure == "ground" else "places")]
+        return self._given(_MEASURED_ON[measure])
 
     def role(self, role: DataRole) -> Source:
         """Return the data set of a role.
@@ -151,22 +145,13 @@ class Sources:
         Raises:
             InputError: when none was given.
         """
+        return self._given(role)[0]
+
+    def _given(self, role: Role) -> list[Source]:
         if role not in self.roles:
-            if role == "places":
-                raise InputError("Places as in University-1652 are needed; give them with --data.")
-            raise InputError("Panoramas and tiles as in CVUSA are needed; give them with --data.")
+            layout = _LAYOUTS[role]
+            raise InputError(f"{layout[0].upper()}{layout[1:]} are needed; give them with --data.")
         return self.roles[role]
-
-    def add(self, role: DataRole, source: Source) -> None:
-        """Set the data set of a role.
-
-        Raises:
-            InputError: when there is one already.
-        """
-        if role in self.roles:
-            one, other = self.roles[role].dataset.root, source.dataset.root
-            raise InputError(f"--data names two data sets of {role}, {one} and {other}; give one of them at a time.")
-        self.roles[role] = source
 
 
 def counted(count: int, full: int | None) -> str:
@@ -180,14 +165,19 @@ def open_sources(data: Sequence[str]) -> Sources:
     Raises:
         LPNError: when an argument is not a data set, two have one role, or a world is not completely rendered.
     """
-    sources = Sources()
+    roles: dict[Role, list[Source]] = {}
     for folder in data:
         source = Source(open_dataset(folder), is_rendered(Path(folder)))
+        role: Role = "panoramas" if source.dataset.panoramas else "places"
         if "street-to-street" in source.dataset.tasks():
-            sources.landmarks.append(source)
-        else:
-            sources.add("panoramas" if source.dataset.panoramas else "places", source)
-    return sources
+            role = "landmarks"
+        elif role in roles:
+            one, other = roles[role][0].dataset.root, source.dataset.root
+            raise InputError(f"--data names two data sets of {role}, {one} and {other}; give one of them at a time.")
+        roles.setdefault(role, []).append(source)
+    for of_role in roles.values():
+        of_role.sort(key=lambda source: source.dataset.kind)
+    return Sources(roles)
 
 
 def _digest(root: Path, lists: dict[str, list[Picture]], truth: object) -> str:

@@ -41,11 +41,6 @@ class Validator(Protocol):
         ...
 
 
-def _unzoomed(view: View) -> float:
-    del view
-    return 1.0
-
-
 class TestSplit:
     """Retrieval on the test split. The first task selects the epoch, so its result is optimistically biased.
 
@@ -58,7 +53,7 @@ class TestSplit:
 
     __test__ = False  # not a test, despite its name
 
-    def __init__(self, dataset: Dataset, tasks: Sequence[str], zoom: Callable[[View], float] = _unzoomed) -> None:
+    def __init__(self, dataset: Dataset, tasks: Sequence[str], zoom: Callable[[View], float]) -> None:
         check_test_split(dataset, tasks)
         self.dataset, self.tasks, self._zoom = dataset, tasks, zoom
         self.column = f"recall@1 {tasks[0]}"
@@ -67,24 +62,23 @@ class TestSplit:
     def measure(self, model: Model, console: Console | None = None) -> EpochMetrics:
         """Measure Recall@1 and AP of every task, in percent; print all metrics if a console is given."""
         row: EpochMetrics = {}
-        cache: dict[object, Float32Array] = {}
+        known: dict[object, Float32Array] = {}
 
-        def cached(model: Model, pictures: Sequence[Picture], view: View, change: Change) -> Float32Array:
+        def described(model: Model, pictures: Sequence[Picture], view: View, change: Change) -> Float32Array:
             change = replace(change, scale=change.scale * self._zoom(view))
             key = (view, change, tuple(picture.path for picture in pictures))
-            if key not in cache:
-                cache[key] = descriptors.temporary_descriptors(model, pictures, view, change)
-            return cache[key]
+            if key not in known:
+                known[key] = descriptors.temporary_descriptors(model, pictures, view, change)
+            return known[key]
 
         for task in self.tasks:
-            result = lazy_task(model, self.dataset, task, cached).evaluate()
-            recall = result.recall
+            result = lazy_task(model, self.dataset, task, described).evaluate()
             if console is not None:
+                recalls = "  ".join(f"R@{depth} {result.recall[depth]:.2f}" for depth in ("1", "5", "10", "1%"))
                 console.print(
-                    f"{task}: R@1 {recall['1']:.2f}  R@5 {recall['5']:.2f}  R@10 {recall['10']:.2f}  "
-                    f"R@1% {recall['1%']:.2f}  AP {result.ap:.2f}  ({result.queries} queries, {result.gallery} tiles)"
+                    f"{task}: {recalls}  AP {result.ap:.2f}  ({result.queries} queries, {result.gallery} tiles)"
                 )
-            row |= {f"recall@1 {task}": recall["1"], f"ap {task}": result.ap}
+            row |= {f"recall@1 {task}": result.recall["1"], f"ap {task}": result.ap}
         if console is not None:
             console.print(result.sentence)
         return row
@@ -98,16 +92,12 @@ class HeldOut:
         zoom: see `TestSplit`.
     """
 
-    def __init__(
-        self, places: Mapping[int, Mapping[str, Sequence[Path]]], zoom: Callable[[View], float] = _unzoomed
-    ) -> None:
-        self._zoom = zoom
-        self.pictures = paired_pictures(places)
-        self.view = next(iter(self.pictures))
-        held = len({picture.label for picture in self.pictures[self.view]})
-        task = f"{self.view}-to-satellite"
+    def __init__(self, places: Mapping[int, Mapping[str, Sequence[Path]]], zoom: Callable[[View], float]) -> None:
+        self._zoom, self.pictures = zoom, paired_pictures(places)
+        task, *_ = (f"{view}-to-satellite" for view in self.pictures)
+        places_held = len({picture.label for picture in self.pictures["satellite"]})
         self.column = f"recall@1 {task} held out"
-        self.description = f"R@1 of {task} on {held} places held out of the training"
+        self.description = f"R@1 of {task} on {places_held} places held out of the training"
 
     def measure(self, model: Model) -> EpochMetrics:
         """Measure Recall@1 and AP among the held-out places only, in percent."""

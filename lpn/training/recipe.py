@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from functools import cache
-from typing import Annotated, Any, Literal, NamedTuple, get_args, get_type_hints
+from typing import Annotated, Any, Literal, NamedTuple, get_args, get_origin, get_type_hints
 
 import msgspec
 from msgspec import Meta
@@ -22,6 +22,15 @@ Amount = Annotated[float, Meta(ge=0)]
 Share = Annotated[float, Meta(ge=0, le=1)]
 Count = Annotated[int, Meta(ge=0)]
 Number = Annotated[int, Meta(ge=1)]
+# The terms of msgspec's errors in words.
+_WORDS = {
+    "`float`": "a number",
+    "`int`": "a whole number",
+    ">=": "of at least",
+    "<=": "of at most",
+    ">": "above",
+    "<": "below",
+}
 
 
 @dataclass(frozen=True)
@@ -202,17 +211,11 @@ class Recipe:
                 msgspec.convert(value, hint)
                 expected = "" if not isinstance(value, float) or math.isfinite(value) else "a finite number"
             except msgspec.ValidationError as error:
-                words = (
-                    str(error)
-                    .removeprefix("Expected ")
-                    .replace("`float`", "a number")
-                    .replace("`int`", "a whole number")
-                )
-                expected = (
-                    f"one of {', '.join(map(str, words_of))}"
-                    if (words_of := get_args(hint)) and isinstance(value, str)
-                    else words
-                )
+                expected = str(error).removeprefix("Expected ")
+                for term, words in _WORDS.items():
+                    expected = expected.replace(term, words)
+                if get_origin(hint) is Literal:
+                    expected = f"one of {', '.join(map(str, get_args(hint)))}"
             if expected:
                 raise InputError(f"The recipe has {name} = {_shown(value)}; expected {expected}.")
 

@@ -180,11 +180,14 @@ class TrainingSet:
 
         A place lacks one view at most then.
         """
-        made = dict(self.files)
-        for name, other in (("street", "google"), ("google", "street")):
-            if name in self.files and other in self.files:
-                made[name] = [own or also for own, also in zip(self.files[name], self.files[other], strict=True)]
-        return made
+        if not {"street", "google"} <= set(self.files):
+            return self.files
+        pairs = list(zip(self.files["street"], self.files["google"], strict=True))
+        return {
+            **self.files,
+            "street": [own or other for own, other in pairs],
+            "google": [own or other for other, own in pairs],
+        }
 
     def pictures(self) -> dict[str, list[tuple[Path, int]]]:
         """List all pictures of each set, each with the class of its place."""

@@ -1,7 +1,9 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,6 +14,7 @@ from torch import Tensor
 from lpn.core.errors import InputError
 from lpn.training import losses
 from lpn.training.losses import (
+    PackageLoss,
     TrainingStep,
     descriptors,
     hardest_scores,
@@ -217,19 +220,24 @@ class Entry:
         return self.loss
 
 
-def spread(step: TrainingStep, recipe: Recipe) -> Tensor:
-    """Pull the parts of each set together."""
-    del recipe
-    return torch.stack([parts.square().mean() for parts in step.parts.values()]).sum()
+def documented(name: str) -> PackageLoss:
+    """The loss that docs/training.md shows."""
+    page = (Path(__file__).parents[3] / "docs" / "training.md").read_text(encoding="utf-8")
+    (code,) = re.findall(r"^    (def spread.*?)\n\n", page, re.MULTILINE | re.DOTALL)
+    found: dict[str, PackageLoss] = {}
+    exec(code.replace("\n    ", "\n"), found)
+    return found[name]
 
 
 STEP = TrainingStep(
-    {"satellite": torch.ones(2, 1, 4)}, {"satellite": torch.zeros(2, 1, 3)}, {"satellite": torch.arange(2)}
+    {"satellite": torch.ones(2, 1, 4), "drone": torch.full((2, 1, 4), 2.0)},
+    dict.fromkeys(("satellite", "drone"), torch.zeros(2, 1, 3)),
+    dict.fromkeys(("satellite", "drone"), torch.arange(2)),
 )
 
 
 def test_a_loss_of_another_package_is_a_term_with_its_weight(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(losses, "entry_points", lambda group: [Entry(spread)] * (group == "lpn.losses"))
+    monkeypatch.setattr(losses, "entry_points", lambda group: [Entry(documented("spread"))] * (group == "lpn.losses"))
     recipe = replace(RECIPES["released"], loss="spread", loss_weight=0.5)
     terms = loss_terms(STEP, recipe, losses.open_loss("spread"))
     assert list(terms) == ["instance", "spread"]
@@ -251,7 +259,7 @@ def test_a_loss_of_another_package_is_a_term_with_its_weight(monkeypatch: pytest
 def test_a_loss_that_cannot_be_used_is_refused_in_one_sentence(
     monkeypatch: pytest.MonkeyPatch, loss: object, said: str
 ) -> None:
-    points = [Entry(spread, "other")] if loss is None else [Entry(loss)]
+    points = [Entry(documented("spread"), "other")] if loss is None else [Entry(loss)]
     monkeypatch.setattr(losses, "entry_points", lambda **_: points)
     with pytest.raises(InputError, match=said):
         loss_terms(STEP, replace(RECIPES["released"], loss="spread"), losses.open_loss("spread"))

@@ -4,11 +4,12 @@ import csv
 import io
 import json
 import math
+import re
 import shutil
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import pytest
 import torch
@@ -131,6 +132,20 @@ def test_a_bare_resume_takes_data_and_settings_from_the_folder(
     with (out / "log.csv").open(encoding="utf-8") as log:
         (row,) = csv.DictReader(log)
     assert float(row["loss"]) == pytest.approx(float(row["loss instance"]) + float(row["loss infonce"]), rel=1e-6)
+
+
+def test_the_documented_lines_of_python_train(places: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    page = (Path(__file__).parents[3] / "docs" / "training.md").read_text(encoding="utf-8")
+    lines = re.findall(r"^    (.*)$", page.partition("## From Python")[2].partition("\n## ")[0], re.MULTILINE)
+    save(small_worlds.make_network(), tmp_path / "resnet18.safetensors")
+    code = "\n".join(lines).replace("ROOT", str(places))
+    code = code.replace("epochs=10, size=160", "epochs=1, size=32, batch=4, precision='float32'")
+    found: dict[str, Any] = {}
+    exec(code, found)
+    assert len(lines) <= 10
+    assert lpn.load(found["model"]).views == ("satellite", "drone")
+    assert [row["epoch"] for row in found["trainer"].history] == [1]
 
 
 def test_init_auto_takes_the_weights_that_are_here_and_names_them(

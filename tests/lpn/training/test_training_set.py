@@ -258,7 +258,7 @@ def test_folds_and_held_out_places_may_have_gaps(gaps: Path) -> None:
         assert all(len(files) == len(places.labels) for files in places.files.values())
         held |= out
     assert sorted(held) == TRAINED
-    validator = HeldOut(held)
+    validator = HeldOut(held, BY_PLACE.zoom)
     assert validator.description == "R@1 of drone-to-satellite on 8 places held out of the training"
     for pictures in validator.pictures.values():
         assert {picture.label for picture in pictures} == set(TRAINED) - {3, 4}
