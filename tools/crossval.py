@@ -35,8 +35,7 @@ from lpn.datasets import Dataset, open_dataset
 from lpn.models.base import Model
 from lpn.models.pretrained_weights import AUTO, find_weights
 from lpn.reproduce import jobs
-from lpn.reproduce.jobs import TrainingJob
-from lpn.reproduce.pretrained import by_backbone
+from lpn.reproduce.jobs import TrainingJob, by_backbone
 from lpn.reproduce.sources import Source
 from lpn.reproduce.tables import Training
 from lpn.retrieval import metrics

@@ -24,6 +24,8 @@ from lpn.core.consoles import Console
 from lpn.core.errors import DivergedError, InputError, OutputError
 from lpn.core.files import exclusive_lock, fingerprint, write_json
 from lpn.core.formats import decode_json
+from lpn.models import checkpoints
+from lpn.models.shipped import model_file
 from lpn.reproduce.sources import Source
 from lpn.reproduce.tables import Training
 from lpn.training.loader import Loader
@@ -208,3 +210,20 @@ def _train_alone(job: TrainingJob, jobs: Sequence[TrainingJob], console: Console
             console.rule(f"{job.name} ({ended + 1} of {len(jobs)} trainings)")
             job.train(console)
     return True
+
+
+def by_backbone(files: Sequence[Path]) -> dict[str, Path]:
+    """Sort the files of --init by the backbone they hold.
+
+    Raises:
+        ModelFileError: when a file cannot be read or holds no known backbone.
+        InputError: when two files hold the same backbone.
+    """
+    files_of: dict[str, Path] = {}
+    for weights in files:
+        file = model_file(weights, trained=True)
+        name = checkpoints.backbone_in(file)
+        if name in files_of:
+            raise InputError(f"{files_of[name]} and {file} both hold a {name}; give one of them with --init.")
+        files_of[name] = file
+    return files_of

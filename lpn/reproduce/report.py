@@ -9,7 +9,7 @@ from lpn.core.files import write_atomic
 from lpn.core.text_tables import TextTable
 from lpn.drawing.plots import encode, pyplot
 from lpn.reproduce.claims import verdicts
-from lpn.reproduce.record import TableRecord
+from lpn.reproduce.record import RowRecord, TableRecord
 
 _COLOURS = ("#1f5fbf", "#7fb2e5", "#c2571a", "#eba968")
 
@@ -34,34 +34,32 @@ def markdown(record: TableRecord) -> str:
 
 def text_table(record: TableRecord) -> TextTable:
     """Return the measured values, and the paper's beside them."""
-    titles: list[str] = []
-    # (True, i) is measured column i, (False, i) the paper's; the paper's without a neighbour come last.
-    cells: list[tuple[bool, int]] = []
     any_paper = any(row.paper for row in record.rows)
+    # Title, and the index of a measured column or of the paper's; the paper's without a neighbour come last.
+    cells: list[tuple[str, int | None, int | None]] = []
     for index, (title, beside) in enumerate(zip(record.columns, record.beside, strict=True)):
-        titles.append(title)
-        cells.append((True, index))
-        if any_paper and beside is not None:
-            titles.append("paper")
-            cells.append((False, beside))
-    for index, title in record.alone.items():
-        titles.append(f"paper, {title}")
-        cells.append((False, index))
+        cells += [(title, index, None), *([("paper", None, beside)] if any_paper and beside is not None else [])]
+    cells += [(f"paper, {title}", None, index) for index, title in record.alone.items()]
     rows = []
     for row in record.rows:
         texts = []
         # The reason stands once, in the first cell.
         lacking = "quoted" if row.quoted else f"not run: {row.reason}" if row.reason else "not run"
-        for here, index in cells:
-            if here:
-                texts.append(_format(row.mean[index], row.interval[index]) if row.mean else lacking)
+        for _, own, printed in cells:
+            if own is not None:
+                texts.append(_format(row.mean[own], row.interval[own]) if row.values else lacking)
                 lacking = "quoted" if row.quoted else "not run"
             else:
-                printed = row.paper[index] if index < len(row.paper) else None
                 # The paper prints a dash for what it does not know of a row.
-                texts.append(f"{printed:.2f}" if printed is not None else "-" if row.paper else "")
+                texts.append(_printed(row, printed, "-" if row.paper else ""))
         rows.append((row.title, *texts))
-    return TextTable(("", *titles), rows, record.title)
+    return TextTable(("", *(title for title, _, _ in cells)), rows, record.title)
+
+
+def _printed(row: RowRecord, index: int | None, lacking: str = "") -> str:
+    """Return the paper's value in a column of its own."""
+    value = row.paper[index] if index is not None and index < len(row.paper) else None
+    return lacking if value is None else f"{value:.2f}"
 
 
 def _format(mean: float, interval: float) -> str:
@@ -73,11 +71,9 @@ def _csv(record: TableRecord) -> bytes:
     rows = []
     for row in record.rows:
         for index, (title, beside) in enumerate(zip(record.columns, record.beside, strict=True)):
-            printed = row.paper[beside] if beside is not None and beside < len(row.paper) else None
-            paper = "" if printed is None else str(printed)
             values = [f"{row.values[name][index]:.4f}" if name in row.values else "" for name in names]
             mean = f"{row.mean[index]:.4f}" if row.mean else ""
-            rows.append([row.title, title, paper, mean, row.reason, *values])
+            rows.append([row.title, title, _printed(row, beside), mean, row.reason, *values])
     return TextTable(("row", "column", "paper", "mean", "not run", *names), rows).csv()
 
 

@@ -12,12 +12,12 @@ from lpn.core.errors import InputError
 from lpn.core.files import check_writable, exclusive_lock, write_atomic
 from lpn.core.views import View, views_of
 from lpn.models.base import Model
-from lpn.reproduce import figures, jobs, notes, pretrained, report
+from lpn.reproduce import figures, jobs, notes, report
 from lpn.reproduce.jobs import TrainingJob
-from lpn.reproduce.measure import MeasurementStore
+from lpn.reproduce.measure import MeasurementStore, features_alone
 from lpn.reproduce.record import RowRecord, TableRecord
-from lpn.reproduce.sources import TASKS, Source, Sources, open_sources
-from lpn.reproduce.tables import DRAWN, SHOWN, PaperTable, Scale, TableRow, Training, find, tables
+from lpn.reproduce.sources import LAYOUTS, MEASURED_ON, TASKS, Source, open_sources
+from lpn.reproduce.tables import DRAWN, SHOWN, PaperTable, Role, Scale, TableRow, Training, find, tables
 from lpn.retrieval import transfer
 from lpn.training.trainer import check_single_process
 
@@ -107,8 +107,8 @@ class Reproduction:
         wanted = [find(key, self.scale) for key in keys if key in tables(self.scale) or key not in DRAWN]
         with exclusive_lock(self.out, wait=True):
             self._store = MeasurementStore(self.out / "measured.json")
-            self._sources: Sources = open_sources(self.data)
-        self._starts = pretrained.by_backbone(self.init)
+            self._sources = open_sources(self.data)
+        self._starts = jobs.by_backbone(self.init)
         drawn = self._drawn(keys)
         uses = self._uses(wanted, drawn)
         self._loaded = self._load(uses)
@@ -124,15 +124,16 @@ class Reproduction:
     def _drawn(self, keys: Sequence[str]) -> list[str]:
         """Return the pictures to draw, and print which ones lack their data set."""
         names = [name for key in keys for name in DRAWN.get(key, ())]
-        roles = {name: SHOWN[name][0].role for name in names}
-        # Without places there is nothing of the figure, which is an error unless `partial`; panoramas are a part of it.
-        absent = [
-            name for name in names if roles[name] not in self._sources.roles and (self.partial or "pan" in roles[name])
-        ]
-        for role in dict.fromkeys(roles[name] for name in absent):
-            without = ", ".join(name for name in absent if roles[name] == role)
-            self._say(f"{without} not drawn: no {role} are given with --data.")
-        return [name for name in names if name not in absent]
+        absent: dict[Role, list[str]] = {}
+        for name in names:
+            if (role := SHOWN[name][0].role) not in self._sources:
+                absent.setdefault(role, []).append(name)
+        # Without places there is nothing of a figure; panoramas are a part of it.
+        if "places" in absent and not self.partial:
+            raise InputError(f"{absent['places'][0]} needs {LAYOUTS['places']}; give them with --data.")
+        for role, without in absent.items():
+            self._say(f"{', '.join(without)} not drawn: no {role} are given with --data.")
+        return [name for name in names if SHOWN[name][0].role in self._sources]
 
     def _uses(self, wanted: Sequence[PaperTable], drawn: Sequence[str]) -> list[NetworkUse]:
         """List the networks that tables and figures need."""
@@ -195,16 +196,17 @@ class Reproduction:
 
     def _check_data(self, wanted: Sequence[PaperTable], drawn: Sequence[str]) -> None:
         """Check the data before any work."""
-        possible = [t for t in wanted if not self.partial or not self._sources.lacking(t.measure)]
-        for measure in dict.fromkeys(table.measure for table in possible):
-            for source in self._sources.of(measure):
+        for table in wanted:
+            for row in table.rows:
+                if not self.partial and not row.quoted and (lacking := self._lacks_data(table, row)):
+                    raise InputError(
+                        f"{table.title}: {lacking}; give them, or ask for all, which leaves such rows out."
+                    )
+        for measure in dict.fromkeys(table.measure for table in wanted):
+            for source in self._sources.get(MEASURED_ON[measure], ()):
                 source.check(measure)
-        if not self.partial:
-            for row in (row for table in wanted for row in table.rows):
-                if row.training and row.training.name not in self._loaded:
-                    self._sources.role(row.training.role)
         for role in dict.fromkeys(SHOWN[name][0].role for name in drawn):
-            source = self._sources.role(role)
+            (source,) = self._sources[role]
             source.check("both ways" if role == "places" else "ground")
             if role == "places":
                 figures.named(source.dataset, "drone", self.queries)
@@ -217,7 +219,7 @@ class Reproduction:
                 if training.name not in self._loaded:
                     recipe = self.scale.recipe(training, seed)
                     folder = self.out / "runs" / f"{training.name}-seed{seed}"
-                    source, start = self._sources.role(training.role), self._starts.get(recipe.backbone)
+                    source, start = self._sources[training.role][0], self._starts.get(recipe.backbone)
                     planned.append(TrainingJob(training, seed, recipe, folder, source, start))
         return planned
 
@@ -297,8 +299,10 @@ class Reproduction:
 
     def _lacks_data(self, table: PaperTable, row: TableRow) -> str:
         """Say which data set a row lacks; empty if none."""
-        trained = row.training is not None and row.training.name not in self.models
-        return self._sources.lacking(table.measure, row.training.role if row.training and trained else None)
+        roles = [MEASURED_ON[table.measure]]
+        if row.training is not None and row.training.name not in self.models:
+            roles.append(row.training.role)
+        return next((f"no {LAYOUTS[role]} are given with --data" for role in roles if role not in self._sources), "")
 
     def _reason(self, table: PaperTable, row: TableRow) -> str:
         """Say why a row cannot be made; empty if it can be, or is quoted."""
@@ -321,14 +325,14 @@ class Reproduction:
 
     def _is_copy(self, training: Training) -> bool:
         """Check whether a network would repeat the LPN, for lack of google pictures."""
-        return training.name == "lpn-without-google" and not self._sources.role("places").has_google
+        return training.name == "lpn-without-google" and not self._sources["places"][0].has_google
 
     def _models(self, row: TableRow) -> dict[str, Model]:
         """Return the networks of a row by seed, or the given one."""
         if row.training is not None:
             return self._networks(row.training.name)
         start = self._starts.get(self.scale.base.backbone)
-        return {} if start is None or row.quoted else {"given": pretrained.features_alone(self.scale.base, start)}
+        return {} if start is None or row.quoted else {"given": features_alone(self.scale.base, start)}
 
     def _networks(self, name: str) -> dict[str, Model]:
         """Return the networks of a training by seed, or the given one."""
@@ -340,7 +344,7 @@ class Reproduction:
         return [job for job in self._jobs if job.training.name == name and job.done]
 
     def _table(self, table: PaperTable) -> list[Path]:
-        data = [] if self._sources.lacking(table.measure) else self._sources.of(table.measure)
+        data = self._sources.get(MEASURED_ON[table.measure], [])
         rows: list[RowRecord] = []
         protocols: dict[str, str] = {}
         for row in table.rows:
@@ -371,8 +375,8 @@ class Reproduction:
         ]
         said = [f"Networks given: {', '.join(given)}."] if given else []
         said += notes.networks([job for job in self._jobs if job.training.name in names], self.scale, self.seeds)
-        of_places = table.measure in ("both ways", "centre") and not self._sources.lacking(table.measure)
-        if of_places and names - set(self._loaded) and not self._sources.role("places").has_google:
+        places = self._sources.get("places", []) if MEASURED_ON[table.measure] == "places" else []
+        if places and names - set(self._loaded) and not places[0].has_google:
             said.append("There is no train/google, so all networks are trained without it.")
         return said
 
@@ -384,7 +388,7 @@ class Reproduction:
         if not of:
             return None
         role = SHOWN[name][0].role
-        dataset, places = self._sources.role(role).dataset, role == "places"
+        dataset, places = self._sources[role][0].dataset, role == "places"
         drawn = [(network, next(iter(networks.values()))) for network, networks in of.items()]
         queries = self.queries if places else ()
         if name.startswith("figure8"):
@@ -399,18 +403,13 @@ class Reproduction:
 
 
 def plan(table: PaperTable, reasons: Mapping[str, str]) -> str:
-    """Count the rows of a table that can be made, and say why the others cannot.
-
-    Args:
-        reasons: for each row by its label, why it cannot be made; empty if it can.
-    """
+    """Count the rows of a table that can be made; the others have a reason why not, by their labels."""
     own = [row.label for row in table.rows if not row.quoted]
     quoted = len(table.rows) - len(own)
     lacking: dict[str, list[str]] = {}
     for label in own:
-        if reasons[label]:
-            lacking.setdefault(reasons[label], []).append(label)
-    made = len(own) - sum(map(len, lacking.values()))
+        lacking.setdefault(reasons[label], []).append(label)
+    made = len(lacking.pop("", []))
     text = f"{table.key}: {made} of {len(own)} rows" + (f", and {quoted} quoted" if quoted else "")
     for reason, labels in lacking.items():
         text += f"; {reason}" + (f" ({', '.join(labels)})" if len(labels) < len(own) else "")

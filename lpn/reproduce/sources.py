@@ -8,7 +8,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Literal
 
 from lpn.core.consoles import Console
 from lpn.core.errors import InputError
@@ -16,7 +15,7 @@ from lpn.core.views import views_of
 from lpn.datasets import Dataset, Picture, open_dataset
 from lpn.datasets.integrity import check_test_split, lists_of
 from lpn.datasets.rendered import is_rendered
-from lpn.reproduce.tables import DataRole, Measure
+from lpn.reproduce.tables import Measure, Role
 from lpn.training.training_set import TrainingSet
 
 # The tasks of each measure.
@@ -105,53 +104,18 @@ class Source:
         check_test_split(self.dataset, TASKS[measure])
 
 
-Role = DataRole | Literal["landmarks"]
-# The data that a table is measured on, and what each role looks like.
-_MEASURED_ON: dict[Measure, Role] = {
+# The data that a table is measured on, and what the data of each role look like.
+MEASURED_ON: dict[Measure, Role] = {
     "both ways": "places",
     "ground": "panoramas",
     "landmarks": "landmarks",
     "centre": "places",
 }
-_LAYOUTS: dict[Role, str] = {
+LAYOUTS: dict[Role, str] = {
     "places": "places as in University-1652",
     "panoramas": "panoramas and tiles as in CVUSA",
     "landmarks": "landmarks as in Oxford5k or Paris6k",
 }
-
-
-@dataclass
-class Sources:
-    """The given data sets by role; several of landmarks, in the paper's order, and at most one of each other role."""
-
-    roles: dict[Role, list[Source]] = field(default_factory=dict)
-
-    def lacking(self, measure: Measure, trained_on: DataRole | None = None) -> str:
-        """Say what is lacking to measure a network and, if it is not given, to train it; empty if nothing is."""
-        needed: list[Role] = [_MEASURED_ON[measure], *([trained_on] if trained_on else [])]
-        return next((f"no {_LAYOUTS[role]} are given with --data" for role in needed if role not in self.roles), "")
-
-    def of(self, measure: Measure) -> list[Source]:
-        """Return the data sets of a measure.
-
-        Raises:
-            InputError: when none was given.
-        """
-        return self._given(_MEASURED_ON[measure])
-
-    def role(self, role: DataRole) -> Source:
-        """Return the data set of a role.
-
-        Raises:
-            InputError: when none was given.
-        """
-        return self._given(role)[0]
-
-    def _given(self, role: Role) -> list[Source]:
-        if role not in self.roles:
-            layout = _LAYOUTS[role]
-            raise InputError(f"{layout[0].upper()}{layout[1:]} are needed; give them with --data.")
-        return self.roles[role]
 
 
 def counted(count: int, full: int | None) -> str:
@@ -159,8 +123,8 @@ def counted(count: int, full: int | None) -> str:
     return f"{count:,}" if full is None else f"{count:,} of {full:,}"
 
 
-def open_sources(data: Sequence[str]) -> Sources:
-    """Open the data sets of --data.
+def open_sources(data: Sequence[str]) -> dict[Role, list[Source]]:
+    """Open the data sets of --data by role: several of landmarks, in the paper's order, and at most one of the others.
 
     Raises:
         LPNError: when an argument is not a data set, two have one role, or a world is not completely rendered.
@@ -175,9 +139,7 @@ def open_sources(data: Sequence[str]) -> Sources:
             one, other = roles[role][0].dataset.root, source.dataset.root
             raise InputError(f"--data names two data sets of {role}, {one} and {other}; give one of them at a time.")
         roles.setdefault(role, []).append(source)
-    for of_role in roles.values():
-        of_role.sort(key=lambda source: source.dataset.kind)
-    return Sources(roles)
+    return {role: sorted(of_role, key=lambda source: source.dataset.kind) for role, of_role in roles.items()}
 
 
 def _digest(root: Path, lists: dict[str, list[Picture]], truth: object) -> str:

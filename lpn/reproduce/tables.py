@@ -16,7 +16,7 @@ from lpn.training import recipes
 from lpn.training.recipe import Recipe
 from lpn.training.recipes import RECIPES
 
-DataRole = Literal["places", "panoramas"]
+Role = Literal["places", "panoramas", "landmarks"]
 Measure = Literal["both ways", "ground", "landmarks", "centre"]
 Values = tuple[float, ...]
 # A row of the paper; None where it prints a dash.
@@ -39,7 +39,7 @@ class Training:
 
     name: str
     method: str
-    role: DataRole = "places"
+    role: Role = "places"
     changes: Mapping[str, Any] = field(default_factory=dict)
     recipe: str | None = None
 
@@ -243,16 +243,13 @@ def _row(entry: Mapping[str, Any], scale: Scale) -> TableRow:
 
 def claims(key: str) -> tuple[Claim, ...]:
     """Return the paper's claims about a table or figure."""
-    return tuple(_claim(entry) for entry in _DATA["tables"][key].get("claims", ()))
-
-
-def _claim(entry: Mapping[str, Any]) -> Claim:
-    if "rising" in entry:
-        pairs = [(better, worse) for worse, better in pairwise(entry["rising"])]
-    else:
-        pairs = entry["pairs"] if "pairs" in entry else [(entry["ahead"], other) for other in entry["of"]]
-    columns, tolerance = (tuple(entry[name]) if name in entry else None for name in ("columns", "tolerance"))
-    return Claim(entry["text"], tuple((better, worse) for better, worse in pairs), columns, tolerance)
+    made = []
+    for entry in _DATA["tables"][key].get("claims", ()):
+        rising = [(better, worse) for worse, better in pairwise(entry.get("rising", ()))]
+        pairs = [*entry.get("pairs", ()), *((entry["ahead"], other) for other in entry.get("of", ())), *rising]
+        columns, tolerance = (tuple(entry[name]) if name in entry else None for name in ("columns", "tolerance"))
+        made.append(Claim(entry["text"], tuple((better, worse) for better, worse in pairs), columns, tolerance))
+    return tuple(made)
 
 
 def find(key: str, scale: Scale) -> PaperTable:

@@ -39,11 +39,7 @@ def descriptors(parts: Tensor) -> Tensor:
 
 
 def infonce_loss(
-    first: Tensor,
-    second: Tensor,
-    temperature: float,
-    smoothing: float = 0.0,
-    overlaps: Tensor | None = None,
+    first: Tensor, second: Tensor, temperature: float, smoothing: float = 0.0, overlaps: Tensor | None = None
 ) -> Tensor:
     """Symmetric InfoNCE between two views of the same places.
 

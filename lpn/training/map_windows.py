@@ -17,13 +17,7 @@ import numpy.typing as npt
 from lpn.core.arrays import BoolArray, Float64Array, Int64Array, UInt8Array
 from lpn.core.errors import DataError, InputError
 from lpn.core.files import printable
-from lpn.core.homography import (
-    apply_homography,
-    corner_pixels,
-    four_point_homography,
-    middle_pixel,
-    translation,
-)
+from lpn.core.homography import apply_homography, corner_pixels, four_point_homography, middle_pixel, translation
 from lpn.core.views import View
 from lpn.descriptors.weather import draw_any
 from lpn.flight.files import Frame, footprint

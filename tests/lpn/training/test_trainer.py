@@ -85,11 +85,7 @@ def _run_one_epoch(run: Trainer, monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.parametrize(
     "recipe",
-    [
-        QUICK,
-        pytest.param(RELEASED, marks=pytest.mark.slow),
-        pytest.param(TIMM, marks=pytest.mark.slow),
-    ],
+    [QUICK, pytest.param(RELEASED, marks=pytest.mark.slow), pytest.param(TIMM, marks=pytest.mark.slow)],
     ids=["small", "released", "timm"],
 )
 def test_a_resumed_run_has_the_losses_of_an_uninterrupted_one(
