@@ -17,7 +17,7 @@ from lpn.reproduce.jobs import TrainingJob
 from lpn.reproduce.measure import MeasurementStore, features_alone
 from lpn.reproduce.record import RowRecord, TableRecord
 from lpn.reproduce.sources import LAYOUTS, MEASURED_ON, TASKS, Source, open_sources
-from lpn.reproduce.tables import DRAWN, SHOWN, PaperTable, Role, Scale, TableRow, Training, find, tables
+from lpn.reproduce.tables import DRAWN, SHOWN, DataRole, PaperTable, Scale, TableRow, Training, find, tables
 from lpn.retrieval import transfer
 from lpn.training.trainer import check_single_process
 
@@ -124,7 +124,7 @@ class Reproduction:
     def _drawn(self, keys: Sequence[str]) -> list[str]:
         """Return the pictures to draw, and print which ones lack their data set."""
         names = [name for key in keys for name in DRAWN.get(key, ())]
-        absent: dict[Role, list[str]] = {}
+        absent: dict[DataRole, list[str]] = {}
         for name in names:
             if (role := SHOWN[name][0].role) not in self._sources:
                 absent.setdefault(role, []).append(name)

@@ -15,7 +15,7 @@ from lpn.core.views import views_of
 from lpn.datasets import Dataset, Picture, open_dataset
 from lpn.datasets.integrity import check_test_split, lists_of
 from lpn.datasets.rendered import is_rendered
-from lpn.reproduce.tables import Measure, Role
+from lpn.reproduce.tables import DataRole, Measure
 from lpn.training.training_set import TrainingSet
 
 # The tasks of each measure.
@@ -105,13 +105,13 @@ class Source:
 
 
 # The data that a table is measured on, and what the data of each role look like.
-MEASURED_ON: dict[Measure, Role] = {
+MEASURED_ON: dict[Measure, DataRole] = {
     "both ways": "places",
     "ground": "panoramas",
     "landmarks": "landmarks",
     "centre": "places",
 }
-LAYOUTS: dict[Role, str] = {
+LAYOUTS: dict[DataRole, str] = {
     "places": "places as in University-1652",
     "panoramas": "panoramas and tiles as in CVUSA",
     "landmarks": "landmarks as in Oxford5k or Paris6k",
@@ -123,16 +123,16 @@ def counted(count: int, full: int | None) -> str:
     return f"{count:,}" if full is None else f"{count:,} of {full:,}"
 
 
-def open_sources(data: Sequence[str]) -> dict[Role, list[Source]]:
+def open_sources(data: Sequence[str]) -> dict[DataRole, list[Source]]:
     """Open the data sets of --data by role: several of landmarks, in the paper's order, and at most one of the others.
 
     Raises:
         LPNError: when an argument is not a data set, two have one role, or a world is not completely rendered.
     """
-    roles: dict[Role, list[Source]] = {}
+    roles: dict[DataRole, list[Source]] = {}
     for folder in data:
         source = Source(open_dataset(folder), is_rendered(Path(folder)))
-        role: Role = "panoramas" if source.dataset.panoramas else "places"
+        role: DataRole = "panoramas" if source.dataset.panoramas else "places"
         if "street-to-street" in source.dataset.tasks():
             role = "landmarks"
         elif role in roles:

@@ -16,7 +16,7 @@ from lpn.training import recipes
 from lpn.training.recipe import Recipe
 from lpn.training.recipes import RECIPES
 
-Role = Literal["places", "panoramas", "landmarks"]
+DataRole = Literal["places", "panoramas", "landmarks"]
 Measure = Literal["both ways", "ground", "landmarks", "centre"]
 Values = tuple[float, ...]
 # A row of the paper; None where it prints a dash.
@@ -39,7 +39,7 @@ class Training:
 
     name: str
     method: str
-    role: Role = "places"
+    role: DataRole = "places"
     changes: Mapping[str, Any] = field(default_factory=dict)
     recipe: str | None = None
 

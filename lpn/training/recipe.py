@@ -18,10 +18,10 @@ from lpn.core.views import View
 from lpn.models.partition import Weighting
 from lpn.models.spec import BACKBONES, Activation, Layout, Pooling, is_timm
 
-Amount = Annotated[float, Meta(ge=0)]
-Share = Annotated[float, Meta(ge=0, le=1)]
-Count = Annotated[int, Meta(ge=0)]
-Number = Annotated[int, Meta(ge=1)]
+_Amount = Annotated[float, Meta(ge=0)]
+_Share = Annotated[float, Meta(ge=0, le=1)]
+_Count = Annotated[int, Meta(ge=0)]
+_Number = Annotated[int, Meta(ge=1)]
 # The terms of msgspec's errors in words.
 _WORDS = {
     "`float`": "a number",
@@ -45,7 +45,7 @@ class Recipe:
     about half the time. The map of both has 1/16 of the size."""
     last_stride: Literal[1, 2] = 1
     """Stride of a ResNet's layer4: 1 (the paper, the map keeps 1/16) or 2 (as ImageNet's weights were trained, 1/32)."""
-    n_parts: Number = 4
+    n_parts: _Number = 4
     """Parts of a descriptor; 1 is the baseline with global average pooling."""
     weighting: Weighting = "area"
     """Average over a ring: area (mean over the ring, equation 3 of the paper) or published (sum over the ring / area of its
@@ -62,7 +62,7 @@ class Recipe:
     of the panorama), or strips (columns in every view, the sequential partition of Figure 4)."""
     pooling: Pooling = "average"
     """Pooling of a part: average (mean, then a head) or safa (sums weighted by spatial-aware layers)."""
-    maps: Number = 8
+    maps: _Number = 8
     """Number of weighted sums per part with safa pooling (released: 8 with SAFA, 1 with SAFA + LPN)."""
     polar: bool = False
     """Unroll satellite tiles around their centre into the shape of a panorama."""
@@ -72,7 +72,7 @@ class Recipe:
     """Train the street branch also on the pictures in train/google, if that folder exists."""
     size: Annotated[int, Meta(ge=32)] = 256
     """Height of the network's input in pixels."""
-    width: Count = 0
+    width: _Count = 0
     """Width of the network's input in pixels; 0 means the height."""
     dropout: Annotated[float, Meta(ge=0, lt=1)] = 0.75
     """Probability of dropout in the heads."""
@@ -82,12 +82,12 @@ class Recipe:
     """Initialisation of the class layers: kaiming (as the other layers of the classifier module, section IV-B) or normal
     (N(0, 0.001), as released)."""
 
-    windows: Count = 0
+    windows: _Count = 0
     """Windows of a map in an epoch, each a place of its own that is drawn anew; 0 trains on the pictures of a data set."""
     sampling: Literal["places", "pictures"] = "pictures"
     """Sampling of a batch: places (one picture of every set of each place of the batch) or pictures (each set is shuffled on
     its own, over its pictures, with its own labels; an epoch ends with the shortest set)."""
-    epochs: Number = 120
+    epochs: _Number = 120
     """Passes over all places, or over the pictures of the shortest set."""
     batch: Annotated[int, Meta(ge=2)] = 32
     """Pictures of each set (satellite, drone, street, google) per step."""
@@ -95,35 +95,35 @@ class Recipe:
     """Optimizer; sgd has Nesterov momentum 0.9."""
     lr: Annotated[float, Meta(gt=0)] = 0.01
     """Learning rate of the heads."""
-    backbone_ratio: Amount = 0.1
+    backbone_ratio: _Amount = 0.1
     """Learning rate of the backbone relative to the heads'."""
     schedule: Literal["step", "cosine", "constant"] = "step"
     """Learning rate schedule: step (x 0.1 after `decay_epoch` and `second_decay_epoch`), cosine (down to 0 at the end), or
     constant."""
-    decay_epoch: Count = 80
+    decay_epoch: _Count = 80
     """Epoch after which the step schedule decays."""
-    second_decay_epoch: Count = 0
+    second_decay_epoch: _Count = 0
     """Epoch after which the step schedule decays once more; 0 for never."""
-    warmup_epochs: Count = 0
+    warmup_epochs: _Count = 0
     """Epochs of linear warm-up."""
     warmup: Literal["rate", "loss"] = "rate"
     """Factor that rises step by step to 1 during the warm-up: that of the learning rate, or that of the loss."""
-    warmup_start: Share = 0.0
+    warmup_start: _Share = 0.0
     """Factor from which the warm-up rises."""
-    weight_decay: Amount = 5e-4
+    weight_decay: _Amount = 5e-4
     """Weight decay."""
     ema: Annotated[float, Meta(ge=0, lt=1)] = 0.0
     """Decay of an exponential moving average of the weights, which is saved and tested instead of them; 0 for none."""
 
     joint_views: bool = False
     """Put views that share weights into one batch, so that they share BatchNorm statistics; the released code does not."""
-    instance: Amount = 1.0
+    instance: _Amount = 1.0
     """Weight of the instance loss: cross-entropy over places, for each part and view (equations 5 and 6 of the paper)."""
     reduction: Literal["sum", "mean"] = "sum"
     """Reduction of the instance losses over parts and views: sum (paper) or mean (independent of their number)."""
-    label_smoothing: Share = 0.0
+    label_smoothing: _Share = 0.0
     """Label smoothing of the instance and the InfoNCE loss."""
-    infonce: Amount = 0.0
+    infonce: _Amount = 0.0
     """Weight of a symmetric InfoNCE loss between each view's descriptors and the satellite's, over the batch."""
     temperature: Annotated[float, Meta(gt=0)] = 0.07
     """Temperature of the InfoNCE loss."""
@@ -131,9 +131,9 @@ class Recipe:
     """Metric loss: contrastive, triplet, or soft-margin triplet, on the cosines of satellites with the hardest of their drone
     pictures and of a pool of others' (layumi/University1652-triplet-loss). With safa pooling soft_margin, on the distances within
     the batch."""
-    positives: Number = 1
+    positives: _Number = 1
     """Drone pictures of each place in a step, among which a metric loss seeks the hardest."""
-    pool: Number = 96
+    pool: _Number = 96
     """Drone pictures, drawn anew each step, among which a metric loss seeks the hardest negative."""
     metric_per_part: bool = False
     """Compute the metric loss on each part alone and average over the parts, instead of once on the whole descriptor."""
@@ -143,36 +143,36 @@ class Recipe:
     """Factor inside the exponent of the soft-margin triplet loss."""
     loss: str = ""
     """A loss of another package, by the name of its entry point in the group `lpn.losses`; it is added to the others."""
-    loss_weight: Amount = 1.0
+    loss_weight: _Amount = 1.0
     """Weight of `loss`."""
 
-    rotation: Amount = 0.0
+    rotation: _Amount = 0.0
     """Random rotation of each picture on its own, up to this many degrees either way."""
-    satellite_rotation: Amount = 90.0
+    satellite_rotation: _Amount = 90.0
     """Further random rotation of satellite tiles, up to this many degrees either way."""
-    place_rotation: Amount = 0.0
+    place_rotation: _Amount = 0.0
     """Random rotation of all views of a place together, up to this many degrees either way."""
-    black_corners: Share = 1.0
+    black_corners: _Share = 1.0
     """Probability that the corners of a rotated picture are black, as in rotated queries, instead of reflected."""
-    own_canvas: Share = 0.0
+    own_canvas: _Share = 0.0
     """Probability that a picture is rotated before it is resized, as rotated queries are, rather than after."""
     interpolation: Literal["nearest", "cubic"] = "nearest"
     """Interpolation of rotated, shifted, and scaled pictures."""
     padding: Annotated[int, Meta(ge=0, le=4096)] = 10
     """Pixels by which a resized picture is padded on each side with its edge; after any rotation it is cropped to the input
     size at random whole pixels."""
-    shift: Share = 0.0
+    shift: _Share = 0.0
     """Random shift by any fraction of a pixel, up to this share of the size either way."""
     scale: Annotated[float, Meta(ge=0, le=2)] = 0.0
     """Random scale, from exp(-scale) to exp(scale)."""
     ground_ratio: Annotated[float, Meta(ge=0.25, le=4)] = 1.0
     """How much more ground a drone picture shows, side by side, than its tile. Drone pictures are zoomed by it, or tiles by its
     inverse below 1, so that both show the same ground; lpn evaluate --calibrate finds the ratio of other pictures."""
-    colour: Share = 0.0
+    colour: _Share = 0.0
     """Strength, from 0 to 1, of random brightness, contrast, colour cast, and grey."""
-    compression: Share = 0.0
+    compression: _Share = 0.0
     """Probability that a picture is first compressed as JPEG, with a quality from 40 to 95."""
-    weather: Share = 0.0
+    weather: _Share = 0.0
     """Probability that a picture from a drone or the street has one of the nine weathers of lpn evaluate --weather, each as
     often; MuseNet's training has 0.9. Satellite tiles have none."""
     flip: Literal["none", "picture", "place"] = "picture"
@@ -180,15 +180,15 @@ class Recipe:
 
     tilt: Annotated[float, Meta(ge=0, le=30)] = 0.0
     """Pitch and roll, up to this many degrees either way, of the camera that looks at a window of a map."""
-    season: Share = 0.0
+    season: _Share = 0.0
     """Probability that all of one hue has another colour in pictures of places, or in the drone view of a window of a map."""
-    bands: Share = 0.0
+    bands: _Share = 0.0
     """Probability that the bands of these pictures are mixed at random, as those of near infrared are."""
-    shadows: Share = 0.0
+    shadows: _Share = 0.0
     """Probability of shadows in pictures of places, or in the drone view of a window of a map."""
-    occlusion: Share = 0.0
+    occlusion: _Share = 0.0
     """Probability that areas are hidden in pictures of places, or in the drone view of a window of a map."""
-    blur: Share = 0.0
+    blur: _Share = 0.0
     """Probability that pictures of places, or the drone view of a window of a map, are out of focus or blurred by motion."""
     noise: Annotated[float, Meta(ge=0, le=255)] = 0.0
     """Largest standard deviation of the noise in these pictures, in grey levels."""
