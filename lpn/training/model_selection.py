@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 
@@ -25,27 +24,15 @@ from lpn.training.training_set import paired_pictures
 EpochMetrics = dict[str, float]
 
 
-class Validator(Protocol):
-    """Measures a model in training.
-
-    Attributes:
-        column: the column of log.csv by which the best epoch is chosen.
-        description: the same metric in words.
-    """
-
-    column: str
-    description: str
-
-    def measure(self, model: Model) -> EpochMetrics:
-        """Measure a model, in percent."""
-        ...
-
-
 class TestSplit:
     """Retrieval on the test split. The first task selects the epoch, so its result is optimistically biased.
 
     Args:
         zoom: of the pictures of each view, that of the training, see `Recipe.zoom`.
+
+    Attributes:
+        column: the column of log.csv by which the best epoch is chosen.
+        description: the same metric in words.
 
     Raises:
         LPNError: when the split is incomplete or a picture of it is broken, see `lpn.datasets.integrity.check_test_split`.
@@ -85,7 +72,7 @@ class TestSplit:
 
 
 class HeldOut:
-    """Retrieval of the satellite pictures of held-out training places by their drone or street pictures.
+    """Retrieval of the satellite pictures of held-out training places by their drone or street pictures, as `TestSplit`.
 
     Args:
         places: the files of each set of each place; those without a pair of pictures are not measured.
@@ -99,8 +86,9 @@ class HeldOut:
         self.column = f"recall@1 {task} held out"
         self.description = f"R@1 of {task} on {places_held} places held out of the training"
 
-    def measure(self, model: Model) -> EpochMetrics:
-        """Measure Recall@1 and AP among the held-out places only, in percent."""
+    def measure(self, model: Model, console: Console | None = None) -> EpochMetrics:
+        """Measure Recall@1 and AP among the held-out places only, in percent; nothing is printed."""
+        del console
         query, gallery = (
             (
                 descriptors.temporary_descriptors(model, pictures, view, Change(scale=self._zoom(view))),

@@ -29,7 +29,7 @@ from lpn.models.shipped import model_file
 from lpn.training.learner import Learner
 from lpn.training.loader import Loader, TrainingBatch
 from lpn.training.map_windows import MapWindows
-from lpn.training.model_selection import EpochMetrics, HeldOut, TestSplit, Validator, best_epoch
+from lpn.training.model_selection import EpochMetrics, HeldOut, TestSplit, best_epoch
 from lpn.training.networks import build_network
 from lpn.training.recipe import Recipe
 from lpn.training.resume_state import ResumeState, read_state
@@ -120,7 +120,7 @@ class Trainer:
             tasks = [task for task in source.tasks() if set(views_of(task)) <= set(self.places.views)]
             if tasks and (test or (evaluate_every and not held)):
                 self.test_split = TestSplit(source, tasks, recipe.zoom)
-        self.validator: Validator | None = HeldOut(held, recipe.zoom) if held else self.test_split
+        self.validator = HeldOut(held, recipe.zoom) if held else self.test_split
         self._given, self._places_digest = given or {}, self.places.digest()
         self._run_file: RunFile | None = None
         if resume:
@@ -246,8 +246,8 @@ class Trainer:
         if not due or validator is None or validator.column in self.history[-1]:
             return
         # Print all metrics of the last epoch on the test split.
-        options = {"console": self.console} if validator is self.test_split and epoch == self.recipe.epochs else {}
-        self.history[-1] |= validator.measure(self._load("last"), **options)
+        console = self.console if epoch == self.recipe.epochs else None
+        self.history[-1] |= validator.measure(self._load("last"), console)
         best = best_epoch(self.history, validator.column)
         if best is not None and best[0] == epoch:
             more = {"epoch": str(epoch), "score": f"{best[1]:.4f}", "chosen by": validator.description}

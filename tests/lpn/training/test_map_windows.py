@@ -19,7 +19,6 @@ from lpn.flight.files.cameras import rotation
 from lpn.flight.maps import Map, Window, open_map
 from lpn.training import appearance, map_windows
 from lpn.training.loader import Loader, TrainingBatch
-from lpn.training.losses import infonce_loss
 from lpn.training.map_windows import MapWindows, draw_photo, overlaps
 from lpn.training.recipe import Recipe
 from lpn.training.recipes import RECIPES
@@ -181,22 +180,6 @@ def test_windows_overlap_where_they_share_ground() -> None:
             shared = cv2.intersectConvexConvex(one.corners.astype(np.float32), other.corners.astype(np.float32))[0]
             assert found[i, j] == (shared > 1e-3), (i, j)
     assert 0.1 < found.mean() < 0.9
-
-
-def test_overlapping_windows_are_no_negatives() -> None:
-    first, second = (torch.nn.functional.normalize(torch.randn(4, 8, dtype=torch.float64), dim=1) for _ in range(2))
-    second.requires_grad_()
-    shared = torch.eye(4, dtype=torch.bool)
-    shared[0, 1] = shared[1, 0] = True
-    loss = infonce_loss(first, second, 0.1, overlaps=shared)
-    similar = (first @ second.detach().T / 0.1).numpy()
-    allowed = np.where(shared.numpy() & ~np.eye(4, dtype=bool), -np.inf, similar)
-    rows = np.log(np.exp(allowed).sum(1)) - similar.diagonal()
-    columns = np.log(np.exp(allowed).sum(0)) - similar.diagonal()
-    assert loss.item() == pytest.approx((rows.mean() + columns.mean()) / 2)
-    assert infonce_loss(first, second, 0.1).item() > loss.item()
-    loss.backward()  # type: ignore[no-untyped-call]
-    assert torch.isfinite(second.grad if second.grad is not None else torch.tensor(torch.nan)).all()
 
 
 def train(town: Map, out: Path, recipe: Recipe = QUICK, **options: object) -> tuple[Path, str]:
