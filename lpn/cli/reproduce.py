@@ -36,7 +36,8 @@ class ReproduceCommand:
     """Reproduce the paper's tables and figures; resumable."""
 
     what: Annotated[tuple[str, ...], tyro.conf.Positional]
-    """table1 to table6, figure1, figure5, figure7, figure8, or all, in which rows say why they cannot be made."""
+    """table1 to table6, figure1, figure3, figure4, figure5, figure7, figure8, or all, in which rows say why they cannot be
+    made."""
     data: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
     """A data set's folder (University-1652, CVUSA, Oxford5k, Paris6k, or a rendered world); once for each data set."""
     out: Path = Path("runs/reproduce")
@@ -58,7 +59,7 @@ class ReproduceCommand:
     train: bool = True
     """Train missing models; otherwise their rows are left out."""
     queries: tuple[str, ...] = ()
-    """Queries shown in figures 7 (a) and 8, by name; Figure 1 shows the first."""
+    """Queries shown in figures 7 (a) and 8, by name; Figures 1, 3, and 4 show the first."""
     settings: Advanced[tyro.conf.OmitArgPrefixes[RecipeChanges]] = field(default_factory=RecipeChanges)
     changed: tyro.conf.Suppress[tuple[str, ...]] = ()
 

@@ -1,4 +1,4 @@
-"""Figures 1, 7, and 8 of the paper, heatmaps and retrieved pictures, as one PNG each."""
+"""Figures 1, 7, and 8 of the paper, heatmaps and retrieved pictures, as one PNG each, and the pictures of 3 and 4."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from lpn.core import images
 from lpn.core.errors import InputError
 from lpn.core.views import View
 from lpn.datasets import Dataset, Picture
+from lpn.drawing.network_figures import PictureOfView
 from lpn.drawing.plots import encode, pyplot
 from lpn.models.base import Model
 from lpn.retrieval import scoring
@@ -92,6 +93,21 @@ def retrievals(model: Model, dataset: Dataset, views: Sequence[View], names: Seq
             for side in cell.spines.values():
                 side.set(linewidth=0 if query_cell else 3, color=TRUE if right else FALSE)
     return encode(figure, 100)
+
+
+def described(model: Model, dataset: Dataset, names: Sequence[str] = ()) -> list[PictureOfView]:
+    """Describe the first drone query of `names`, or one of all, and its tile for Figures 3 and 4."""
+    (query,) = named(dataset, "drone", names[:1], count=1)
+    tile = next(picture for picture in dataset.gallery("satellite") if picture.label == query.label)
+    views: tuple[tuple[View, Picture], ...] = (("drone", query), ("satellite", tile))
+    made = []
+    for view, entry in views:
+        picture = images.load_picture(entry.path)
+        one = retrieval.describe_picture(model, picture, view)
+        if one.activation is None:
+            raise InputError(f"{model.describe()} gives no feature map, of which the figure is; give another --model.")
+        made.append(PictureOfView(view, model.as_partitioned(picture, view), one.activation, one.descriptor))
+    return made
 
 
 def named(dataset: Dataset, view: View, names: Sequence[str] = (), count: int = 4) -> list[Picture]:

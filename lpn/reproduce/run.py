@@ -11,6 +11,7 @@ from lpn.core.consoles import Console
 from lpn.core.errors import InputError
 from lpn.core.files import check_writable, exclusive_lock, write_atomic
 from lpn.core.views import View, views_of
+from lpn.drawing import network_figures
 from lpn.models.base import Model
 from lpn.reproduce import figures, jobs, notes, report
 from lpn.reproduce.jobs import TrainingJob
@@ -57,7 +58,7 @@ class Reproduction:
         seeds: seeds of each training; tables report the mean.
         scale: one of `SCALES`, with the user's changes of its recipes.
         train: train missing networks; otherwise their rows are not run.
-        queries: queries shown in figures 7 and 8; Figure 1 shows the first.
+        queries: queries shown in figures 7 and 8; Figures 1, 3, and 4 show the first.
         from_scratch: train from random weights, without `init`.
         partial: a row whose data set is not given says so in its place; otherwise its table is refused.
     """
@@ -394,6 +395,9 @@ class Reproduction:
         if name.startswith("figure8"):
             views: tuple[View, ...] = ("drone", "satellite") if places else ("street",)
             data = figures.retrievals(drawn[0][1], dataset, views, queries, 5 if places else 3)
+        elif name in ("figure3", "figure4"):
+            draw = network_figures.network if name == "figure3" else network_figures.partitions
+            data = draw(drawn[0][1], figures.described(drawn[0][1], dataset, queries))
         elif name == "figure1":
             data = figures.heatmaps(drawn, dataset, "drone", queries[:1], count=1)
         else:

@@ -260,7 +260,5 @@ def find(key: str, scale: Scale) -> PaperTable:
     """
     known = tables(scale)
     if key not in known:
-        raise InputError(
-            f"There is no {key!r} to reproduce; choose one of {', '.join(known)}, figure1, figure8, or all."
-        )
+        raise InputError(f"There is no {key!r} to reproduce; choose one of {', '.join(KEYS)}, or all.")
     return known[key]

@@ -85,7 +85,7 @@ def test_every_row_names_a_method_and_carries_the_paper_s_values() -> None:
             labels = {row.label for row in table.rows}
             for claim in claims(table.key):
                 assert {label for pair in claim.pairs for label in pair} <= labels
-    assert {f"table{i}" for i in range(1, 7)} | {"figure1", "figure5", "figure7", "figure8"} == set(KEYS)
+    assert {f"table{i}" for i in range(1, 7)} | {f"figure{i}" for i in (1, 3, 4, 5, 7, 8)} == set(KEYS)
 
 
 @pytest.mark.parametrize("scale", SCALES.values(), ids=SCALES)
@@ -637,6 +637,7 @@ def test_figure_1_has_its_own_name_and_figure_8_shows_what_safa_with_lpn_retriev
     image = images.load_picture(tmp_path / "out" / "figure1.png")
     assert image.shape[:2] == (420, 420)
     assert "figure1 drawn with the others: there is no network instance" in said(made)
+    assert [file.name for file in made.run(["figure3", "figure4"])] == ["figure3.png", "figure4.png"]
     # Figure 8 (III), section IV-E: "our method with SAFA".
     recipe = SCALES["paper"].recipe(SHOWN["figure8-panoramas"][0], 0)
     assert (recipe.pooling, recipe.n_parts, recipe.polar) == ("safa", 8, True)
