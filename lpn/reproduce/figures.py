@@ -99,13 +99,12 @@ def described(model: Model, dataset: Dataset, names: Sequence[str] = ()) -> list
     """Describe the first drone query of `names`, or one of all, and its tile for Figures 3 and 4."""
     (query,) = named(dataset, "drone", names[:1], count=1)
     tile = next(picture for picture in dataset.gallery("satellite") if picture.label == query.label)
-    views: tuple[tuple[View, Picture], ...] = (("drone", query), ("satellite", tile))
     made = []
-    for view, entry in views:
+    pair: dict[View, Picture] = {"drone": query, "satellite": tile}
+    for view, entry in pair.items():
         picture = images.load_picture(entry.path)
         one = retrieval.describe_picture(model, picture, view)
-        if one.activation is None:
-            raise InputError(f"{model.describe()} gives no feature map, of which the figure is; give another --model.")
+        assert one.activation is not None  # an LPN has a map
         made.append(PictureOfView(view, model.as_partitioned(picture, view), one.activation, one.descriptor))
     return made
 

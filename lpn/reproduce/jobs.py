@@ -101,11 +101,7 @@ class TrainingJob:
 
     @cached_property
     def steps(self) -> int:
-        """Updates of an epoch.
-
-        Raises:
-            LPNError: when the training cannot run on its pictures.
-        """
+        """Updates of an epoch; LPNError if the training cannot run on its pictures."""
         places = copy.copy(self.source.places(self.recipe.sets))
         places.hold_out(self.fold or 0.0, self.recipe.seed)
         try:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import product
 from pathlib import Path
 
 import lpn
@@ -214,14 +215,12 @@ class Reproduction:
 
     def _planned(self, uses: Sequence[NetworkUse]) -> list[TrainingJob]:
         """Plan the trainings of networks that are not given."""
+        trainings = {use.training.name: use.training for use in uses if use.training.name not in self._loaded}
         planned = []
-        for seed in self.seeds:
-            for training in {use.training.name: use.training for use in uses}.values():
-                if training.name not in self._loaded:
-                    recipe = self.scale.recipe(training, seed)
-                    folder = self.out / "runs" / f"{training.name}-seed{seed}"
-                    source, start = self._sources[training.role][0], self._starts.get(recipe.backbone)
-                    planned.append(TrainingJob(training, seed, recipe, folder, source, start))
+        for seed, (name, training) in product(self.seeds, trainings.items()):
+            recipe, source = self.scale.recipe(training, seed), self._sources[training.role][0]
+            folder, start = self.out / "runs" / f"{name}-seed{seed}", self._starts.get(recipe.backbone)
+            planned.append(TrainingJob(training, seed, recipe, folder, source, start))
         return planned
 
     def _check_starts(self, wanted: Sequence[PaperTable]) -> None:
@@ -229,11 +228,9 @@ class Reproduction:
         backbones = {job.recipe.backbone for job in self._jobs}
         if any(row.training is None and not row.quoted for table in wanted for row in table.rows):
             backbones.add(self.scale.base.backbone)
+        rather = f"the backbones are {', '.join(sorted(backbones))}" if backbones else "nothing is left to train"
         for backbone, file in self._starts.items():
             if backbone not in backbones:
-                rather = (
-                    f"the backbones are {', '.join(sorted(backbones))}" if backbones else "nothing is left to train"
-                )
                 raise InputError(
                     f"--init gives {file.name}, which holds a {backbone}, and no requested row starts from it: {rather}; leave "
                     "it out, or give other weights."
@@ -257,12 +254,8 @@ class Reproduction:
             if job.start is None:
                 lacking.setdefault(job.recipe.backbone, {})[job.training.name] = None
         without = "; ".join(f"{backbone} for {', '.join(names)}" for backbone, names in lacking.items())
-        files = sorted({job.start.name for job in left if job.start is not None})
-        if self.from_scratch and files:
-            lack = f" Weights are lacking of {without}." if without else ""
-            raise InputError(
-                f"--init ({', '.join(files)}) and --from-scratch exclude each other; give one of them.{lack}"
-            )
+        if self.from_scratch and (files := sorted({job.start.name for job in left if job.start is not None})):
+            raise InputError(f"--init ({', '.join(files)}) and --from-scratch exclude each other; give one of them.")
         if without and not self.from_scratch:
             raise InputError(
                 f"Every recipe starts from a backbone trained on ImageNet, and no --init has the weights of {without}; give its "

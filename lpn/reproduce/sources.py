@@ -52,11 +52,7 @@ class Source:
         return bool(self.dataset.train("google"))
 
     def places(self, sets: tuple[str, ...]) -> TrainingSet:
-        """Return the training set with some picture sets, see `Recipe.sets`, read once.
-
-        Raises:
-            DataError: when there are no training places.
-        """
+        """Return the training set with some picture sets, see `Recipe.sets`, read once; DataError without training places."""
         if sets not in self._places:
             self._places[sets] = TrainingSet(self.dataset, Console(quiet=True), sets)
         return self._places[sets]
@@ -96,11 +92,7 @@ class Source:
         return self._digests[measure]
 
     def check(self, measure: Measure) -> None:
-        """Check before any work that the measurement can run.
-
-        Raises:
-            LPNError: when a task is missing, a picture is broken, or `geo.csv` does not cover the pictures.
-        """
+        """Raise LPNError if a task is missing, a picture is broken, or `geo.csv` does not cover the pictures."""
         check_test_split(self.dataset, TASKS[measure])
 
 

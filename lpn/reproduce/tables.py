@@ -253,11 +253,7 @@ def claims(key: str) -> tuple[Claim, ...]:
 
 
 def find(key: str, scale: Scale) -> PaperTable:
-    """Return the table or measured figure of a key.
-
-    Raises:
-        InputError: when there is none.
-    """
+    """Return the table or measured figure of a key; InputError when there is none."""
     known = tables(scale)
     if key not in known:
         raise InputError(f"There is no {key!r} to reproduce; choose one of {', '.join(KEYS)}, or all.")

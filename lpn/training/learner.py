@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, cast
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from lpn.core.views import branch_of
 from lpn.models import checkpoints
@@ -34,7 +35,6 @@ class Learner:
         self.mixed_precision = MixedPrecision(recipe, device)
         self.optimizer = build_optimizer(network, recipe)
         self.rates = [float(parameters["lr"]) for parameters in self.optimizer.param_groups]
-        self.multi_view = MultiViewNetwork(network, recipe.joint_views)
 
     def step(self, batch: TrainingBatch, step: int, steps: int) -> tuple[dict[str, Tensor], float]:
         """Take one training step.
@@ -51,7 +51,7 @@ class Learner:
             parameters["lr"] = rate * factor
         with self.mixed_precision.convolutions():
             with self.mixed_precision.autocast():
-                outputs = self.multi_view(batch.sets)
+                outputs = self.outputs(batch.sets)
             parts, scores = ({name: of[i] for name, of in outputs.items()} for i in (0, 1))
             terms = loss_terms(
                 TrainingStep(parts, scores, batch.labels, batch.overlaps, step), self.recipe, self.own_loss
@@ -63,6 +63,25 @@ class Learner:
             self.average.n_averaged.fill_(step + 1)
             self.average.update_parameters(self.network)
         return {"loss": loss.detach()} | {name: of.detach() for name, of in terms.items()}, self.rates[-1] * factor
+
+    def outputs(self, sets: Mapping[str, Tensor]) -> dict[str, tuple[Tensor, Tensor]]:
+        """Compute part embeddings (b, n, D) and class scores (b, n, classes) of each set of pictures (b, 3, H, W).
+
+        By default each set is a batch of its own, as in the published code. With `joint_views`, sets with the same weights and
+        the same partition form one batch, so that BatchNorm sees them together.
+        """
+        groups = self.network.spec.groups()
+        batches: dict[object, list[str]] = {}
+        for name in sets:
+            key = next(g for g in groups if branch_of(name) in g) if self.recipe.joint_views else name
+            batches.setdefault(key, []).append(name)
+        outputs: dict[str, tuple[Tensor, Tensor]] = {}
+        for names in batches.values():
+            embeddings, scores = self.network(torch.cat([sets[name] for name in names]), branch_of(names[0]))
+            sizes = [len(sets[name]) for name in names]
+            of_sets = zip(embeddings.split(sizes), scores.split(sizes), strict=True)
+            outputs |= dict(zip(names, of_sets, strict=True))
+        return outputs
 
     def is_finite(self) -> bool:
         """Check that every weight is a finite number."""
@@ -95,30 +114,3 @@ class Learner:
         # The scaler's state is empty if the run did not use float16.
         if state["scaler"]:
             self.mixed_precision.scaler.load_state_dict(state["scaler"])
-
-
-class MultiViewNetwork(nn.Module):
-    """A network that takes all picture sets of a step in one forward call.
-
-    By default each set is a batch of its own, as in the published code. If `joint`, sets with the same weights
-    and the same partition form one batch, so that BatchNorm sees them together.
-    """
-
-    def __init__(self, network: LPN, joint: bool) -> None:
-        super().__init__()
-        self.network, self.joint = network, joint
-
-    def forward(self, sets: dict[str, Tensor]) -> dict[str, tuple[Tensor, Tensor]]:
-        """Compute part embeddings (b, n, D) and class scores (b, n, classes) of each set (b, 3, H, W)."""
-        outputs: dict[str, tuple[Tensor, Tensor]] = {}
-        groups = self.network.spec.groups()
-        batches: dict[object, list[str]] = {}
-        for name in sets:
-            key = next(g for g in groups if branch_of(name) in g) if self.joint else name
-            batches.setdefault(key, []).append(name)
-        for names in batches.values():
-            embeddings, scores = self.network(torch.cat([sets[name] for name in names]), branch_of(names[0]))
-            sizes = [len(sets[name]) for name in names]
-            for name, e, s in zip(names, embeddings.split(sizes), scores.split(sizes), strict=True):
-                outputs[name] = (e, s)
-        return outputs

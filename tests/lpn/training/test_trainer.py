@@ -373,7 +373,7 @@ def test_each_view_is_a_batch_of_its_own_unless_joined(places: Path, tmp_path: P
         run, _ = trainer(places, tmp_path / f"{joint}", recipe)
         run.network.train()
         satellite = torch.randn(4, 3, 64, 64, generator=torch.Generator().manual_seed(1))
-        return run.learner.multi_view({"satellite": satellite, "drone": other})["satellite"][0].detach()
+        return run.learner.outputs({"satellite": satellite, "drone": other})["satellite"][0].detach()
 
     drone = torch.randn(4, 3, 64, 64, generator=torch.Generator().manual_seed(2))
     torch.testing.assert_close(embedded(False, drone), embedded(False, 3 * drone + 1))
