@@ -148,23 +148,21 @@ def _resumed(arguments: Sequence[str], name: str | None, method: str | None) -> 
     """Return the options of the run that is to be resumed; None without one, or if another recipe or method is named."""
     out = flag_value(arguments, "--out")
     file = import_module("lpn.training.run_log").read_run(Path(out)) if out and "--resume" in arguments else None
-    if file is None or not file.given:
+    if file is None:
         return None
-    given = dict(file.given)
-    if name not in (None, given["recipe"]) or (method or given["method"]) != given["method"]:
+    given = file.given
+    if name not in (None, given.get("recipe")) or method not in (None, given.get("method")):
         return None
     try:
-        given["settings"] = Recipe(**file.recipe)
+        options: dict[str, Any] = {"settings": Recipe(**file.recipe)}
     except TypeError as error:
         raise InputError(
             f"{out}/run.json has settings of another version of lpn; start anew in another --out."
         ) from error
-    sizes = given["window_sizes"]
-    return {
-        **given,
-        **{name: Path(given[name]) for name in ("data", "map", "init") if given[name] is not None},
-        "window_sizes": None if sizes is None else tuple(sizes),
-    }
+    for option, value in given.items():
+        is_path = option in ("data", "map", "init") and value is not None
+        options[option] = Path(value) if is_path else tuple(value) if isinstance(value, list) else value
+    return options
 
 
 def flag_value(arguments: Sequence[str], flag: str) -> str | None:

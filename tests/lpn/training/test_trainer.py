@@ -142,6 +142,8 @@ def test_the_documented_lines_of_python_train(places: Path, tmp_path: Path, monk
     assert len(lines) <= 10
     assert lpn.load(found["model"]).views == ("satellite", "drone")
     assert [row["epoch"] for row in found["trainer"].history] == [1]
+    # The command goes on with the settings of the folder.
+    assert main(["train", "--data", str(places), "--out", "runs/first", "--resume"]) == 0
 
 
 def test_init_auto_takes_the_weights_that_are_here_and_names_them(
