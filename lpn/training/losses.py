@@ -17,6 +17,8 @@ from lpn.core.files import printable
 from lpn.training.recipe import Recipe
 
 GROUP = "lpn.losses"
+# The names of our own terms, and of their sum.
+_TERMS = ("loss", "instance", "contrastive", "triplet", "soft_margin", "infonce")
 # A loss of another package: one number of a step, a tensor with a gradient.
 PackageLoss = Callable[["TrainingStep", Recipe], Tensor]
 
@@ -130,8 +132,12 @@ def open_loss(name: str) -> PackageLoss:
     """Return the loss that a package registers by an entry point of the group `lpn.losses`.
 
     Raises:
-        InputError: if no package does, or the loss cannot be loaded.
+        InputError: if no package does, the name is that of a term of ours, or the loss cannot be loaded.
     """
+    if name in _TERMS:
+        raise InputError(
+            f"The loss {name} has the name of a term of ours ({', '.join(_TERMS)}); register another name."
+        )
     found = {point.name: point for point in entry_points(group=GROUP)}
     if name not in found:
         raise InputError(

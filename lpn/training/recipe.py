@@ -234,9 +234,9 @@ class Recipe:
             for name, allowed in conflict.allowed.items() if conflict.applies(self) else ():
                 if (value := getattr(self, name)) not in allowed:
                     expected = " or ".join(f"{name} = {one}" for one in allowed)
+                    reason = _shown(conflict.reason.format_map(asdict(self)))
                     raise InputError(
-                        f"The recipe has {name} = {_shown(value)} with {conflict.reason.format_map(asdict(self))}; expected "
-                        f"{expected}{conflict.otherwise}."
+                        f"The recipe has {name} = {_shown(value)} with {reason}; expected {expected}{conflict.otherwise}."
                     )
 
     @property
@@ -343,4 +343,4 @@ def _hints() -> dict[str, Any]:
 
 
 def _shown(value: object) -> str:
-    return printable(str(value)[:80])
+    return printable(str(value)[:120])

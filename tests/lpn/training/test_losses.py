@@ -251,3 +251,8 @@ def test_a_loss_that_cannot_be_used_is_refused_in_one_sentence(
     monkeypatch.setattr(losses, "entry_points", lambda **_: points)
     with pytest.raises(InputError, match=said):
         loss_terms(STEP, replace(RECIPES["released"], loss="spread"), losses.open_loss("spread"))
+
+
+def test_a_loss_has_a_name_of_its_own() -> None:
+    with pytest.raises(InputError, match="The loss infonce has the name of a term of ours"):
+        losses.open_loss("infonce")
