@@ -90,7 +90,7 @@ def test_folds_share_the_places_out_evenly_whatever_the_recipe_s_seed(places: Pa
         ("a:lr", "has 'lr'; expected setting=value"),
         ("a:seed=3", "seeds are given with --seeds"),
         ("a:epochs=many", "has 'epochs=many' .* give another value"),
-        ("a:epochs=0", "epochs = 0; expected 1 or more"),
+        ("a:epochs=0", "epochs = 0; expected a whole number of at least 1"),
         ("a:metric=best", "has 'metric=best'"),
         ("a:memory=true", "has 'memory=true'"),
     ],

@@ -76,7 +76,8 @@ def test_only_equations_and_sections_of_the_paper_are_cited() -> None:
     cited = re.compile(
         r"\b(?:equations?|eqs?\.) (\d+)(?: (?:and|to) (\d+))?|\bsections? ([IV]+(?:-[A-Z])?)\b", re.IGNORECASE
     )
-    sources = [file for top in ("lpn", "explorer", "tools") for file in (ROOT / top).rglob("*.py")]
+    tops = [ROOT / top for top in ("lpn", "explorer", "tools")]
+    sources = [file for top in tops for pattern in ("*.py", "*.toml") for file in top.rglob(pattern)]
     wrong, count = [], 0
     for page in [*PAGES, *sources]:
         for first, last, section in cited.findall(page.read_text("utf-8")):

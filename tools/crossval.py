@@ -14,7 +14,7 @@ import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, Any, cast, get_type_hints
+from typing import Annotated, Any, get_type_hints
 
 import msgspec
 import numpy as np
@@ -34,16 +34,15 @@ from lpn.core.formats import decode_json
 from lpn.datasets import Dataset, open_dataset
 from lpn.models.base import Model
 from lpn.models.pretrained_weights import AUTO, find_weights
-from lpn.reproduce import trainings
-from lpn.reproduce.pretrained import by_backbone
-from lpn.reproduce.record import Provenance, here
+from lpn.reproduce import jobs
+from lpn.reproduce.jobs import TrainingJob, by_backbone
 from lpn.reproduce.sources import Source
 from lpn.reproduce.tables import Training
-from lpn.reproduce.trainings import TrainingJob
 from lpn.retrieval import metrics
 from lpn.retrieval.calibration import MIN_PICTURES, calibrate, centred
 from lpn.training import recipes
-from lpn.training.recipes import Recipe, RecipeName
+from lpn.training.provenance import Provenance, here
+from lpn.training.recipe import Recipe
 from lpn.training.training_set import Fold, paired_pictures
 
 FORMAT = "lpn-cross-validation/1"
@@ -193,7 +192,7 @@ class CrossValidation:
         """
         check_outputs((table, ".json"))
         for step in dict.fromkeys(map(_step, self.jobs)):
-            trainings.train([job for job in self.jobs if _step(job) == step], self.console)
+            jobs.train([job for job in self.jobs if _step(job) == step], self.console)
             values = self.table()
             write_json(table, values, ensure_ascii=False)
         self.console.print(summary(values))
@@ -235,7 +234,9 @@ class CrossValidation:
             "changes": dict(trial.changes),
             "start": start,
             "runs": len(runs),
-            "diverged": [one.folder.name for one in self.jobs if one.training.name == trial.name and one.diverged],
+            "diverged": [
+                one.folder.name for one in self.jobs if one.training.name == trial.name and one.ended == "diverged"
+            ],
             "training seconds of a run": float(np.mean([sum(one.seconds()) for one, _ in runs])) if runs else None,
             "figures": figures,
         }
@@ -402,7 +403,7 @@ class CrossvalCommand:
     trial: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
     """A recipe to try, NAME or NAME:setting=value,setting=value with settings of lpn train --help; once for each. The first is
     the baseline of the others; without any, the recipe alone is measured as base."""
-    recipe: RecipeName = "small"
+    recipe: str = "small"
     """Recipe of all trials; its settings are flags as well."""
     init: Annotated[tuple[Path, ...], tyro.conf.UseAppendAction] = ()
     """Weights to start from, ImageNet's or a trained model's, once for each backbone; auto searches for those not given."""
@@ -438,9 +439,7 @@ def main(arguments: list[str]) -> int:
     """Run the command line; the recipe sets the defaults of the other flags. Return the exit status, 2 after an error."""
     try:
         name = flag_value(arguments, "--recipe") or "small"
-        default = CrossvalCommand(
-            tyro.MISSING, tyro.MISSING, tyro.MISSING, recipe=cast(RecipeName, name), settings=recipes.find(name)
-        )
+        default = CrossvalCommand(tyro.MISSING, tyro.MISSING, tyro.MISSING, recipe=name, settings=recipes.find(name))
         tyro.cli(CrossvalCommand, args=arguments, prog="python -m tools.crossval", default=default).run()
     except LPNError as error:
         print(f"crossval: {printable(str(error))}", file=sys.stderr)

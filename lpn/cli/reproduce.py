@@ -14,7 +14,8 @@ from lpn.cli.parsing import parse
 from lpn.cli.train import flag_value
 from lpn.core.errors import InputError
 from lpn.sources import Advanced
-from lpn.training.recipes import RECIPES, Recipe
+from lpn.training.recipe import Recipe
+from lpn.training.recipes import RECIPES
 
 if TYPE_CHECKING:
     from lpn.reproduce.tables import Scale
@@ -26,7 +27,7 @@ _Scale = Literal["auto", "paper", "released", "reduced"]
 class RecipeChanges(Recipe):
     """Settings for several recipes; each recipe checks them together with its own."""
 
-    def check_together(self) -> None:
+    def check_conflicts(self) -> None:
         """Check nothing: what excludes a setting in one recipe may fit another."""
 
 
@@ -35,7 +36,8 @@ class ReproduceCommand:
     """Reproduce the paper's tables and figures; resumable."""
 
     what: Annotated[tuple[str, ...], tyro.conf.Positional]
-    """table1 to table6, figure1, figure5, figure7, figure8, or all, in which rows say why they cannot be made."""
+    """table1 to table6, figure1, figure3, figure4, figure5, figure7, figure8, or all, in which rows say why they cannot be
+    made."""
     data: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
     """A data set's folder (University-1652, CVUSA, Oxford5k, Paris6k, or a rendered world); once for each data set."""
     out: Path = Path("runs/reproduce")
@@ -57,14 +59,14 @@ class ReproduceCommand:
     train: bool = True
     """Train missing models; otherwise their rows are left out."""
     queries: tuple[str, ...] = ()
-    """Queries shown in figures 7 (a) and 8, by name; Figure 1 shows the first."""
+    """Queries shown in figures 7 (a) and 8, by name; Figures 1, 3, and 4 show the first."""
     settings: Advanced[tyro.conf.OmitArgPrefixes[RecipeChanges]] = field(default_factory=RecipeChanges)
     changed: tyro.conf.Suppress[tuple[str, ...]] = ()
 
     def run(self) -> None:
         import_module("torch")
-        from lpn.reproduce.command import KEYS, Reproduction
-        from lpn.reproduce.tables import ROW_SETTINGS
+        from lpn.reproduce.run import Reproduction
+        from lpn.reproduce.tables import KEYS, ROW_SETTINGS
 
         if not self.what or not self.data:
             raise InputError(

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from importlib import import_module
 from pathlib import Path
-from typing import Any, Literal, cast
+from typing import Any, cast
 
 import tyro
 
@@ -15,21 +15,7 @@ from lpn.cli.parsing import parse
 from lpn.core.errors import InputError, LPNError
 from lpn.sources import Advanced
 from lpn.training import recipes
-from lpn.training.recipes import Recipe, RecipeName
-
-MethodName = Literal[
-    "lpn",
-    "instance",
-    "contrastive",
-    "triplet-0.3",
-    "triplet-0.5",
-    "soft-margin",
-    "lpn-sequential",
-    "lpn-cvusa",
-    "lpn-strips",
-    "safa",
-    "safa-lpn",
-]
+from lpn.training.recipe import Recipe
 
 
 @dataclass
@@ -37,7 +23,7 @@ class TrainCommand:
     """Train an LPN by a named recipe; every number of the recipe is a flag."""
 
     out: Path
-    """Folder of the run: last.safetensors, best.safetensors, log.csv, tensorboard, and what --resume needs."""
+    """Folder of the run: last.safetensors, best.safetensors, log.csv, run.json, and what --resume needs."""
     data: Path | None = None
     """Data set with pictures to train on, in any layout of docs/data.md."""
     map: Path | None = None
@@ -45,13 +31,14 @@ class TrainCommand:
     window_sizes: Advanced[tuple[float, float] | None] = None
     """Smallest and largest side in metres of the windows of --map, about those that photos of the flight show; by default half to
     twice what the network's input shows at the map's resolution."""
-    recipe: RecipeName = recipes.DEFAULT
-    """Recipe: as the paper states (paper, cvusa-paper, safa-paper), as the released code does (released, cvusa-released,
-    cvusa-released-resnet50, cvact-released, safa-released, and metric-released), for some hundred places (small), the same for
-    all headings (world), or for a map alone (map, the default with --map); see docs/recipes.md."""
-    method: Advanced[MethodName | None] = None
-    """One of the methods that the paper compares, by default the recipe's: lpn, the instance-loss baseline, the baseline with
-    another loss, strips, or SAFA."""
+    recipe: str = recipes.DEFAULT
+    """Recipe: as the paper states (paper, cvusa-paper), as the released code does (released, cvusa-released, cvact-released,
+    safa-released, and metric-released), for some hundred places (small), the same for all headings (world), or for a map alone
+    (map, the default with --map); see docs/recipes.md."""
+    method: Advanced[str | None] = None
+    """One of the methods that the paper compares, by default the recipe's: lpn, instance (the baseline), the baseline with
+    another loss (contrastive, triplet-0.3, triplet-0.5, soft-margin), lpn-sequential, lpn-cvusa, lpn-strips, safa, or
+    safa-lpn."""
     compare_recipes: Advanced[tuple[str, str] | None] = None
     """Print the settings in which two recipes differ, each with its source, and train nothing."""
     init: Path | None = None
@@ -62,7 +49,7 @@ class TrainCommand:
     calibrate: bool = False
     """Measure ground_ratio first, on the training pictures without their labels, by the trained model of --init."""
     resume: bool = False
-    """Resume the run in --out."""
+    """Resume the run in --out; its data and settings need not be given again."""
     evaluate_every: int = 0
     """Evaluate every so many epochs, and keep the best model; 0 for the end only."""
     validate: float = 0.0
@@ -73,12 +60,13 @@ class TrainCommand:
 
     def run(self) -> None:
         if self.compare_recipes is not None:
-            print(import_module("lpn.training.recipe_sources").difference(*self.compare_recipes))
+            print(recipes.difference(*self.compare_recipes))
             return
         trainer = import_module("lpn.training.trainer").Trainer
         source = self._source()
         settings = self.settings
-        if self.calibrate:
+        # A run to be resumed has the ratio among its settings.
+        if self.calibrate and not (self.resume and settings.ground_ratio != 1):
             settings = replace(settings, ground_ratio=self._ground_ratio(source))
         run = trainer(
             source,
@@ -91,20 +79,18 @@ class TrainCommand:
             validate=self.validate,
             from_scratch=self.from_scratch,
             window_sizes=self.window_sizes,
+            given={name: _plain(getattr(self, name)) for name in _KEPT},
         )
         run.console.print(f"Recipe {self.recipe}: {settings.to_json()}")
         print(f"The model is in {run.run()}.")
 
     def _ground_ratio(self, dataset: Any) -> float:
-        """Return the ratio of ground that the model of --init finds, or that a run to be resumed has found."""
+        """Return the ratio of ground that the model of --init finds."""
         if self.init is None or self.map is not None or self.settings.ground_ratio != 1:
             raise InputError(
                 "--calibrate measures ground_ratio by a trained model on the pictures of a data set; give --data and a model "
                 "with --init, and leave --ground-ratio out."
             )
-        recipe = import_module("lpn.models.checkpoints").recipe_of(self.out / "last.safetensors") if self.resume else {}
-        if "ground_ratio" in recipe:
-            return float(recipe["ground_ratio"])
         try:
             model = lpn.load(self.init)
         except LPNError as error:
@@ -127,24 +113,56 @@ class TrainCommand:
 
     @classmethod
     def parse(cls, arguments: list[str], program: str) -> TrainCommand:
-        """Parse the options of a training; recipe and method set the defaults of the other flags.
+        """Parse the options of a training; recipe and method, or the run to be resumed, set the defaults of the others.
 
         Raises:
             InputError: if the recipe or the method is unknown, or they do not fit each other.
         """
         default = recipes.DEFAULT if flag_value(arguments, "--map") is None else "map"
-        name, chosen = flag_value(arguments, "--recipe") or default, flag_value(arguments, "--method")
-        settings = recipes.find(name, chosen)
+        name, chosen = flag_value(arguments, "--recipe"), flag_value(arguments, "--method")
         # A comparison of recipes needs no folder.
         folder = Path() if flag_value(arguments, "--compare-recipes") else tyro.MISSING
-        named = cls(folder, recipe=cast(Any, name), method=cast(Any, chosen), settings=settings)
-        return cast(TrainCommand, parse(cls, arguments, program, named))
+        named = _resumed(arguments, name, chosen)
+        if named is None:
+            name = name or default
+            named = {"recipe": name, "method": chosen, "settings": recipes.find(name, chosen)}
+        return cast(TrainCommand, parse(cls, arguments, program, cls(folder, **named)))
 
     def resume_hint(self) -> str:
         """Return how to resume after a stop."""
         if not (self.out / "state.pt").is_file():
             return "No epoch was whole yet, so nothing is kept; give the same command again."
-        return f"The whole epochs in {self.out} are kept; go on with the same command{'' if self.resume else ' and --resume'}."
+        return f"The whole epochs in {self.out} are kept; go on with lpn train --out {self.out} --resume."
+
+
+# The options that run.json keeps beside the settings.
+_KEPT = ("data", "map", "window_sizes", "recipe", "method", "init", "from_scratch", "evaluate_every", "validate")
+
+
+def _plain(value: object) -> object:
+    """Return an option as JSON; a path that exists as one that holds in any folder."""
+    return str(value.resolve() if value.exists() else value) if isinstance(value, Path) else value
+
+
+def _resumed(arguments: Sequence[str], name: str | None, method: str | None) -> dict[str, Any] | None:
+    """Return the options of the run that is to be resumed; None without one, or if another recipe or method is named."""
+    out = flag_value(arguments, "--out")
+    file = import_module("lpn.training.run_log").read_run(Path(out)) if out and "--resume" in arguments else None
+    if file is None:
+        return None
+    given = file.given
+    if name not in (None, given.get("recipe")) or method not in (None, given.get("method")):
+        return None
+    try:
+        options: dict[str, Any] = {"settings": Recipe(**file.recipe)}
+    except TypeError as error:
+        raise InputError(
+            f"{out}/run.json has settings of another version of lpn; start anew in another --out."
+        ) from error
+    for option, value in given.items():
+        is_path = option in ("data", "map", "init") and value is not None
+        options[option] = Path(value) if is_path else tuple(value) if isinstance(value, list) else value
+    return options
 
 
 def flag_value(arguments: Sequence[str], flag: str) -> str | None:

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from lpn.analysis.statistics import half_interval
-from lpn.reproduce.paper_values import CLAIMS, Claim
 from lpn.reproduce.record import RowRecord, TableRecord
+from lpn.reproduce.tables import Claim, claims
 
 
 def verdicts(record: TableRecord) -> list[str]:
     """State for each of the paper's claims whether it held, with the figures."""
-    return [_verdict(claim, record) for claim in CLAIMS.get(record.key, ())]
+    return [_verdict(claim, record) for claim in claims(record.key)]
 
 
 def _verdict(claim: Claim, record: TableRecord) -> str:
@@ -21,9 +21,9 @@ def _verdict(claim: Claim, record: TableRecord) -> str:
         return f"{claim.text}: not known; {', '.join(missing)} was not run."
     rows = {row.label: row for row in record.rows}
     columns = range(len(record.columns)) if claim.columns is None else claim.columns
-    verdict = _not_ahead(claim, rows, columns) if claim.tolerance is not None else _ahead(claim, rows, columns)
+    verdict = _judged(claim, rows, columns)
     figures = "; ".join(_closest(claim, rows, index, record) for index in columns)
-    once = [label for label in labels if rows[label].networks == 1]
+    once = [label for label in labels if len(rows[label].values) == 1]
     networks = (
         "" if not once else "; one network each" if len(once) == len(labels) else f"; one network of {', '.join(once)}"
     )
@@ -38,42 +38,26 @@ def _gaps(claim: Claim, rows: dict[str, RowRecord], index: int) -> list[tuple[fl
     )
 
 
-def _ahead(claim: Claim, rows: dict[str, RowRecord], columns: Sequence[int]) -> str:
-    gaps = [(*gap, index) for index in columns for gap in _gaps(claim, rows, index)]
-    lost = [gap for gap in gaps if gap[0] <= 0]
-    if lost:
-        share = f" in {len(lost)} of {len(gaps)} comparisons" if len(lost) < len(gaps) else ""
-        near = all(-gap <= _noise(rows, better, worse, index) for gap, better, worse, index in lost)
-        return f"did not hold{share}" + (
-            ", but within the interval of the seeds" if near and any(g[0] for g in lost) else ""
-        )
-    close = [gap for gap in gaps if gap[0] <= _noise(rows, *gap[1:])]
-    if close:
-        return "held in the mean, but within the interval of the seeds for " + ", ".join(
-            dict.fromkeys(label for _, *pair, _ in close for label in pair)
-        )
+def _judged(claim: Claim, rows: dict[str, RowRecord], columns: Sequence[int]) -> str:
+    ahead, allowed = claim.tolerance is None, dict(zip(columns, claim.tolerance or (), strict=False))
+    margins = []
+    for index in columns:
+        for gap, better, worse in _gaps(claim, rows, index):
+            # The allowed figures have two digits.
+            margin = gap if ahead else allowed[index] - round(gap, 2)
+            margins.append((margin, _noise(rows, better, worse, index), index, (better, worse)))
+    within = "within the interval of the seeds"
+    if lost := [one for one in margins if one[0] < 0 or (ahead and one[0] == 0)]:
+        share = f" in {len(lost)} of {len(margins)} comparisons" if len(lost) < len(margins) else ""
+        margin, _, index, _ = min(lost)
+        limit = allowed.get(index, 0.0)
+        what = share if ahead else f", {limit - margin:.1f} points where {limit:.1f} are allowed"
+        near = any(one[0] for one in lost) and all(-margin <= noise for margin, noise, *_ in lost)
+        return f"did not hold{what}" + (f", but {within}" if near else "")
+    if close := [one for one in margins if one[0] < one[1] or (ahead and one[0] == one[1])]:
+        labels = dict.fromkeys(label for *_, pair in close for label in pair)
+        return f"held in the mean, but {within}" + (f" for {', '.join(labels)}" if ahead else "")
     return "held"
-
-
-def _not_ahead(claim: Claim, rows: dict[str, RowRecord], columns: Sequence[int]) -> str:
-    assert claim.tolerance is not None
-    largest = {index: _gaps(claim, rows, index)[-1][0] for index in columns}
-    allowed = dict(zip(columns, claim.tolerance, strict=True))
-    gaps = [
-        # The figures have two digits.
-        (round(gap, 2) - allowed[index], _noise(rows, better, worse, index))
-        for index in columns
-        for gap, better, worse in _gaps(claim, rows, index)
-    ]
-    beyond = [(over, noise) for over, noise in gaps if over > 0]
-    if not beyond:
-        near = any(-over < noise for over, noise in gaps)
-        return "held in the mean, but within the interval of the seeds" if near else "held"
-    worst = max(columns, key=lambda index: largest[index] - allowed[index])
-    near = all(over <= noise for over, noise in beyond)
-    return f"did not hold, {largest[worst]:.1f} points where {allowed[worst]:.1f} are allowed" + (
-        ", but within the interval of the seeds" if near else ""
-    )
 
 
 def _noise(rows: dict[str, RowRecord], better: str, worse: str, index: int) -> float:

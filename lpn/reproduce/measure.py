@@ -4,29 +4,36 @@ from __future__ import annotations
 
 import json
 import logging
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import cast
 
 import msgspec
 import numpy as np
+import torch
+from torch import nn
 
 from lpn.core.checksums import crc_of_values
-from lpn.core.errors import InputError
-from lpn.core.files import exclusive_lock, write_json
+from lpn.core.errors import InputError, ModelFileError
+from lpn.core.files import exclusive_lock, fingerprint, write_json
 from lpn.core.formats import decode_json
 from lpn.explain.centre import VIEWS, centre_box, centre_shares
+from lpn.models import checkpoints
+from lpn.models.backbones import CHANNELS
 from lpn.models.base import Model
-from lpn.reproduce.paper_values import Values
-from lpn.reproduce.record import Provenance, TableRecord, here
+from lpn.models.network import LPN
+from lpn.models.spec import ModelSpec
+from lpn.reproduce.record import TableRecord
 from lpn.reproduce.sources import TASKS, Source
-from lpn.reproduce.tables import Measure, TableRow
+from lpn.reproduce.tables import Measure, TableRow, Values
 from lpn.tasks.changes import turned, with_parts
-from lpn.tasks.measure import Result
 from lpn.tasks.opening import lazy_task
+from lpn.training.provenance import Provenance, here
+from lpn.training.recipe import Recipe
 
 log = logging.getLogger(__name__)
 
-FORMAT = "lpn-measured/2"
+FORMAT = "lpn-measured/3"
 _CENTRE = (
     "Protocol: the last feature map of each test picture without its mirror, summed over channels; the share of the sum in the "
     "cells whose centres lie in the middle half of height and width, which are {}; mean over pictures."
@@ -77,7 +84,8 @@ class MeasurementStore:
             + (["released"] if released else [])
         )
         if key not in self._file.figures:
-            self._add(_measured(row, measure, model, data, released), key)
+            measured = _measured(row, measure, model, data, released)
+            self._change(lambda file: file.figures.update({key: measured}))
         return self._file.figures[key]
 
     def reload(self) -> None:
@@ -86,15 +94,12 @@ class MeasurementStore:
 
     def keep(self, table: TableRecord) -> None:
         """Write a finished table into the file."""
-        self._add(table, table.key)
+        self._change(lambda file: file.tables.update({table.key: table}))
 
-    def _add(self, value: MeasuredFigures | TableRecord, key: str) -> None:
+    def _change(self, change: Callable[[_MeasurementsFile], None]) -> None:
         with exclusive_lock(self.path.parent, wait=True):
             self._file = self._read()
-            if isinstance(value, TableRecord):
-                self._file.tables[key] = value
-            else:
-                self._file.figures[key] = value
+            change(self._file)
             self._file.checksum = _checksum(self._file)
             write_json(self.path, msgspec.to_builtins(self._file), ensure_ascii=False)
 
@@ -127,28 +132,47 @@ def _checksum(file: _MeasurementsFile) -> int:
 
 def _measured(row: TableRow, measure: Measure, model: Model, data: Sequence[Source], released: bool) -> MeasuredFigures:
     if measure == "centre":
-        means = tuple(
-            100 * float(np.mean(list(centre_shares(model, data[0].dataset.gallery(view), view)))) for view in VIEWS
+        dataset = data[0].dataset
+        shares = [list(centre_shares(model, dataset.gallery(view), view)) for view in VIEWS]
+        # The centre is a quarter of the cells only if sides are multiples of four.
+        sizes = dict.fromkeys(model.map_size(view) for view in VIEWS)
+        boxes = [f"{100 * centre_box(*size).mean():.1f} % of {size[0]} x {size[1]} cells" for size in sizes]
+        means = tuple(100 * float(np.mean(of_view)) for of_view in shares)
+        return MeasuredFigures(means, _CENTRE.format(" or ".join(boxes)), here())
+    results = []
+    for source in data:
+        for name in TASKS[measure]:
+            task = lazy_task(model, source.dataset, name, branch=row.branch, released=released)
+            results.append(with_parts(turned(task, row.rotate) if row.rotate else task, row.parts).evaluate())
+    values: list[float] = []
+    for result in results:
+        depths = {"both ways": ("1",), "ground": ("1", "5", "10", "1%")}.get(measure, ())
+        values += [*(result.recall[depth] for depth in depths), *([] if measure == "ground" else [result.ap])]
+    return MeasuredFigures(tuple(values), results[0].sentence, here())
+
+
+def features_alone(recipe: Recipe, init: Path) -> checkpoints.TorchModel:
+    """Make a network whose descriptor is the mean over the last feature map of a pretrained backbone.
+
+    Raises:
+        ModelFileError: when `init` lacks weights of that backbone.
+    """
+    channels = CHANNELS[recipe.backbone, recipe.last_layer]
+    spec = ModelSpec(
+        recipe.backbone, recipe.last_layer, views=("street",), shared=False, n_parts=1, embedding=channels, classes=1,
+        input_size=recipe.input_size,
+    )  # fmt: skip
+    network = LPN(spec)
+    _, _, missing = checkpoints.load_backbone(network, init)
+    if missing:
+        raise ModelFileError(
+            f"{init.name} lacks {', '.join(missing)} of {recipe.backbone}, so its features alone cannot be measured; give a file "
+            "of the whole backbone with --init."
         )
-        return MeasuredFigures(means, _CENTRE.format(_box(model)), here())
-    tasks = (
-        lazy_task(model, source.dataset, task, branch=row.branch, released=released)
-        for source in data
-        for task in TASKS[measure]
-    )
-    results = [with_parts(turned(task, row.rotate) if row.rotate else task, row.parts).evaluate() for task in tasks]
-    return MeasuredFigures(
-        tuple(value for result in results for value in _values(result, measure)), results[0].sentence, here()
-    )
-
-
-def _box(model: Model) -> str:
-    """Give the centre's share of the cells, which is a quarter only if sides are multiples of four."""
-    sizes = dict.fromkeys(model.map_size(view) for view in VIEWS)
-    return " or ".join(f"{100 * centre_box(*size).mean():.1f} % of {size[0]} x {size[1]} cells" for size in sizes)
-
-
-def _values(result: Result, measure: Measure) -> Values:
-    if measure == "both ways":
-        return result.recall["1"], result.ap
-    return tuple(result.recall[key] for key in ("1", "5", "10", "1%")) if measure == "ground" else (result.ap,)
+    block = network.heads[0].add_block
+    linear, norm = cast(nn.Linear, block[0]), cast(nn.BatchNorm1d, block[1])
+    with torch.no_grad():
+        linear.weight.copy_(torch.eye(channels))
+        norm.weight.fill_(1.0)
+    print_of = fingerprint(init, also=f"features alone {spec.to_json()}")
+    return checkpoints.TorchModel(network.to(checkpoints.best_device()), print_of)

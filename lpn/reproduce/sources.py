@@ -8,7 +8,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Literal
 
 from lpn.core.consoles import Console
 from lpn.core.errors import InputError
@@ -53,29 +52,25 @@ class Source:
         return bool(self.dataset.train("google"))
 
     def places(self, sets: tuple[str, ...]) -> TrainingSet:
-        """Return the training set with some picture sets, see `Recipe.sets`, read once.
-
-        Raises:
-            DataError: when there are no training places.
-        """
+        """Return the training set with some picture sets, see `Recipe.sets`, read once; DataError without training places."""
         if sets not in self._places:
             self._places[sets] = TrainingSet(self.dataset, Console(quiet=True), sets)
         return self._places[sets]
 
     def sizes(self, measure: Measure) -> str:
         """Count queries and gallery pictures of each task, with the counts of the complete data set where they are known."""
-        counts_by_task = []
+        published, texts = self.dataset.published_sizes, []
         for task in TASKS[measure]:
             query, gallery = views_of(task)
-            lists = {"query": (query, self.dataset.queries(query)), "gallery": (gallery, self.dataset.gallery(gallery))}
             counts = []
-            for role, (view, pictures) in lists.items():
-                full = self.dataset.published_sizes.get(f"test/{role}_{view}") or self.dataset.published_sizes.get(
-                    f"test/{view}"
-                )
+            for role, view, pictures in (
+                ("query", query, self.dataset.queries(query)),
+                ("gallery", gallery, self.dataset.gallery(gallery)),
+            ):
+                full = published.get(f"test/{role}_{view}") or published.get(f"test/{view}")
                 counts.append(counted(len(pictures), full.pictures if full else None))
-            counts_by_task.append(f"{task} {counts[0]} queries, {counts[1]} pictures in the gallery")
-        return ", ".join(counts_by_task)
+            texts.append(f"{task} {counts[0]} queries, {counts[1]} pictures in the gallery")
+        return ", ".join(texts)
 
     def training_digest(self, sets: tuple[str, ...]) -> str:
         """Hash the list of training pictures; a trained network is reused for the same list only."""
@@ -97,76 +92,22 @@ class Source:
         return self._digests[measure]
 
     def check(self, measure: Measure) -> None:
-        """Check before any work that the measurement can run.
-
-        Raises:
-            LPNError: when a task is missing, a picture is broken, or `geo.csv` does not cover the pictures.
-        """
+        """Raise LPNError if a task is missing, a picture is broken, or `geo.csv` does not cover the pictures."""
         check_test_split(self.dataset, TASKS[measure])
 
 
-# The data that a table is measured on.
-_MEASURED_ON: dict[Measure, DataRole | Literal["landmarks"]] = {
+# The data that a table is measured on, and what the data of each role look like.
+MEASURED_ON: dict[Measure, DataRole] = {
     "both ways": "places",
     "ground": "panoramas",
     "landmarks": "landmarks",
     "centre": "places",
 }
-_LAYOUTS = {
+LAYOUTS: dict[DataRole, str] = {
     "places": "places as in University-1652",
     "panoramas": "panoramas and tiles as in CVUSA",
     "landmarks": "landmarks as in Oxford5k or Paris6k",
 }
-
-
-@dataclass
-class Sources:
-    """The given data sets by role."""
-
-    roles: dict[DataRole, Source] = field(default_factory=dict)
-    landmarks: list[Source] = field(default_factory=list)
-
-    def lacking(self, measure: Measure, trained_on: DataRole | None = None) -> str:
-        """Say what is lacking to measure a network and, if it is not given, to train it; empty if nothing is."""
-        for kind in (_MEASURED_ON[measure], *([trained_on] if trained_on else [])):
-            if not (self.landmarks if kind == "landmarks" else kind in self.roles):
-                return f"no {_LAYOUTS[kind]} are given with --data"
-        return ""
-
-    def of(self, measure: Measure) -> list[Source]:
-        """Return the data sets of a measure, in the paper's order.
-
-        Raises:
-            InputError: when none was given.
-        """
-        if measure == "landmarks":
-            if not self.landmarks:
-                raise InputError("Table VI needs landmarks as in Oxford5k or Paris6k; give them with --data.")
-            return sorted(self.landmarks, key=lambda source: source.dataset.kind)
-        return [self.role("panoramas" if measure == "ground" else "places")]
-
-    def role(self, role: DataRole) -> Source:
-        """Return the data set of a role.
-
-        Raises:
-            InputError: when none was given.
-        """
-        if role not in self.roles:
-            if role == "places":
-                raise InputError("Places as in University-1652 are needed; give them with --data.")
-            raise InputError("Panoramas and tiles as in CVUSA are needed; give them with --data.")
-        return self.roles[role]
-
-    def add(self, role: DataRole, source: Source) -> None:
-        """Set the data set of a role.
-
-        Raises:
-            InputError: when there is one already.
-        """
-        if role in self.roles:
-            one, other = self.roles[role].dataset.root, source.dataset.root
-            raise InputError(f"--data names two data sets of {role}, {one} and {other}; give one of them at a time.")
-        self.roles[role] = source
 
 
 def counted(count: int, full: int | None) -> str:
@@ -174,20 +115,23 @@ def counted(count: int, full: int | None) -> str:
     return f"{count:,}" if full is None else f"{count:,} of {full:,}"
 
 
-def open_sources(data: Sequence[str]) -> Sources:
-    """Open the data sets of --data.
+def open_sources(data: Sequence[str]) -> dict[DataRole, list[Source]]:
+    """Open the data sets of --data by role: several of landmarks, in the paper's order, and at most one of the others.
 
     Raises:
         LPNError: when an argument is not a data set, two have one role, or a world is not completely rendered.
     """
-    sources = Sources()
+    roles: dict[DataRole, list[Source]] = {}
     for folder in data:
         source = Source(open_dataset(folder), is_rendered(Path(folder)))
+        role: DataRole = "panoramas" if source.dataset.panoramas else "places"
         if "street-to-street" in source.dataset.tasks():
-            sources.landmarks.append(source)
-        else:
-            sources.add("panoramas" if source.dataset.panoramas else "places", source)
-    return sources
+            role = "landmarks"
+        elif role in roles:
+            one, other = roles[role][0].dataset.root, source.dataset.root
+            raise InputError(f"--data names two data sets of {role}, {one} and {other}; give one of them at a time.")
+        roles.setdefault(role, []).append(source)
+    return {role: sorted(of_role, key=lambda source: source.dataset.kind) for role, of_role in roles.items()}
 
 
 def _digest(root: Path, lists: dict[str, list[Picture]], truth: object) -> str:

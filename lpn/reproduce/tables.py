@@ -1,19 +1,28 @@
-"""The paper's tables as data: the network of each row, and how it is measured."""
+"""The paper's tables, `tables.toml`: the network of each row, how it is measured, the paper's values, and its claims."""
 
 from __future__ import annotations
 
+import math
+import tomllib
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
+from itertools import pairwise
+from pathlib import Path
 from typing import Any, Literal
 
 from lpn.core.errors import InputError
 from lpn.core.views import View
-from lpn.reproduce import paper_values
 from lpn.training import recipes
-from lpn.training.recipes import RECIPES, Recipe, RecipeName
+from lpn.training.recipe import Recipe
+from lpn.training.recipes import RECIPES
 
-DataRole = Literal["places", "panoramas"]
+DataRole = Literal["places", "panoramas", "landmarks"]
 Measure = Literal["both ways", "ground", "landmarks", "centre"]
+Values = tuple[float, ...]
+# A row of the paper; None where it prints a dash.
+PrintedValues = tuple[float | None, ...]
+
+_DATA: dict[str, Any] = tomllib.loads(Path(__file__).with_suffix(".toml").read_text("utf-8"))
 
 
 @dataclass(frozen=True)
@@ -32,7 +41,7 @@ class Training:
     method: str
     role: DataRole = "places"
     changes: Mapping[str, Any] = field(default_factory=dict)
-    recipe: RecipeName | None = None
+    recipe: str | None = None
 
 
 @dataclass(frozen=True)
@@ -52,7 +61,7 @@ class TableRow:
 
     label: str
     training: Training | None
-    paper: paper_values.PrintedValues = ()
+    paper: PrintedValues = ()
     note: str = ""
     rotate: float = 0.0
     parts: tuple[int, ...] | None = None
@@ -61,14 +70,35 @@ class TableRow:
 
 
 @dataclass(frozen=True)
+class Claim:
+    """A claim of the paper: in some columns, one row of each pair is ahead of the other.
+
+    Attributes:
+        text: the claim in our words, with its place in the paper.
+        pairs: labels of the row that should be ahead, and of the other one.
+        columns: indices of the compared columns; None for every measured column.
+        tolerance: None for a claim that the first row is ahead. For a claim that it is not, the points by which it may still
+            be ahead, for each of `columns`.
+    """
+
+    text: str
+    pairs: tuple[tuple[str, str], ...]
+    columns: tuple[int, ...] | None = None
+    tolerance: Values | None = None
+
+
+@dataclass(frozen=True)
 class PaperTable:
-    """A table or figure of the paper.
+    """A table or measured figure of the paper.
 
     Attributes:
         key: such as "table1".
         title: the comparison, without the data set.
         measure: the measure of its columns.
         columns: their names.
+        notes: sentences below the table.
+        google: a further one, where there are pictures of google.
+        protocols: a further one by the protocol of the measurement.
     """
 
     key: str
@@ -76,6 +106,9 @@ class PaperTable:
     measure: Measure
     columns: tuple[str, ...]
     rows: tuple[TableRow, ...]
+    notes: tuple[str, ...] = ()
+    google: str = ""
+    protocols: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def trainings(self) -> list[Training]:
@@ -89,27 +122,31 @@ class Scale:
 
     Attributes:
         name: "paper", "released", or "reduced".
-        places, panoramas: the recipe of each role before a method's changes, or its name.
-        safa: SAFA's own recipe, if it has one.
-        sizes: input size used for each of Table III's.
-        note: one sentence for the table's notes.
-        changes: the user's changes of every recipe.
+        recipes: the recipe of each role before a method's changes, and "safa" for SAFA's own, if it has one.
+        note: one sentence for the table's notes, with names of settings in braces.
+        settings: what all rows of a role have in place of the recipe's; empty if each method has its published recipe.
+        divisor: of Table III's input sizes.
         protocol: "released" for turned queries and the transfer to landmarks as their authors released them.
+        changes: the user's changes of every recipe.
     """
 
     name: str
-    places: Recipe | RecipeName
-    panoramas: Recipe | RecipeName
-    safa: RecipeName | None
-    sizes: Mapping[int, int]
+    recipes: Mapping[str, str]
     note: str
-    changes: Mapping[str, Any] = field(default_factory=dict)
+    settings: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    divisor: int = 1
     protocol: Literal["ours", "released"] = "ours"
+    changes: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def released(self) -> bool:
         """True if networks are measured as the released test code does."""
         return self.protocol == "released"
+
+    @property
+    def described(self) -> str:
+        """The note with the settings of the recipe of places."""
+        return self.note.format_map(asdict(self._role("places")))
 
     def recipe(self, training: Training, seed: int) -> Recipe:
         """Return the recipe of a training. What tells the rows apart comes after the user's changes.
@@ -117,219 +154,107 @@ class Scale:
         Raises:
             InputError: if the user's changes do not fit the training.
         """
-        named, kept = self._unchanged(training), self.kept(training)
+        kept = self.kept(training)
         changes = {name: value for name, value in self.changes.items() if name not in kept}
         changes |= {**training.changes, "seed": seed}
         if not str(changes.get("backbone", "vgg16")).startswith("vgg16"):
             # SAFA's recipe has a dropout in its VGG-16.
             changes.setdefault("backbone_dropout", 0.0)
         try:
-            return replace(named, **changes)
+            return replace(self._unchanged(training), **changes)
         except InputError as error:
             raise InputError(f"{training.name} cannot be trained with these flags: {error}") from None
 
     def kept(self, training: Training) -> tuple[str, ...]:
         """Name the user's changes that a training does not take, because its row or its own recipe sets them."""
-        own = set(training.changes)
-        if training.role == "panoramas" and self._unchanged(training).lr != self._places.lr:
+        own, unchanged = set(training.changes), self._unchanged(training)
+        if training.role == "panoramas" and unchanged.lr != self._role("places").lr:
             own.add("lr")  # each released script has its own, ten times apart
         if training.method.startswith("safa"):
-            own |= {"size", "width"} if self.safa is None else {"size", "width", "lr", "optimizer"}
-        if str(self.changes.get("backbone", self._unchanged(training).backbone)).startswith("vgg16"):
-            # A VGG has no such layer.
-            own.add("last_layer")
+            own |= {"size", "width", "lr", "optimizer"} if "safa" in self.recipes else {"size", "width"}
+        if str(self.changes.get("backbone", unchanged.backbone)).startswith("vgg16"):
+            own.add("last_layer")  # which a VGG has not
         return tuple(name for name in self.changes if name in own)
 
     def _unchanged(self, training: Training) -> Recipe:
-        if training.method in recipes.METRIC_LOSSES and isinstance(self.places, str):
+        if self.settings:
+            return recipes.method(training.method, self._role(training.role))
+        if training.method in recipes.METRIC_LOSSES:
             return recipes.find("metric-released", training.method)
-        if training.recipe is not None and isinstance(self.panoramas, str):
+        if training.recipe is not None:
             return RECIPES[training.recipe]
-        base = self.places if training.role == "places" else self.panoramas
-        if training.method.startswith("safa") and self.safa is not None:
-            base = self.safa
-        return recipes.find(base, training.method) if isinstance(base, str) else recipes.method(training.method, base)
+        role = "safa" if training.method.startswith("safa") else training.role
+        return recipes.find(self.recipes[role], training.method)
+
+    def _role(self, role: str) -> Recipe:
+        return replace(RECIPES[self.recipes[role]], **self.settings.get(role, {}))
 
     @property
     def base(self) -> Recipe:
-        """The recipe of places, with the user's changes of backbone and input size."""
-        changes = {name: value for name, value in self.changes.items() if name in _NETWORK}
-        return replace(self._places, **changes)
-
-    @property
-    def _places(self) -> Recipe:
-        return RECIPES[self.places] if isinstance(self.places, str) else self.places
+        """The recipe of places, with the user's changes of backbone and input size: that of a network without training."""
+        names = ("backbone", "last_layer", "size", "width")
+        return replace(self._role("places"), **{name: self.changes[name] for name in names if name in self.changes})
 
 
-# Settings of a network without training.
-_NETWORK = ("backbone", "last_layer", "size", "width")
 # Settings that tell the rows of the tables apart; the user cannot change them for all rows.
 ROW_SETTINGS = (
-    "n_parts", "layout", "pooling", "polar", "maps", "street", "google", "linear", "instance", "metric", "positives", "pool",
-    "metric_per_part", "margin", "seed",
-)  # fmt: skip
-
-_REDUCED = replace(RECIPES["world"], epochs=30, infonce=0.0)
-
-SCALES: dict[str, Scale] = {
-    "paper": Scale(
-        "paper",
-        "paper",
-        "cvusa-paper",
-        "safa-paper",
-        {size: size for size in paper_values.TABLE3},
-        "Recipes paper, cvusa-paper, and safa-paper: what the papers state. Metric losses: metric-released, as released.",
-    ),
-    "released": Scale(
-        "released",
-        "released",
-        "cvusa-released",
-        "safa-released",
-        {size: size for size in paper_values.TABLE3},
-        "Recipes released, cvusa-released, safa-released, and metric-released: as the released scripts train.",
-        protocol="released",
-    ),
-    "reduced": Scale(
-        "reduced",
-        _REDUCED,
-        replace(_REDUCED, satellite_rotation=0.0, place_rotation=180.0, rotation=0.0),
-        None,
-        {size: size // 2 for size in paper_values.TABLE3},
-        "Reduced scale, the same budget for every row: ResNet-18 cut after layer3, 30 epochs, 32 places a step, AdamW at 0.0005 "
-        "with a cosine; label smoothing 0.1; a moving average of the weights (0.99); one BatchNorm over views that share "
-        "weights; losses averaged over parts and views; pictures of 256 x 256 pixels, and of 112 x 616 where tiles are unrolled. "
-        "Satellites "
-        "are turned at random over the full circle in training, panoramas and their tiles together.",
-    ),
-}
-
-_UNROLLED = {"shared": False, "polar": True, "size": 112, "width": 616}
-_LPN = Training("lpn", "lpn", changes={"n_parts": 4})
-_LPN_ONLY = Training("lpn-without-google", "lpn", changes={"n_parts": 4, "google": False})
-_BASELINE = Training("instance", "instance")
-_SEQUENTIAL = Training("panorama-lpn-sequential", "lpn-sequential", "panoramas", recipe="cvusa-paper")
-_PANORAMA_LPN = Training("panorama-lpn", "lpn-cvusa", "panoramas", recipe="cvusa-released")
-_SAFA = Training("panorama-safa", "safa", "panoramas")
-_SAFA_LPN = Training("panorama-safa-lpn", "safa-lpn", "panoramas")
-
+    *("n_parts", "layout", "pooling", "polar", "maps", "street", "google", "linear", "instance", "metric", "positives"),
+    *("pool", "metric_per_part", "margin", "loss", "loss_weight", "seed"),
+)
+SCALES = {name: Scale(name, **values) for name, values in _DATA["scales"].items()}
+_TRAININGS = {name: Training(name, **values) for name, values in _DATA["trainings"].items()}
 # The networks that each drawn picture shows, by name of the file. The first is Figure 8's.
-SHOWN: dict[str, tuple[Training, ...]] = {
-    "figure1": (_BASELINE, _LPN),
-    "figure7a": (_BASELINE, _LPN),
-    "figure7b": (_SAFA, _SAFA_LPN),
-    "figure8": (_LPN,),
-    "figure8-panoramas": (_SAFA_LPN,),
-}
+SHOWN = {name: tuple(_TRAININGS[one] for one in names) for name, names in _DATA["figures"].items()}
 # The pictures of each drawn figure.
-DRAWN = {"figure1": ("figure1",), "figure7": ("figure7a", "figure7b"), "figure8": ("figure8", "figure8-panoramas")}
-
-
-def _of_parts(n: int) -> Training:
-    if n == 1:
-        return _BASELINE
-    return _LPN if n == 4 else Training(f"lpn-{n}-parts", "lpn", changes={"n_parts": n})
+DRAWN = {
+    key: tuple(name for name in SHOWN if name.startswith(key)) for key in dict.fromkeys(name[:7] for name in SHOWN)
+}
+# All tables and figures that can be reproduced.
+KEYS = tuple(dict.fromkeys((*_DATA["tables"], *DRAWN)))
 
 
 def tables(scale: Scale) -> dict[str, PaperTable]:
     """Return all tables and measured figures by key."""
-    by_loss = {"contrastive": "Contrastive loss", "triplet-0.3": "Triplet loss, margin 0.3"}
-    by_loss |= {"triplet-0.5": "Triplet loss, margin 0.5", "soft-margin": "Weighted soft-margin triplet loss"}
-    of_table1 = [("Instance loss (baseline)", _BASELINE)]
-    of_table1 += [(label, Training(name, name)) for name, label in by_loss.items()]
-    of_table1 += [("LPN without google", _LPN_ONLY), ("LPN", _LPN)]
-    of_table2 = [
-        ("Instance loss (baseline)", Training("panorama-instance", "instance", "panoramas", {"shared": False})),
-        ("LPN, sequential partition", _SEQUENTIAL),
-        ("LPN, rings and rows", _PANORAMA_LPN),
-        ("Instance loss, unrolled tiles", Training("panorama-instance-unrolled", "instance", "panoramas", _UNROLLED)),
-        ("LPN, strips of unrolled tiles", Training("panorama-lpn-strips", "lpn-strips", "panoramas", _UNROLLED)),
-        ("SAFA", _SAFA),
-        ("SAFA + LPN", _SAFA_LPN),
-    ]
-    both_ways = {
-        "table1": (
-            "Table I: losses and LPN",
-            [TableRow(label, training, paper_values.TABLE1[label]) for label, training in of_table1],
-        ),
-        "table3": (
-            "Table III: input size",
-            [_of_size(size, scale, values) for size, values in paper_values.TABLE3.items()],
-        ),
-        "table4": (
-            "Table IV: turned queries",
-            [TableRow(f"LPN, {angle}°", _LPN, values, rotate=angle) for angle, values in paper_values.TABLE4.items()]
-            + [TableRow(f"Baseline, {angle}°", _BASELINE, rotate=angle) for angle in paper_values.TABLE4],
-        ),
-        "table5": (
-            "Table V: parts used",
-            [
-                TableRow(label, _LPN, values, parts=tuple(int(part) for part in label.split("+")))
-                for label, values in paper_values.TABLE5.items()
-            ],
-        ),
-        "figure5": (
-            "Figure 5: number of parts",
-            [TableRow(f"n = {n}", _of_parts(n), paper_values.FIGURE5.get(n, ())) for n in (1, 2, 4, 6, 8)],
-        ),
-    }
-    by_name = {
-        key: PaperTable(key, title, "both ways", paper_values.BOTH_WAYS, tuple(rows))
-        for key, (title, rows) in both_ways.items()
-    }
-    by_name["table2"] = PaperTable(
-        "table2",
-        "Table II: ground to satellite",
-        "ground",
-        paper_values.GROUND,
-        tuple(TableRow(label, None, values, quoted=True) for label, values in paper_values.TABLE2_QUOTED.items())
-        + tuple(
-            TableRow(label, training, paper_values.TABLE2.get(label, ()), _own_recipe(training, scale))
-            for label, training in of_table2
-        ),
-    )
-    by_name["table6"] = PaperTable(
-        "table6", "Table VI: features carried over to landmarks", "landmarks", paper_values.LANDMARKS, _carried()
-    )
-    by_name["figure7"] = PaperTable(
-        "figure7",
-        "Figure 7: activation in the centre",
-        "centre",
-        paper_values.CENTRE,
-        (TableRow("Baseline, n = 1", _BASELINE), TableRow("LPN, n = 4", _LPN)),
-    )
-    return dict(sorted(by_name.items(), key=lambda item: (item[0].startswith("figure"), item[0])))
+    made = {}
+    for key, entry in _DATA["tables"].items():
+        rows = tuple(_row(row, scale) for row in entry["rows"])
+        more = {name: entry[name] for name in ("google", "protocols") if name in entry}
+        columns, notes = tuple(_DATA["columns"][entry["measure"]]), tuple(entry.get("notes", ()))
+        made[key] = PaperTable(key, entry["title"], entry["measure"], columns, rows, notes, **more)
+    return made
 
 
-def _own_recipe(training: Training, scale: Scale) -> str:
-    return f"recipe {training.recipe}" if training.recipe and isinstance(scale.panoramas, str) else ""
+def _row(entry: Mapping[str, Any], scale: Scale) -> TableRow:
+    how = dict(entry)
+    label, name, size = how.pop("label"), how.pop("training", None), how.pop("size", None)
+    paper = tuple(None if math.isnan(value) else value for value in how.pop("paper", ()))
+    training = _TRAININGS[name] if name else None
+    if "parts" in how:
+        how["parts"] = tuple(how["parts"])
+    if training is not None and training.recipe and not scale.settings:
+        how["note"] = f"recipe {training.recipe}"
+    if size is not None:
+        ours, lpn = size // scale.divisor, _TRAININGS["lpn"]
+        resized = replace(lpn, name=f"lpn-{ours}-pixels", changes={**lpn.changes, "size": ours})
+        training = lpn if ours == scale.base.size else resized
+        how["note"] = "" if ours == size else f"here {ours}"
+    return TableRow(label, training, paper, **how)
 
 
-def _of_size(size: int, scale: Scale, values: paper_values.Values) -> TableRow:
-    ours = scale.sizes[size]
-    same = ours == scale.base.size
-    training = _LPN if same else Training(f"lpn-{ours}-pixels", "lpn", changes={"n_parts": 4, "size": ours})
-    return TableRow(str(size), training, values, "" if ours == size else f"here {ours}")
-
-
-def _carried() -> tuple[TableRow, ...]:
-    labels = list(paper_values.TABLE6)
-    branches: tuple[View, View] = ("satellite", "street")
-    rows = [TableRow(labels[0], None, paper_values.TABLE6[labels[0]], branch="street")]
-    of_branch = [(training, branch) for training in (_BASELINE, _LPN) for branch in branches]
-    for label, (training, branch) in zip(labels[1:], of_branch, strict=True):
-        rows.append(TableRow(label, training, paper_values.TABLE6[label], branch=branch))
-    return tuple(rows)
+def claims(key: str) -> tuple[Claim, ...]:
+    """Return the paper's claims about a table or figure."""
+    made = []
+    for entry in _DATA["tables"][key].get("claims", ()):
+        rising = [(better, worse) for worse, better in pairwise(entry.get("rising", ()))]
+        pairs = [*entry.get("pairs", ()), *((entry["ahead"], other) for other in entry.get("of", ())), *rising]
+        columns, tolerance = (tuple(entry[name]) if name in entry else None for name in ("columns", "tolerance"))
+        made.append(Claim(entry["text"], tuple((better, worse) for better, worse in pairs), columns, tolerance))
+    return tuple(made)
 
 
 def find(key: str, scale: Scale) -> PaperTable:
-    """Return the table or measured figure of a key.
-
-    Raises:
-        InputError: when there is none.
-    """
+    """Return the table or measured figure of a key; InputError when there is none."""
     known = tables(scale)
     if key not in known:
-        raise InputError(
-            f"There is no {key!r} to reproduce; choose one of {', '.join(known)}, figure1, figure8, or all."
-        )
+        raise InputError(f"There is no {key!r} to reproduce; choose one of {', '.join(KEYS)}, or all.")
     return known[key]

@@ -9,7 +9,7 @@ import numpy as np
 
 from lpn.core import images
 from lpn.core.arrays import UInt8Array
-from lpn.training.recipes import Recipe
+from lpn.training.recipe import Recipe
 
 # Weights of red, green, and blue in a grey level.
 _GREY = np.full(3, 1 / 3, np.float32)

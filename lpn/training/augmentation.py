@@ -13,7 +13,7 @@ from lpn.core.arrays import UInt8Array
 from lpn.core.views import View
 from lpn.descriptors.weather import draw_any
 from lpn.training.appearance import change_appearance, compress
-from lpn.training.recipes import Recipe
+from lpn.training.recipe import Recipe
 
 
 def draw_place_pose(recipe: Recipe, rng: np.random.Generator) -> tuple[float, bool]:

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, cast
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from lpn.core.views import branch_of
 from lpn.models import checkpoints
 from lpn.models.network import LPN
 from lpn.training.loader import TrainingBatch
-from lpn.training.losses import total_loss
+from lpn.training.losses import TrainingStep, loss_terms, open_loss
 from lpn.training.optimizer import MixedPrecision, average_weights, build_optimizer, loss_factor, rate_factor
-from lpn.training.recipes import Recipe
+from lpn.training.recipe import Recipe
 
 
 class Learner:
@@ -27,15 +28,15 @@ class Learner:
     """
 
     def __init__(self, network: LPN, recipe: Recipe, device: torch.device) -> None:
-        self.network, self.recipe = network, recipe
+        self.network, self.recipe, self.device = network, recipe, device
         network.to(device, memory_format=torch.channels_last)  # type: ignore[call-overload]
+        self.own_loss = open_loss(recipe.loss) if recipe.loss else None
         self.average = average_weights(network, recipe.ema) if recipe.ema else None
         self.mixed_precision = MixedPrecision(recipe, device)
         self.optimizer = build_optimizer(network, recipe)
         self.rates = [float(parameters["lr"]) for parameters in self.optimizer.param_groups]
-        self.multi_view = MultiViewNetwork(network, recipe.joint_views)
 
-    def step(self, batch: TrainingBatch, step: int, steps: int) -> tuple[Tensor, float]:
+    def step(self, batch: TrainingBatch, step: int, steps: int) -> tuple[dict[str, Tensor], float]:
         """Take one training step.
 
         Args:
@@ -43,21 +44,44 @@ class Learner:
             steps: steps per epoch.
 
         Returns:
-            The loss of the whole batch, without a warm-up's factor, and the learning rate of the heads.
+            The loss of the whole batch and its terms, without a warm-up's factor, and the learning rate of the heads.
         """
         factor = rate_factor(self.recipe, step, steps)
         for parameters, rate in zip(self.optimizer.param_groups, self.rates, strict=True):
             parameters["lr"] = rate * factor
         with self.mixed_precision.convolutions():
             with self.mixed_precision.autocast():
-                outputs = self.multi_view(batch.sets)
-            loss = total_loss(outputs, batch.labels, self.recipe, batch.overlaps, step)
+                outputs = self.outputs(batch.sets)
+            parts, scores = ({name: of[i] for name, of in outputs.items()} for i in (0, 1))
+            terms = loss_terms(
+                TrainingStep(parts, scores, batch.labels, batch.overlaps, step), self.recipe, self.own_loss
+            )
+            loss = sum(terms.values(), torch.zeros((), device=self.device))
             self.mixed_precision.step(loss * loss_factor(self.recipe, step, steps), self.optimizer)
         if self.average is not None:
             # A resumed run knows its step, so the count need not be saved.
             self.average.n_averaged.fill_(step + 1)
             self.average.update_parameters(self.network)
-        return loss.detach(), self.rates[-1] * factor
+        return {"loss": loss.detach()} | {name: of.detach() for name, of in terms.items()}, self.rates[-1] * factor
+
+    def outputs(self, sets: Mapping[str, Tensor]) -> dict[str, tuple[Tensor, Tensor]]:
+        """Compute part embeddings (b, n, D) and class scores (b, n, classes) of each set of pictures (b, 3, H, W).
+
+        By default each set is a batch of its own, as in the published code. With `joint_views`, sets with the same weights and
+        the same partition form one batch, so that BatchNorm sees them together.
+        """
+        groups = self.network.spec.groups()
+        batches: dict[object, list[str]] = {}
+        for name in sets:
+            key = next(g for g in groups if branch_of(name) in g) if self.recipe.joint_views else name
+            batches.setdefault(key, []).append(name)
+        outputs: dict[str, tuple[Tensor, Tensor]] = {}
+        for names in batches.values():
+            embeddings, scores = self.network(torch.cat([sets[name] for name in names]), branch_of(names[0]))
+            sizes = [len(sets[name]) for name in names]
+            of_sets = zip(embeddings.split(sizes), scores.split(sizes), strict=True)
+            outputs |= dict(zip(names, of_sets, strict=True))
+        return outputs
 
     def is_finite(self) -> bool:
         """Check that every weight is a finite number."""
@@ -90,30 +114,3 @@ class Learner:
         # The scaler's state is empty if the run did not use float16.
         if state["scaler"]:
             self.mixed_precision.scaler.load_state_dict(state["scaler"])
-
-
-class MultiViewNetwork(nn.Module):
-    """A network that takes all picture sets of a step in one forward call.
-
-    By default each set is a batch of its own, as in the published code. If `joint`, sets with the same weights
-    and the same partition form one batch, so that BatchNorm sees them together.
-    """
-
-    def __init__(self, network: LPN, joint: bool) -> None:
-        super().__init__()
-        self.network, self.joint = network, joint
-
-    def forward(self, sets: dict[str, Tensor]) -> dict[str, tuple[Tensor, Tensor]]:
-        """Compute part embeddings (b, n, D) and class scores (b, n, classes) of each set (b, 3, H, W)."""
-        outputs: dict[str, tuple[Tensor, Tensor]] = {}
-        groups = self.network.spec.groups()
-        batches: dict[object, list[str]] = {}
-        for name in sets:
-            key = next(g for g in groups if branch_of(name) in g) if self.joint else name
-            batches.setdefault(key, []).append(name)
-        for names in batches.values():
-            embeddings, scores = self.network(torch.cat([sets[name] for name in names]), branch_of(names[0]))
-            sizes = [len(sets[name]) for name in names]
-            for name, e, s in zip(names, embeddings.split(sizes), scores.split(sizes), strict=True):
-                outputs[name] = (e, s)
-        return outputs

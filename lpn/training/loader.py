@@ -24,7 +24,7 @@ from lpn.core.resources import usable_cores
 from lpn.core.views import branch_of
 from lpn.training.augmentation import augment, draw_place_pose
 from lpn.training.map_windows import MapWindows
-from lpn.training.recipes import Recipe
+from lpn.training.recipe import Recipe
 from lpn.training.training_set import TrainingSet
 
 # Minimum number of batches prepared ahead of the network; small batches need more to keep all workers busy.
@@ -58,12 +58,6 @@ class TrainingBatch:
         return sum(len(labels) for labels in self.labels.values())
 
 
-def steps_per_epoch(places: TrainingSet, recipe: Recipe) -> int:
-    """Return the steps of an epoch, which ends with the shortest set if sets are shuffled on their own."""
-    pictures = places.pictures() if recipe.sampling == "pictures" else {}
-    return min(map(len, pictures.values()), default=len(places)) // recipe.batch
-
-
 class Loader:
     """The batches of a training in order, sampled as the recipe says.
 
@@ -82,23 +76,23 @@ class Loader:
     """
 
     def __init__(
-        self,
-        places: TrainingSet | MapWindows,
-        recipe: Recipe,
-        device: torch.device,
-        workers: int = 0,
+        self, places: TrainingSet | MapWindows, recipe: Recipe, device: torch.device, workers: int = 0
     ) -> None:
         if len(places) < 2:
             raise InputError(f"The training set has {len(places) or 'no'} place; training needs at least two.")
+        if workers < 0:
+            raise InputError(
+                f"The number of workers is {workers}; expected 1 or more, or 0 to choose it automatically."
+            )
+        self.places, self.recipe, self.device = places, recipe, device
         self._pictures: dict[str, list[tuple[Path, int]]] = {}
         self._files: dict[str, list[list[Path]]] = {}
-        if isinstance(places, TrainingSet):
-            self._pictures = places.pictures() if recipe.sampling == "pictures" else {}
-            self._files = {} if self._pictures else places.drawn_from()
-        # For each set that not all places have: those that have it.
-        self._there = {
-            name: np.flatnonzero([bool(of) for of in files]) for name, files in self._files.items() if not all(files)
-        }
+        if isinstance(places, TrainingSet) and recipe.sampling == "pictures":
+            self._pictures = places.pictures()
+        elif isinstance(places, TrainingSet):
+            self._files = places.drawn_from()
+        # The places that have pictures, by set.
+        self._there = {name: np.flatnonzero([bool(of) for of in files]) for name, files in self._files.items()}
         # An epoch ends with the shortest set.
         self._length = min(map(len, self._pictures.values()), default=len(places))
         if self._length < recipe.batch:
@@ -107,11 +101,6 @@ class Loader:
             raise InputError(
                 f"There are {self._length} {what} and a batch of {recipe.batch}; set --batch to at most {self._length}{without}."
             )
-        if workers < 0:
-            raise InputError(
-                f"The number of workers is {workers}; expected 1 or more, or 0 to choose it automatically."
-            )
-        self.places, self.recipe, self.device = places, recipe, device
         self.workers = workers or choose_workers(device)
         self._prefetch = max(_PREFETCH, -(-2 * self.workers // recipe.batch))
         self._scale, self._offset = (
@@ -149,42 +138,37 @@ class Loader:
 
     def _batches(self, epoch: int) -> Iterator[tuple[_Labels, BoolArray | None, list[_Row]]]:
         """Yield each batch's labels of each set, its windows that share ground, and the work for its rows."""
-        rows: list[_Row]
-        labels: _Labels
-        if isinstance(self.places, MapWindows):
-            for places in self._chunks(len(self.places), [self.recipe.seed, epoch]):
-                rows = [partial(self._draw_window, self.places, int(place), epoch) for place in places]
-                yield dict.fromkeys(self.places.views, places), self.places.overlapping(places, epoch), rows
-            return
-        if self.recipe.sampling == "places":
-            for places in self._chunks(len(self.places), [self.recipe.seed, epoch]):
+        seed, sets = [self.recipe.seed, epoch], self.places
+        if isinstance(sets, MapWindows):
+            for places in self._chunks(len(sets), seed):
+                rows: list[_Row] = [partial(_draw_window, sets, place, epoch) for place in places.tolist()]
+                yield dict.fromkeys(sets.views, places), sets.overlapping(places, epoch), rows
+        elif self.recipe.sampling == "places":
+            for places in self._chunks(len(sets), seed):
                 labels = {
                     name: self._labels_of(name, number, places, epoch) for number, name in enumerate(self._files, 1)
                 }
                 rows = [
-                    partial(
-                        self._draw_place,
-                        self.places,
-                        int(places[row]),
-                        epoch,
-                        {n: int(of[row]) for n, of in labels.items()},
-                    )
-                    for row in range(len(places))
+                    partial(self._draw_place, sets, place, epoch, {name: int(of[row]) for name, of in labels.items()})
+                    for row, place in enumerate(places.tolist())
                 ]
                 yield {name: np.repeat(of, self._per_place(name)) for name, of in labels.items()}, None, rows
-            return
-        orders = [
-            self._chunks(len(pictures), [self.recipe.seed, epoch, number])
-            for number, pictures in enumerate(self._pictures.values())
-        ]
-        # The orders of longer sets have more chunks.
-        for chunks in zip(*orders, strict=False):
-            labels = {}
-            rows = []
-            for number, ((name, pictures), chunk) in enumerate(zip(self._pictures.items(), chunks, strict=True)):
-                labels[name] = np.array([pictures[index][1] for index in chunk], np.int64)
-                rows += [partial(self._draw_picture, self.places, name, number, int(index), epoch) for index in chunk]
-            yield labels, None, rows
+        else:
+            orders = [
+                self._chunks(len(pictures), [*seed, number]) for number, pictures in enumerate(self._pictures.values())
+            ]
+            # The orders of longer sets have more chunks.
+            for chunks in zip(*orders, strict=False):
+                of_sets = list(zip(self._pictures, chunks, strict=True))
+                labels = {
+                    name: np.array([self._pictures[name][i][1] for i in chunk], np.int64) for name, chunk in of_sets
+                }
+                rows = [
+                    partial(self._draw_picture, sets, name, number, index, epoch)
+                    for number, (name, chunk) in enumerate(of_sets)
+                    for index in chunk.tolist()
+                ]
+                yield labels, None, rows
 
     def _chunks(self, count: int, seed: list[int]) -> list[Int64Array]:
         """Shuffle the numbers below `count`, and cut them into whole batches."""
@@ -192,21 +176,9 @@ class Loader:
         batch = self.recipe.batch
         return [order[start : start + batch] for start in range(0, count - batch + 1, batch)]
 
-    def _draw_window(self, windows: MapWindows, window: int, epoch: int) -> dict[str, list[UInt8Array]]:
-        """Draw both views of a window of a map, (H, W, 3) uint8 each; runs in a worker."""
-        return {name: [view] for name, view in windows.draw(window, epoch).items()}
-
     def _per_place(self, name: str) -> int:
         """Pictures of a place in a batch of places."""
         return self.recipe.positives if name == "drone" else 1
-
-    def _draw_picture(
-        self, places: TrainingSet, name: str, number: int, index: int, epoch: int
-    ) -> dict[str, list[UInt8Array]]:
-        """Augment one picture of a set, (H, W, 3) uint8; runs in a worker."""
-        # A zero in the last place would repeat the random numbers of the set's order.
-        rng = np.random.default_rng([self.recipe.seed, epoch, number, index + 1])
-        return {name: [self._augmented(places, self._pictures[name][index][0], name, rng, 0.0, False)]}
 
     def _labels_of(self, name: str, number: int, places: Int64Array, epoch: int) -> Int64Array:
         """Return the place that each row of a set shows: its own, or another one if that has no picture in the set.
@@ -221,16 +193,19 @@ class Loader:
                 labels[row] = rng.choice(self._there[name])
         return labels
 
-    def _draw_place(
-        self, places: TrainingSet, place: int, epoch: int, labels: Mapping[str, int]
-    ) -> dict[str, list[UInt8Array]]:
+    def _draw_picture(self, places: TrainingSet, name: str, number: int, index: int, epoch: int) -> _Drawn:
+        """Augment one picture of a set, (H, W, 3) uint8; runs in a worker."""
+        # A zero in the last place would repeat the random numbers of the set's order.
+        rng = np.random.default_rng([self.recipe.seed, epoch, number, index + 1])
+        return {name: [self._augmented(places, self._pictures[name][index][0], name, rng, 0.0, False)]}
+
+    def _draw_place(self, places: TrainingSet, place: int, epoch: int, labels: Mapping[str, int]) -> _Drawn:
         """Draw and augment the pictures of each set, (H, W, 3) uint8 each; runs in a worker."""
         rng = np.random.default_rng([self.recipe.seed, epoch, place])
         angle, mirror = draw_place_pose(self.recipe, rng)
         drawn = {}
         for name, of in labels.items():
-            files = self._files[name][of]
-            count = self._per_place(name)
+            files, count = self._files[name][of], self._per_place(name)
             # Fewer files than pictures are drawn again in turn, as released.
             chosen = [rng.integers(len(files))] if count == 1 else np.resize(rng.permutation(len(files)), count)
             drawn[name] = [self._augmented(places, files[int(i)], name, rng, angle, mirror) for i in chosen]
@@ -255,6 +230,11 @@ class Loader:
         np.stack(pictures, out=raw.numpy())
         moved = raw.to(self.device, non_blocking=cuda).permute(0, 3, 1, 2)
         return moved.to(torch.float32).mul_(self._scale).add_(self._offset)
+
+
+def _draw_window(windows: MapWindows, window: int, epoch: int) -> _Drawn:
+    """Draw both views of a window of a map, (H, W, 3) uint8 each; runs in a worker."""
+    return {name: [view] for name, view in windows.draw(window, epoch).items()}
 
 
 def choose_workers(device: torch.device) -> int:

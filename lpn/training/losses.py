@@ -1,16 +1,26 @@
-"""The losses an LPN is trained with."""
+"""The losses an LPN is trained with, and those of other packages: entry points of the group `lpn.losses`."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from importlib.metadata import entry_points
 
 import numpy as np
 import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from lpn.training.recipes import Recipe
+from lpn.core.errors import InputError, LPNError
+from lpn.core.files import printable
+from lpn.training.recipe import Recipe
+
+GROUP = "lpn.losses"
+# The names of our own terms, and of their sum.
+_TERMS = ("loss", "instance", "contrastive", "triplet", "soft_margin", "infonce")
+# A loss of another package: one number of a step, a tensor with a gradient.
+PackageLoss = Callable[["TrainingStep", Recipe], Tensor]
 
 
 def instance_loss(scores: Tensor, places: Tensor, smoothing: float = 0.0) -> Tensor:
@@ -31,11 +41,7 @@ def descriptors(parts: Tensor) -> Tensor:
 
 
 def infonce_loss(
-    first: Tensor,
-    second: Tensor,
-    temperature: float,
-    smoothing: float = 0.0,
-    overlaps: Tensor | None = None,
+    first: Tensor, second: Tensor, temperature: float, smoothing: float = 0.0, overlaps: Tensor | None = None
 ) -> Tensor:
     """Symmetric InfoNCE between two views of the same places.
 
@@ -74,44 +80,124 @@ def soft_margin_loss(first: Tensor, second: Tensor, alpha: float) -> Tensor:
     return torch.stack(terms).mean()
 
 
-def total_loss(
-    outputs: Mapping[str, tuple[Tensor, Tensor]],
-    labels: Mapping[str, Tensor],
-    recipe: Recipe,
-    overlaps: Tensor | None = None,
-    step: int = 0,
-) -> Tensor:
-    """Compute a recipe's loss for one step.
+@dataclass(frozen=True)
+class TrainingStep:
+    """The outputs of a network for one batch, as a loss sees them.
+
+    Attributes:
+        parts: the embeddings of the parts in each picture set (satellite, drone, street, google), (B, n, D).
+        scores: the class scores of each part, (B, n, classes).
+        labels: the class of each row of each set, (B,). A row of a set whose label is not that of the satellite's shows
+            another place, for want of a picture.
+        overlaps: of windows of a map, which rows share ground, (B, B) bool; else None.
+        number: of the step, from 0, over all epochs.
+    """
+
+    parts: Mapping[str, Tensor]
+    scores: Mapping[str, Tensor]
+    labels: Mapping[str, Tensor]
+    overlaps: Tensor | None = None
+    number: int = 0
+
+
+def loss_terms(step: TrainingStep, recipe: Recipe, own: PackageLoss | None = None) -> dict[str, Tensor]:
+    """Compute the terms of a recipe's loss, each with its weight, by their names; the loss is their sum.
 
     Args:
-        outputs: part embeddings and class scores of each picture set (satellite, drone, street, google).
-        labels: class of each row of each set, (B,). The InfoNCE and the metric loss compare the rows of a set whose label is
-            that of the satellite's; others show another place, for want of a picture.
-        overlaps: see `infonce_loss`.
-        step: number of the step, from which the pool of the released metric losses is drawn.
+        own: the opened loss of another package that the recipe names.
+
+    Raises:
+        InputError: if a package's loss fails, or is not one number.
     """
-    loss = torch.zeros((), device=next(iter(labels.values())).device)
+    terms: dict[str, Tensor] = {}
     if recipe.instance:
-        terms = torch.cat(
-            [instance_loss(s.float(), labels[name], recipe.label_smoothing) for name, (_, s) in outputs.items()]
+        by_part = torch.cat(
+            [instance_loss(s.float(), step.labels[name], recipe.label_smoothing) for name, s in step.scores.items()]
         )
-        loss = loss + recipe.instance * (terms.sum() if recipe.reduction == "sum" else terms.mean())
+        terms["instance"] = recipe.instance * (by_part.sum() if recipe.reduction == "sum" else by_part.mean())
     if recipe.compares_drones:
-        return loss + _released_loss(outputs, labels, recipe, step)
-    if (recipe.infonce or recipe.metric != "none") and "satellite" in outputs:
-        embeddings = {name: parts.float() for name, (parts, _) in outputs.items()}
-        tiles = embeddings.pop("satellite")
-        pairs = []
-        for name, parts in embeddings.items():
-            same = labels["satellite"] == labels[name]
-            if same.sum() < 2:
-                # Nothing to compare; the sum has a gradient of zero.
-                pairs.append(0 * (tiles.sum() + parts.sum()))
-                continue
-            shared = None if overlaps is None else overlaps[same][:, same]
-            pairs.append(_pair_loss(tiles[same], parts[same], recipe, shared))
-        loss = loss + torch.stack(pairs).mean()
+        terms[recipe.metric] = _released_loss(step, recipe)
+    elif recipe.metric != "none":
+        terms[recipe.metric] = _over_pairs(step, lambda tiles, others, _: _soft_margin(tiles, others, recipe))
+    if recipe.infonce:
+        terms["infonce"] = _over_pairs(
+            step, lambda tiles, others, overlaps: recipe.infonce * _infonce(tiles, others, overlaps, recipe)
+        )
+    if own is not None:
+        terms[recipe.loss] = recipe.loss_weight * _of_package(own, step, recipe)
+    return terms
+
+
+def open_loss(name: str) -> PackageLoss:
+    """Return the loss that a package registers by an entry point of the group `lpn.losses`.
+
+    Raises:
+        InputError: if no package does, the name is that of a term of ours, or the loss cannot be loaded.
+    """
+    if name in _TERMS:
+        raise InputError(
+            f"The loss {name} has the name of a term of ours ({', '.join(_TERMS)}); register another name."
+        )
+    found = {point.name: point for point in entry_points(group=GROUP)}
+    if name not in found:
+        raise InputError(
+            f"There is no loss {printable(name)}; an installed package has to register it as an entry point of {GROUP}"
+            + (f", which has {', '.join(sorted(found))}." if found else ", which has none.")
+        )
+    try:
+        loss: PackageLoss = found[name].load()
+    except Exception as error:  # another package's code may raise anything
+        raise InputError(f"The loss {name} ({found[name].value}) cannot be loaded: {_reason(error)}.") from error
     return loss
+
+
+def _of_package(own: PackageLoss, step: TrainingStep, recipe: Recipe) -> Tensor:
+    name = recipe.loss
+    try:
+        loss = own(step, recipe)
+    except LPNError:
+        raise
+    except Exception as error:  # another package's code may raise anything
+        raise InputError(f"The loss {name} failed: {_reason(error)}.") from error
+    if not isinstance(loss, Tensor) or loss.numel() != 1:
+        shown = f"a tensor of {tuple(loss.shape)}" if isinstance(loss, Tensor) else f"a {type(loss).__name__}"
+        raise InputError(f"The loss {name} returned {shown}; expected a tensor with one number.")
+    return loss.reshape(())
+
+
+def _reason(error: Exception) -> str:
+    return f"{type(error).__name__}: {printable(str(error).strip().partition(chr(10))[0])}"
+
+
+def _over_pairs(step: TrainingStep, loss: Callable[[Tensor, Tensor, Tensor | None], Tensor]) -> Tensor:
+    """Average a loss on the part embeddings (b, n, D) of two views over the views beside the satellite's.
+
+    Only the rows that show the satellite's place are compared.
+    """
+    embeddings = {name: parts.float() for name, parts in step.parts.items()}
+    tiles, labels = embeddings.pop("satellite"), step.labels
+    pairs = []
+    for name, parts in embeddings.items():
+        same = labels["satellite"] == labels[name]
+        if same.sum() < 2:
+            # Nothing to compare; the sum has a gradient of zero.
+            pairs.append(0 * (tiles.sum() + parts.sum()))
+            continue
+        shared = None if step.overlaps is None else step.overlaps[same][:, same]
+        pairs.append(loss(tiles[same], parts[same], shared))
+    return torch.stack(pairs).mean()
+
+
+def _infonce(tiles: Tensor, pictures: Tensor, overlaps: Tensor | None, recipe: Recipe) -> Tensor:
+    views = descriptors(tiles), descriptors(pictures)
+    return infonce_loss(*views, recipe.temperature, recipe.label_smoothing, overlaps)
+
+
+def _soft_margin(tiles: Tensor, pictures: Tensor, recipe: Recipe) -> Tensor:
+    if not recipe.metric_per_part:
+        return soft_margin_loss(descriptors(tiles), descriptors(pictures), recipe.alpha)
+    pairs = zip(torch.split(tiles, 1, 1), torch.split(pictures, 1, 1), strict=True)
+    return torch.stack([soft_margin_loss(descriptors(a), descriptors(b), recipe.alpha) for a, b in pairs]).mean()
 
 
 def hardest_scores(tiles: Tensor, drones: Tensor, places: Tensor, pool: Tensor) -> tuple[Tensor, Tensor]:
@@ -150,32 +236,15 @@ def released_metric_loss(positive: Tensor, negative: Tensor, recipe: Recipe) -> 
     return F.softplus(recipe.alpha * (negative - positive)).sum()
 
 
-def _released_loss(
-    outputs: Mapping[str, tuple[Tensor, Tensor]], labels: Mapping[str, Tensor], recipe: Recipe, step: int
-) -> Tensor:
+def _released_loss(step: TrainingStep, recipe: Recipe) -> Tensor:
     """Return the recipe's released metric loss; a satellite whose place has no drone picture is not counted."""
-    tiles, drones = (descriptors(outputs[name][0].float()) for name in ("satellite", "drone"))
+    labels = step.labels
+    tiles, drones = (descriptors(step.parts[name].float()) for name in ("satellite", "drone"))
     drones = drones.reshape(len(tiles), recipe.positives, -1)
     same = labels["satellite"] == labels["drone"][:: recipe.positives]
-    order = np.random.default_rng([recipe.seed, step]).permutation(int(same.sum()) * recipe.positives)
+    order = np.random.default_rng([recipe.seed, step.number]).permutation(int(same.sum()) * recipe.positives)
     if not len(order):
         return (tiles.sum() + drones.sum()).mul(0)
     pool = torch.from_numpy(order[: recipe.pool]).to(tiles.device)
     scores = hardest_scores(tiles[same], drones[same], labels["satellite"][same], pool)
     return released_metric_loss(*scores, recipe)
-
-
-def _pair_loss(tiles: Tensor, pictures: Tensor, recipe: Recipe, overlaps: Tensor | None) -> Tensor:
-    """Sum the recipe's losses on the part embeddings (B, n, D) of two views."""
-    loss = torch.zeros((), device=tiles.device)
-    whole = descriptors(tiles), descriptors(pictures)
-    if recipe.infonce:
-        similar = infonce_loss(*whole, recipe.temperature, recipe.label_smoothing, overlaps)
-        loss = loss + recipe.infonce * similar
-    if recipe.metric != "none" and not recipe.metric_per_part:
-        loss = loss + soft_margin_loss(*whole, recipe.alpha)
-    elif recipe.metric != "none":
-        pairs = zip(torch.split(tiles, 1, 1), torch.split(pictures, 1, 1), strict=True)
-        terms = [soft_margin_loss(descriptors(first), descriptors(second), recipe.alpha) for first, second in pairs]
-        loss = loss + torch.stack(terms).mean()
-    return loss

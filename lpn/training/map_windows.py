@@ -17,13 +17,7 @@ import numpy.typing as npt
 from lpn.core.arrays import BoolArray, Float64Array, Int64Array, UInt8Array
 from lpn.core.errors import DataError, InputError
 from lpn.core.files import printable
-from lpn.core.homography import (
-    apply_homography,
-    corner_pixels,
-    four_point_homography,
-    middle_pixel,
-    translation,
-)
+from lpn.core.homography import apply_homography, corner_pixels, four_point_homography, middle_pixel, translation
 from lpn.core.views import View
 from lpn.descriptors.weather import draw_any
 from lpn.flight.files import Frame, footprint
@@ -31,7 +25,7 @@ from lpn.flight.files.cut import CUT, cut_square
 from lpn.flight.maps import Map, Window
 from lpn.flight.maps.window import grid
 from lpn.training.appearance import change_appearance, compress, recolour
-from lpn.training.recipes import Recipe
+from lpn.training.recipe import Recipe
 
 # Default sides of windows, as multiples of the ground that the network's input shows at the map's resolution.
 _SIZES = (0.5, 2.0)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 
@@ -25,32 +24,15 @@ from lpn.training.training_set import paired_pictures
 EpochMetrics = dict[str, float]
 
 
-class Validator(Protocol):
-    """Measures a model in training.
-
-    Attributes:
-        column: the column of log.csv by which the best epoch is chosen.
-        description: the same metric in words.
-    """
-
-    column: str
-    description: str
-
-    def measure(self, model: Model) -> EpochMetrics:
-        """Measure a model, in percent."""
-        ...
-
-
-def _unzoomed(view: View) -> float:
-    del view
-    return 1.0
-
-
 class TestSplit:
     """Retrieval on the test split. The first task selects the epoch, so its result is optimistically biased.
 
     Args:
         zoom: of the pictures of each view, that of the training, see `Recipe.zoom`.
+
+    Attributes:
+        column: the column of log.csv by which the best epoch is chosen.
+        description: the same metric in words.
 
     Raises:
         LPNError: when the split is incomplete or a picture of it is broken, see `lpn.datasets.integrity.check_test_split`.
@@ -58,7 +40,7 @@ class TestSplit:
 
     __test__ = False  # not a test, despite its name
 
-    def __init__(self, dataset: Dataset, tasks: Sequence[str], zoom: Callable[[View], float] = _unzoomed) -> None:
+    def __init__(self, dataset: Dataset, tasks: Sequence[str], zoom: Callable[[View], float]) -> None:
         check_test_split(dataset, tasks)
         self.dataset, self.tasks, self._zoom = dataset, tasks, zoom
         self.column = f"recall@1 {tasks[0]}"
@@ -67,50 +49,46 @@ class TestSplit:
     def measure(self, model: Model, console: Console | None = None) -> EpochMetrics:
         """Measure Recall@1 and AP of every task, in percent; print all metrics if a console is given."""
         row: EpochMetrics = {}
-        cache: dict[object, Float32Array] = {}
+        known: dict[object, Float32Array] = {}
 
-        def cached(model: Model, pictures: Sequence[Picture], view: View, change: Change) -> Float32Array:
+        def described(model: Model, pictures: Sequence[Picture], view: View, change: Change) -> Float32Array:
             change = replace(change, scale=change.scale * self._zoom(view))
             key = (view, change, tuple(picture.path for picture in pictures))
-            if key not in cache:
-                cache[key] = descriptors.temporary_descriptors(model, pictures, view, change)
-            return cache[key]
+            if key not in known:
+                known[key] = descriptors.temporary_descriptors(model, pictures, view, change)
+            return known[key]
 
         for task in self.tasks:
-            result = lazy_task(model, self.dataset, task, cached).evaluate()
-            recall = result.recall
+            result = lazy_task(model, self.dataset, task, described).evaluate()
             if console is not None:
+                recalls = "  ".join(f"R@{depth} {result.recall[depth]:.2f}" for depth in ("1", "5", "10", "1%"))
                 console.print(
-                    f"{task}: R@1 {recall['1']:.2f}  R@5 {recall['5']:.2f}  R@10 {recall['10']:.2f}  "
-                    f"R@1% {recall['1%']:.2f}  AP {result.ap:.2f}  ({result.queries} queries, {result.gallery} tiles)"
+                    f"{task}: {recalls}  AP {result.ap:.2f}  ({result.queries} queries, {result.gallery} tiles)"
                 )
-            row |= {f"recall@1 {task}": recall["1"], f"ap {task}": result.ap}
+            row |= {f"recall@1 {task}": result.recall["1"], f"ap {task}": result.ap}
         if console is not None:
             console.print(result.sentence)
         return row
 
 
 class HeldOut:
-    """Retrieval of the satellite pictures of held-out training places by their drone or street pictures.
+    """Retrieval of the satellite pictures of held-out training places by their drone or street pictures, as `TestSplit`.
 
     Args:
         places: the files of each set of each place; those without a pair of pictures are not measured.
         zoom: see `TestSplit`.
     """
 
-    def __init__(
-        self, places: Mapping[int, Mapping[str, Sequence[Path]]], zoom: Callable[[View], float] = _unzoomed
-    ) -> None:
-        self._zoom = zoom
-        self.pictures = paired_pictures(places)
-        self.view = next(iter(self.pictures))
-        held = len({picture.label for picture in self.pictures[self.view]})
-        task = f"{self.view}-to-satellite"
+    def __init__(self, places: Mapping[int, Mapping[str, Sequence[Path]]], zoom: Callable[[View], float]) -> None:
+        self._zoom, self.pictures = zoom, paired_pictures(places)
+        task, *_ = (f"{view}-to-satellite" for view in self.pictures)
+        places_held = len({picture.label for picture in self.pictures["satellite"]})
         self.column = f"recall@1 {task} held out"
-        self.description = f"R@1 of {task} on {held} places held out of the training"
+        self.description = f"R@1 of {task} on {places_held} places held out of the training"
 
-    def measure(self, model: Model) -> EpochMetrics:
-        """Measure Recall@1 and AP among the held-out places only, in percent."""
+    def measure(self, model: Model, console: Console | None = None) -> EpochMetrics:
+        """Measure Recall@1 and AP among the held-out places only, in percent; nothing is printed."""
+        del console
         query, gallery = (
             (
                 descriptors.temporary_descriptors(model, pictures, view, Change(scale=self._zoom(view))),

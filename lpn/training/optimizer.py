@@ -11,7 +11,7 @@ from torch import Tensor
 from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
 from lpn.models.network import LPN
-from lpn.training.recipes import Recipe
+from lpn.training.recipe import Recipe
 
 
 class MixedPrecision:

@@ -15,7 +15,7 @@ from lpn.core.errors import InputError, ModelFileError
 from lpn.core.files import write_atomic
 from lpn.core.formats import newer_version
 from lpn.training.model_selection import EpochMetrics
-from lpn.training.recipes import Recipe
+from lpn.training.recipe import Recipe
 
 FORMAT = 5
 
@@ -58,7 +58,8 @@ def read_state(path: Path, recipe: Recipe, places: str) -> ResumeState:
     """
     if not path.is_file():
         raise InputError(f"There is no {path.name} in {path.parent} to resume from; start without --resume.")
-    check_entries(path, "start the run again without --resume, in another --out")
+    anew = "start the run again without --resume, in another --out"
+    check_entries(path, anew)
     try:
         values: Any = torch.load(path, map_location="cpu", weights_only=True)
         version = values.get("format")
@@ -73,7 +74,7 @@ def read_state(path: Path, recipe: Recipe, places: str) -> ResumeState:
     except ModelFileError:
         raise
     except Exception as error:  # the unpickler raises any exception on unknown data
-        raise ModelFileError(f"{path} is damaged; start the run again without --resume, in another --out.") from error
+        raise ModelFileError(f"{path} is damaged; {anew}.") from error
     settings = json.loads(recipe.to_json())
     differs = [name for name in {**settings, **saved} if saved.get(name) != settings.get(name)]
     if differs:

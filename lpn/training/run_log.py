@@ -1,76 +1,88 @@
-"""The log of a training run: log.csv, a TensorBoard log, and a line in the terminal for each epoch."""
+"""What a run's folder says about it: run.json, and log.csv with a row for each epoch."""
 
 from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Sequence
+import json
+import platform
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
-from tensorboardX import SummaryWriter
+import msgspec
+import numpy as np
+import torch
 
-from lpn.core.consoles import Console
-from lpn.core.errors import OutputError
-from lpn.core.files import space_remedy, write_atomic
+from lpn.core.errors import InputError
+from lpn.core.files import write_atomic, write_json
+from lpn.core.formats import decode_json
 from lpn.training.model_selection import EpochMetrics
+from lpn.training.provenance import Provenance, here
+from lpn.training.recipe import Recipe
+
+FORMAT = "lpn-run/1"
 
 
-class RunLog:
-    """The log of a run's folder, with a row for each epoch.
+class RunFile(msgspec.Struct, frozen=True):
+    """run.json: how a run was begun.
 
-    Both files are written from the rows alone, so a resumed run neither repeats nor loses an epoch.
-
-    Args:
-        history: rows of the epochs so far; the trainer appends to it.
-
-    Raises:
-        OutputError: when the TensorBoard log cannot be written.
+    Attributes:
+        made: command, version with commit, machine, and date.
+        packages: versions of Python and of what decides the numbers.
+        recipe: every setting of the training.
+        given: the other options of `lpn train`, which a bare `--resume` takes.
     """
 
-    def __init__(self, out: Path, history: Sequence[EpochMetrics], console: Console) -> None:
-        self.out, self.history, self.console = out, history, console
-        self._written: set[tuple[str, int]] = set()
-        folder = out / "tensorboard"
-        try:
-            for old in folder.glob("events.out.tfevents.*"):
-                old.unlink()
-            self._board = SummaryWriter(str(folder))
-        except OSError as error:
-            raise OutputError(
-                f"{folder} cannot be written ({error.strerror or error}); {space_remedy(error)}choose another --out."
-            ) from error
+    made: Provenance
+    packages: dict[str, str]
+    recipe: dict[str, Any]
+    given: dict[str, Any] = {}
+    format: str = FORMAT
 
-    def save(self) -> None:
-        """Write all rows to log.csv, and new metrics to TensorBoard."""
-        keys = list(dict.fromkeys(key for row in self.history for key in row))
-        log = io.StringIO()
-        writer = csv.DictWriter(log, keys)
-        writer.writeheader()
-        writer.writerows(self.history)
-        write_atomic(self.out / "log.csv", log.getvalue().encode())
-        for epoch, row in enumerate(self.history, 1):
-            for key, value in row.items():
-                if key != "epoch" and (key, epoch) not in self._written:
-                    tag = key.replace("@", "_at_").replace(" ", "/", 1).replace(" ", "_")
-                    self._board.add_scalar(tag, value, epoch)
-                    self._written.add((key, epoch))
-        self._board.flush()
+    def metadata(self) -> str:
+        """Return the provenance as JSON for a model's file, without the paths of this machine."""
+        return json.dumps({**msgspec.to_builtins(self.made), "packages": self.packages}, ensure_ascii=False)
 
-    def print_epoch(self, epochs: int) -> None:
-        """Print one line about the last epoch."""
-        row = self.history[-1]
-        tested = "".join(
-            f"  {key.replace('recall@1', 'R@1')} {value:.2f}"
-            for key, value in row.items()
-            if key.startswith("recall@1")
-        )
-        self.console.print(
-            f"Epoch {len(self.history)}/{epochs}  loss {row['loss']:.3f}  rate {row['lr']:.1e}  "
-            f"{row['images_per_second']:.1f} images/s{tested}",
-            highlight=False,
-            soft_wrap=True,
-        )
 
-    def close(self) -> None:
-        """Finish the TensorBoard log."""
-        self._board.close()
+def begin(out: Path, recipe: Recipe, given: Mapping[str, Any]) -> RunFile:
+    """Write run.json into a run's folder and return it."""
+    packages = {"python": platform.python_version(), "torch": str(torch.__version__), "numpy": np.__version__}
+    file = RunFile(here(), packages, json.loads(recipe.to_json()), dict(given))
+    write_json(out / "run.json", msgspec.to_builtins(file), ensure_ascii=False)
+    return file
+
+
+def read_run(out: Path) -> RunFile | None:
+    """Read run.json of a run's folder; None without one.
+
+    Raises:
+        InputError: if it is damaged, or a later version of lpn wrote it.
+    """
+    path = out / "run.json"
+    try:
+        return decode_json(path.read_bytes(), RunFile, path, FORMAT, InputError)
+    except FileNotFoundError:
+        return None
+    except (OSError, ValueError, RecursionError) as error:
+        raise InputError(f"{path} is damaged; start the run again without --resume, in another --out.") from error
+
+
+def save_log(out: Path, history: Sequence[EpochMetrics]) -> None:
+    """Write log.csv from the rows of all epochs, so that a resumed run neither repeats nor loses one."""
+    log = io.StringIO()
+    writer = csv.DictWriter(log, list(dict.fromkeys(key for row in history for key in row)))
+    writer.writeheader()
+    writer.writerows(history)
+    write_atomic(out / "log.csv", log.getvalue().encode())
+
+
+def epoch_line(history: Sequence[EpochMetrics], epochs: int) -> str:
+    """Return one line about the last epoch."""
+    row = history[-1]
+    tested = [f"  {key.replace('recall@1', 'R@1')} {row[key]:.2f}" for key in row if key.startswith("recall@1")]
+    terms = [f"  {key.removeprefix('loss ')} {row[key]:.3f}" for key in row if key.startswith("loss ")]
+    return (
+        f"Epoch {len(history)}/{epochs}  loss {row['loss']:.3f}{''.join(terms) if len(terms) > 1 else ''}  "
+        f"rate {row['lr']:.1e}  {row['images_per_second']:.1f} images/s{''.join(tested)}"
+    )

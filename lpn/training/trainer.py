@@ -5,9 +5,8 @@ from __future__ import annotations
 import math
 import os
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing
-from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 from typing import Any, cast
@@ -24,19 +23,17 @@ from lpn.core.views import views_of
 from lpn.datasets import Dataset
 from lpn.flight.maps import Map
 from lpn.models import checkpoints
-from lpn.models.backbones import CHANNELS
 from lpn.models.network import LPN
 from lpn.models.pretrained_weights import AUTO, find_weights
 from lpn.models.shipped import model_file
-from lpn.models.spec import ModelSpec, is_timm
-from lpn.training.initialise import initialise_heads
 from lpn.training.learner import Learner
 from lpn.training.loader import Loader, TrainingBatch
 from lpn.training.map_windows import MapWindows
-from lpn.training.model_selection import EpochMetrics, HeldOut, TestSplit, Validator, best_epoch
-from lpn.training.recipes import Recipe
+from lpn.training.model_selection import EpochMetrics, HeldOut, TestSplit, best_epoch
+from lpn.training.networks import build_network
+from lpn.training.recipe import Recipe
 from lpn.training.resume_state import ResumeState, read_state
-from lpn.training.run_log import RunLog
+from lpn.training.run_log import RunFile, begin, epoch_line, read_run, save_log
 from lpn.training.training_set import Fold, TrainingSet
 
 # A training has diverged if its mean loss exceeds the loss of the first step (about chance) by this factor.
@@ -62,6 +59,7 @@ class Trainer:
         device: the device to train on; by default the GPU if there is one.
         test: measure the last model on the test split.
         window_sizes: smallest and largest side in metres of the windows of a map; None chooses them.
+        given: options of the command, for run.json.
 
     Raises:
         DataError: when the data set cannot be trained on.
@@ -85,35 +83,12 @@ class Trainer:
         test: bool = True,
         from_scratch: bool = False,
         window_sizes: tuple[float, float] | None = None,
+        given: Mapping[str, Any] | None = None,
     ) -> None:
         check_single_process("lpn train")
         self.console, self.device = console or Console(), device or checkpoints.best_device()
         self.out, self.recipe, self.evaluate_every = out, recipe, evaluate_every
-        self.places: TrainingSet | MapWindows
-        held: dict[int, dict[str, list[Path]]] = {}
-        if isinstance(source, Map):
-            if evaluate_every or validate:
-                raise InputError(
-                    "A map has no places to test on; leave --evaluate-every and --validate out, and use lpn locate."
-                )
-            self.name, self.places = source.name, MapWindows(source, recipe, window_sizes)
-        elif recipe.windows:
-            raise InputError(
-                "The recipe trains on windows of a map; give --map in place of --data, or another --recipe."
-            )
-        else:
-            self.name, self.places = source.root.resolve().name, TrainingSet(source, self.console, recipe.sets)
-            held = self.places.hold_out(validate, recipe.seed)
-            if recipe.compares_drones and "drone" not in self.places.views:
-                raise InputError(
-                    f"The metric losses compare satellites with drone pictures, and {self.name} has none to train on; choose "
-                    "another --method."
-                )
-            if recipe.ground_ratio != 1 and "drone" not in self.places.views:
-                raise InputError(
-                    f"The recipe has ground_ratio = {recipe.ground_ratio:g}, and {self.name} has no drone pictures to train on; "
-                    "set it to 1."
-                )
+        held = self._open_places(source, window_sizes, validate)
         there = [name for name in ("state.pt", "last.safetensors", "log.csv") if (out / name).exists()]
         if resume and there and "state.pt" not in there and _first_epoch_alone(out):
             self.console.print(f"The run in {out} was stopped during its first epoch, so it starts anew.")
@@ -134,8 +109,7 @@ class Trainer:
         self.steps = self.loader.steps
         check_writable(out / "last.safetensors")
         torch.manual_seed(recipe.seed)
-        network = LPN(_spec(recipe, self.places))
-        initialise_heads(network, recipe)
+        network = build_network(recipe, self.places.views, len(self.places))
         if init is not None and not resume:
             self._load_init(network, init)
         self.learner = Learner(network, recipe, self.device)
@@ -146,8 +120,9 @@ class Trainer:
             tasks = [task for task in source.tasks() if set(views_of(task)) <= set(self.places.views)]
             if tasks and (test or (evaluate_every and not held)):
                 self.test_split = TestSplit(source, tasks, recipe.zoom)
-        self.validator: Validator | None = HeldOut(held, recipe.zoom) if held else self.test_split
-        self._places_digest = self.places.digest()
+        self.validator = HeldOut(held, recipe.zoom) if held else self.test_split
+        self._given, self._places_digest = given or {}, self.places.digest()
+        self._run_file: RunFile | None = None
         if resume:
             self._resume()
 
@@ -163,14 +138,14 @@ class Trainer:
 
     def plan(self) -> str:
         """Say in one sentence what `run` trains on, and the steps and updates that it makes."""
-        recipe, done = self.recipe, len(self.history)
+        recipe = self.recipe
         if isinstance(self.places, MapWindows):
             what, rows = f"{_counted(len(self.places), 'window')} of {self.name} an epoch", "windows"
         else:
             what = f"{len(self.places):,} places in {', '.join(self.places.files)}"
             rows = "places" if recipe.sampling == "places" else "pictures of each set"
         ends = f" ({self.loader.shortest} has the fewest and ends it)" if self.loader.shortest else ""
-        resumed = f", of which {self.updates:,} are left" if done else ""
+        resumed = f", of which {self.updates:,} are left" if self.history else ""
         steps, epochs = _counted(self.steps, "step"), _counted(recipe.epochs, "epoch")
         return (
             f"Training on {what}: {steps} of {recipe.batch} {rows} an epoch{ends}, {epochs}, so "
@@ -185,11 +160,8 @@ class Trainer:
             LPNError: when a picture cannot be read, or a file cannot be written.
         """
         self._print_setup()
-        with closing(RunLog(self.out, self.history, self.console)) as run_log:
-            self._train(run_log)
-        return self.out / "last.safetensors"
-
-    def _train(self, run_log: RunLog) -> None:
+        if self._run_file is None:
+            self._run_file = begin(self.out, self.recipe, self._given)
         columns = (
             TextColumn("{task.description}"),
             BarColumn(),
@@ -201,15 +173,16 @@ class Trainer:
         with closing(cast(Any, stream)), Progress(*columns, console=self.console) as bar:
             task = bar.add_task("Training", total=epochs * self.steps, completed=done * self.steps, status="")
             # The run may have been interrupted while its last epoch was tested.
-            self._select(run_log)
+            self._select()
             for epoch in range(done, epochs):
                 bar.update(task, description=f"Epoch {epoch + 1}/{epochs}")
                 batches = islice(stream, self.steps)
                 self.history.append(self._epoch(epoch, batches, lambda text: bar.update(task, advance=1, status=text)))
-                self._save(run_log)
-                self._select(run_log)
-                run_log.print_epoch(epochs)
-        self._finish(run_log)
+                self._save()
+                self._select()
+                self.console.print(epoch_line(self.history, epochs), highlight=False, soft_wrap=True)
+        self._finish()
+        return self.out / "last.safetensors"
 
     def _epoch(
         self, epoch: int, batches: Iterator[TrainingBatch], on_progress: Callable[[str], object]
@@ -219,8 +192,11 @@ class Trainer:
         torch.manual_seed(self.recipe.seed * 100_003 + epoch)
         started, total, pictures, rate = time.perf_counter(), 0.0, 0, 0.0
         previous: Tensor | None = None
+        terms: dict[str, Tensor] = {}
         for step, batch in enumerate(batches):
-            loss, rate = self.learner.step(batch, epoch * self.steps + step, self.steps)
+            found, rate = self.learner.step(batch, epoch * self.steps + step, self.steps)
+            loss = found.pop("loss")
+            terms = {name: terms.get(name, 0.0) + of.double() for name, of in found.items()}
             pictures += batch.pictures
             # Read the loss of the previous step, so that the GPU need not wait.
             if previous is not None:
@@ -237,6 +213,7 @@ class Trainer:
         return {
             "epoch": epoch + 1,
             "loss": total / self.steps,
+            **{f"loss {name}": float(of) / self.steps for name, of in terms.items()},
             "lr": rate,
             "seconds": seconds,
             "images_per_second": pictures / seconds,
@@ -262,38 +239,33 @@ class Trainer:
             f"{reason} in epoch {epoch + 1}, step {step}; {model}start again with a smaller --lr in another --out."
         )
 
-    def _select(self, run_log: RunLog) -> None:
+    def _select(self) -> None:
         """Test the last epoch if it is due, and save its model if it is the best so far."""
         epoch, validator = len(self.history), self.validator
         due = self.evaluate_every and epoch and (epoch % self.evaluate_every == 0 or epoch == self.recipe.epochs)
         if not due or validator is None or validator.column in self.history[-1]:
             return
         # Print all metrics of the last epoch on the test split.
-        options = {"console": self.console} if validator is self.test_split and epoch == self.recipe.epochs else {}
-        self.history[-1] |= validator.measure(self._load("last"), **options)
+        console = self.console if epoch == self.recipe.epochs else None
+        self.history[-1] |= validator.measure(self._load("last"), console)
         best = best_epoch(self.history, validator.column)
         if best is not None and best[0] == epoch:
             more = {"epoch": str(epoch), "score": f"{best[1]:.4f}", "chosen by": validator.description}
             self.learner.save_model(self.out / "best.safetensors", self._metadata() | more)
-        self._save(run_log)
+        self._save()
 
-    def _finish(self, run_log: RunLog) -> None:
+    def _finish(self) -> None:
         """Test the last epoch if it was not tested yet, and print which epoch was the best."""
         split, validator = self.test_split, self.validator
         if split is not None and split.column not in self.history[-1]:
             self.history[-1] |= split.measure(self._load("last"), self.console)
-            self._save(run_log)
+            self._save()
         best = best_epoch(self.history, validator.column) if validator is not None else None
-        if validator is not None and best is not None and self.evaluate_every:
-            self._print_best(validator, *best)
-
-    def _print_best(self, validator: Validator, epoch: int, score: float) -> None:
-        self.console.print(
-            f"best.safetensors is the model of epoch {epoch}, chosen by {validator.description}: {score:.2f}.",
-            soft_wrap=True,
-        )
-        split = self.test_split
-        if split is not None and validator is not split and epoch < len(self.history):
+        if validator is None or best is None or not self.evaluate_every:
+            return
+        chosen = f"best.safetensors is the model of epoch {best[0]}, chosen by {validator.description}: {best[1]:.2f}."
+        self.console.print(chosen, soft_wrap=True)
+        if split is not None and validator is not split and best[0] < len(self.history):
             self.console.print("Its metrics on the test split:")
             split.measure(self._load("best"), self.console)
 
@@ -301,22 +273,53 @@ class Trainer:
         return checkpoints.load_torch(self.out / f"{name}.safetensors", self.device)
 
     def _print_setup(self) -> None:
-        precision = self.learner.mixed_precision
+        precision, count = self.learner.mixed_precision, _counted(self.loader.workers, "thread")
         instead = " (float16 needs a CUDA device)" if precision.fell_back else ""
-        workers = f"{self.loader.workers} thread{'' if self.loader.workers == 1 else 's'}"
-        self.console.print(
-            f"Computing in {precision.name} on {self.device.type}{instead}; pictures are prepared by {workers}.",
-            soft_wrap=True,
-        )
-        self.console.print(self.plan(), soft_wrap=True)
+        lines = [
+            f"Computing in {precision.name} on {self.device.type}{instead}; pictures are prepared by {count}.",
+            self.plan(),
+        ]
         decay, epochs = self.recipe.decay_epoch, self.recipe.epochs
         if self.recipe.schedule == "step" and decay >= epochs:
-            self.console.print(
-                f"The learning rate never decays, as --decay-epoch is {decay} and the training has {epochs} epochs.",
-                soft_wrap=True,
+            lines.append(
+                f"The learning rate never decays, as --decay-epoch is {decay} and the training has {epochs} epochs."
             )
         if self.evaluate_every and self.validator is None:
-            self.console.print(f"{self.name} has no test split, so no epoch is tested.")
+            lines.append(f"{self.name} has no test split, so no epoch is tested.")
+        for line in lines:
+            self.console.print(line, soft_wrap=True)
+
+    def _open_places(
+        self, source: Dataset | Map, window_sizes: tuple[float, float] | None, validate: float | Fold
+    ) -> dict[int, dict[str, list[Path]]]:
+        """Open what is trained on, and return the places that are held out."""
+        self.places: TrainingSet | MapWindows
+        recipe = self.recipe
+        if isinstance(source, Map):
+            if self.evaluate_every or validate:
+                raise InputError(
+                    "A map has no places to test on; leave --evaluate-every and --validate out, and use lpn locate."
+                )
+            self.name, self.places = source.name, MapWindows(source, recipe, window_sizes)
+            return {}
+        if recipe.windows:
+            raise InputError(
+                "The recipe trains on windows of a map; give --map in place of --data, or another --recipe."
+            )
+        self.name, self.places = source.root.resolve().name, TrainingSet(source, self.console, recipe.sets)
+        needs = (
+            "metric losses compare"
+            if recipe.compares_drones
+            else "ground_ratio zooms"
+            if recipe.ground_ratio != 1
+            else ""
+        )
+        if needs and "drone" not in self.places.views:
+            raise InputError(
+                f"The recipe's {needs} drone pictures, and {self.name} has none to train on; choose another --method, or set "
+                "--ground-ratio to 1."
+            )
+        return self.places.hold_out(validate, recipe.seed)
 
     def _load_init(self, network: LPN, init: Path) -> None:
         if str(init) == AUTO and not init.is_file():
@@ -330,20 +333,17 @@ class Trainer:
         if isinstance(self.places, MapWindows):
             self.console.print(checkpoints.load_heads(network, init))
 
-    def _save(self, run_log: RunLog) -> None:
-        """Write model and logs, then the state, from which a run is resumed."""
+    def _save(self) -> None:
+        """Write model and log, then the state, from which a run is resumed."""
         with uninterrupted():
             self.learner.save_model(self.out / "last.safetensors", self._metadata())
-            run_log.save()
+            save_log(self.out, self.history)
             state = ResumeState(self.history, self.first_loss, self.learner.state())
             state.write(self.out / "state.pt", self.recipe, self._places_digest)
 
     def _metadata(self) -> dict[str, str]:
-        return {
-            "recipe": self.recipe.to_json(),
-            "epochs": str(len(self.history)),
-            "data": self.name,
-        }
+        run = {"run": self._run_file.metadata()} if self._run_file else {}
+        return {"recipe": self.recipe.to_json(), "epochs": str(len(self.history)), "data": self.name, **run}
 
     def _resume(self) -> None:
         path = self.out / "state.pt"
@@ -355,11 +355,8 @@ class Trainer:
                 f"{path} is damaged: its state does not fit its recipe; start anew in another --out."
             ) from error
         self.history, self.first_loss = state.history, state.first_loss
+        self._run_file = read_run(self.out)
         self.console.print(f"Resuming after epoch {len(self.history)} of {self.recipe.epochs}.")
-
-
-def _counted(number: int, noun: str) -> str:
-    return f"{number:,} {noun}{'' if number == 1 else 's'}"
 
 
 def check_single_process(command: str) -> None:
@@ -388,29 +385,5 @@ def _first_epoch_alone(out: Path) -> bool:
     return rows <= 2 and epochs == 1 and not (out / "best.safetensors").exists()
 
 
-def _spec(recipe: Recipe, places: TrainingSet | MapWindows) -> ModelSpec:
-    spec = ModelSpec(
-        backbone=recipe.backbone,
-        # `last_layer` is defined for our own backbones only.
-        last_layer="layer4" if is_timm(recipe.backbone) else recipe.last_layer,
-        last_stride=recipe.last_stride,
-        views=places.views,
-        shared=recipe.shared and "drone" in places.views,
-        n_parts=recipe.n_parts,
-        layout=recipe.layout,
-        weighting=recipe.weighting,
-        activation=recipe.activation,
-        # A map has none, and a network at least one.
-        classes=1 if recipe.windows else len(places),
-        dropout=recipe.dropout,
-        input_size=recipe.input_size,
-        pooling=recipe.pooling,
-        maps=recipe.maps,
-        polar=recipe.polar,
-        backbone_dropout=recipe.backbone_dropout,
-    )
-    if recipe.pooling == "safa":
-        return replace(spec, embedding=spec.maps * CHANNELS[spec.backbone, spec.last_layer])
-    if not recipe.linear:
-        return replace(spec, embedding=CHANNELS[spec.backbone, spec.last_layer])
-    return spec
+def _counted(number: int, noun: str) -> str:
+    return f"{number:,} {noun}{'' if number == 1 else 's'}"

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from lpn.core import images
-from lpn.core.arrays import Int64Array, UInt8Array
+from lpn.core.arrays import UInt8Array
 from lpn.core.consoles import Console
 from lpn.core.errors import DataError, InputError
 from lpn.core.files import first_few
@@ -89,17 +89,17 @@ class TrainingSet:
     """
 
     def __init__(self, dataset: Dataset, console: Console, names: Sequence[str] = (*VIEWS, "google")) -> None:
+        if isinstance(dataset, Folder):
+            raise dataset.no_task()
         sets = {name: dataset.train(name) for name in (*VIEWS, "google") if name in names}
-        by_place = {name: _by_label(pictures) for name, pictures in sets.items() if pictures}
-        if "google" in by_place and "street" not in by_place:
-            del by_place["google"]
+        if sets.get("google") and not sets.get("street"):
+            del sets["google"]
             console.print(
                 "train/google is left out: its pictures train the street branch, and there is no train/street."
             )
-        if isinstance(dataset, Folder):
-            raise dataset.no_task()
+        by_place = {name: _by_label(pictures) for name, pictures in sets.items() if pictures}
         _check_sets(by_place, dataset.root)
-        _leave_out_broken(by_place, dataset.root, console)
+        by_place = _without_broken(by_place, dataset.root, console)
         _check_sets(by_place, dataset.root)
         training_places = trainable(by_place)
         if not training_places.places:
@@ -123,8 +123,7 @@ class TrainingSet:
         self.files = _filled(
             {name: [places.get(label, []) for label in self.labels] for name, places in by_place.items()}
         )
-        self.panoramas = dataset.panoramas
-        self.root = dataset.root
+        self.panoramas, self.root = dataset.panoramas, dataset.root
         self._cache: dict[Path, UInt8Array] = {}
         self._cache_bytes = 0
         self._lock = threading.Lock()
@@ -154,27 +153,23 @@ class TrainingSet:
         Raises:
             InputError: unless the share is 0, or holds out at least 2 places and leaves at least 2.
         """
+        total = len(self)
         if isinstance(share, Fold):
-            return self._remove(self._of_fold(share))
-        count = round(share * len(self)) if 0 <= share < 1 else 0
-        if share and not 2 <= count <= len(self) - 2:
-            raise InputError(
-                f"The share of places held out is {share:g}, {count} of {len(self)} places; expected 0, or a "
-                "share that holds out at least 2 places and leaves at least 2 in training."
-            )
-        return self._remove(np.random.default_rng([seed, len(self)]).permutation(len(self))[:count])
-
-    def _of_fold(self, fold: Fold) -> Int64Array:
-        if not 2 <= fold.folds <= len(self) // 2:
-            raise InputError(
-                f"The number of folds is {fold.folds}; expected 2 or more, with at least 2 of the {len(self)} places in each."
-            )
-        order = np.random.default_rng([fold.seed, len(self)]).permutation(len(self))
-        return np.array_split(order, fold.folds)[fold.number]
-
-    def _remove(self, places: Int64Array) -> dict[int, dict[str, list[Path]]]:
-        out = sorted(places)
-        rest = sorted(set(range(len(self))).difference(out))
+            if not 2 <= share.folds <= total // 2:
+                raise InputError(
+                    f"The number of folds is {share.folds}; expected 2 or more, with at least 2 of the {total} places in each."
+                )
+            order = np.random.default_rng([share.seed, total]).permutation(total)
+            out = sorted(np.array_split(order, share.folds)[share.number])
+        else:
+            count = round(share * total) if 0 <= share < 1 else 0
+            if share and not 2 <= count <= total - 2:
+                raise InputError(
+                    f"The share of places held out is {share:g}, {count} of {total} places; expected 0, or a share that holds "
+                    "out at least 2 places and leaves at least 2 in training."
+                )
+            out = sorted(np.random.default_rng([seed, total]).permutation(total)[:count])
+        rest = sorted(set(range(total)).difference(out))
         held = {self.labels[i]: {name: places[i] for name, places in self.files.items()} for i in out}
         self.labels = [self.labels[i] for i in rest]
         self.files = _filled({name: [places[i] for i in rest] for name, places in self.files.items()})
@@ -185,11 +180,14 @@ class TrainingSet:
 
         A place lacks one view at most then.
         """
-        made = dict(self.files)
-        for name, other in (("street", "google"), ("google", "street")):
-            if name in self.files and other in self.files:
-                made[name] = [own or also for own, also in zip(self.files[name], self.files[other], strict=True)]
-        return made
+        if not {"street", "google"} <= set(self.files):
+            return self.files
+        pairs = list(zip(self.files["street"], self.files["google"], strict=True))
+        return {
+            **self.files,
+            "street": [own or other for own, other in pairs],
+            "google": [own or other for other, own in pairs],
+        }
 
     def pictures(self) -> dict[str, list[tuple[Path, int]]]:
         """List all pictures of each set, each with the class of its place."""
@@ -227,23 +225,24 @@ def _filled(files: dict[str, list[list[Path]]]) -> dict[str, list[list[Path]]]:
     return {name: places for name, places in files.items() if any(places)}
 
 
-def _leave_out_broken(by_place: dict[str, dict[int, list[Path]]], root: Path, console: Console) -> None:
-    """Remove broken pictures from each set, and places without any picture left."""
+def _without_broken(
+    by_place: dict[str, dict[int, list[Path]]], root: Path, console: Console
+) -> dict[str, dict[int, list[Path]]]:
+    """Return the sets without broken pictures, and without places and sets that have no others."""
     files = [file for places in by_place.values() for of_place in places.values() for file in of_place]
     broken = picture_errors(files)
     if not broken:
-        return
+        return by_place
     console.print(
         f"{len(broken)} of {len(files)} training pictures cannot be used and are left out: {list_errors(broken, root)}.",
         markup=False,
     )
-    for places in by_place.values():
-        for label, of_place in list(places.items()):
-            places[label] = [file for file in of_place if file not in broken]
-            if not places[label]:
-                del places[label]
-    for name in [name for name, places in by_place.items() if not places]:
-        del by_place[name]
+    kept = {
+        name: {label: [file for file in of_place if file not in broken] for label, of_place in places.items()}
+        for name, places in by_place.items()
+    }
+    whole = {name: {label: of_place for label, of_place in places.items() if of_place} for name, places in kept.items()}
+    return {name: places for name, places in whole.items() if places}
 
 
 def _by_label(pictures: list[Picture]) -> dict[int, list[Path]]:

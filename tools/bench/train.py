@@ -35,7 +35,8 @@ from lpn.core.consoles import Console
 from lpn.core.views import View
 from lpn.datasets import open_dataset
 from lpn.models.network import LPN
-from lpn.training.recipes import RECIPES, Recipe
+from lpn.training.recipe import Recipe
+from lpn.training.recipes import RECIPES
 from lpn.training.trainer import Trainer
 from lpn.training.training_set import TrainingSet
 from tools.bench.figures import Figure, show, take_turns
@@ -117,8 +118,8 @@ def ours(trainer: Trainer) -> Callable[[], None]:
     def steps() -> None:
         with closing(cast(Any, trainer.loader.stream(0, 1_000_000))) as stream:
             for batch in islice(stream, STEPS):
-                loss, _ = trainer.learner.step(batch, 0, trainer.steps)
-            loss.item()
+                terms, _ = trainer.learner.step(batch, 0, trainer.steps)
+            terms["loss"].item()
 
     return steps
 

@@ -31,8 +31,8 @@ from lpn.models.checkpoints import load_torch
 from lpn.models.onnx_engine import Engine
 from lpn.models.spec import ModelSpec
 from lpn.reproduce.measure import FORMAT, MeasuredFigures, MeasurementStore
-from lpn.reproduce.record import Provenance
 from lpn.training import resume_state
+from lpn.training.provenance import Provenance
 from lpn.training.recipes import RECIPES
 from lpn.training.resume_state import ResumeState, read_state
 

@@ -76,15 +76,15 @@ def test_a_training_keeps_whole_epochs_and_says_how_to_go_on(tmp_path: Path) -> 
         status, _ = process.ended()
         assert status == 130
         assert last_line(process) == (
-            f"lpn: Stopped. The whole epochs in {out} are kept; go on with the same command and --resume."
+            f"lpn: Stopped. The whole epochs in {out} are kept; go on with lpn train --out {out} --resume."
         )
         assert not half_written(out)
         assert all(verdict.whole for verdict in verify(out))
-        with Process([*given, "--resume"], tmp_path / "again") as again:
+        with Process(["train", "--out", out, "--resume"], tmp_path / "again") as again:
             again.until(lambda: "Resuming after epoch" in again.out and "Epoch" in again.out)
             again.terminate()
             assert again.ended()[0] == 143
-            assert last_line(again).endswith("go on with the same command.")
+            assert last_line(again).endswith(f"go on with lpn train --out {out} --resume.")
 
 
 @pytest.mark.slow

@@ -9,8 +9,6 @@ from pathlib import Path
 from lpn.cli.main import main
 from lpn.core.consoles import Console
 from lpn.core.text_tables import TextTable, latex_page, latex_text, markdown_page
-from lpn.reproduce import report
-from lpn.reproduce.record import TableRecord, row_record
 
 
 def columns(latex: str) -> list[list[int]]:
@@ -76,15 +74,6 @@ def test_markdown_html_and_csv_escape_cells_and_keep_their_order() -> None:
     assert TABLE.csv().decode().splitlines() == [
         *("model,kind,R@1", "[red]a[/red]|<b>,LPN,50.00", "'=1+1,SAFA?[1m,-4.00", "mean,,23.00"),
     ]
-
-
-def test_reproduced_tables_have_the_columns_of_the_markdown() -> None:
-    rows = (row_record("LPN, 90°", {"seed 0": [49.0, 55.1]}, paper=(75.93, 79.14)), row_record("SAFA_x", {}))
-    record = TableRecord("table4", "Table IV", ("drone → satellite R@1", "AP"), (0, 1), rows, ("100 % measured.",))
-    latex = latex_page([report.text_table(record)])
-    assert columns(latex) == [[5, 5, 5, 5]]
-    assert "| LPN, 90° | 49.00 | 75.93 | 55.10 | 79.14 |" in report.markdown(record)
-    assert r"LPN, 90$^{\circ}$ & 49.00 & 75.93 & 55.10 & 79.14 \\" in latex
 
 
 def test_compare_writes_latex(data: Path, model_file: Path, one_part_model_file: Path, tmp_path: Path) -> None:

@@ -213,7 +213,6 @@ def test_an_installed_package_knows_its_ranges_without_a_checkout(
     [
         ("torch.nn", "lpn-explorer[train]"),
         ("yaml", "lpn-explorer[train]"),
-        ("tensorboardX", "lpn-explorer[train]"),
         ("scipy", "lpn-explorer[train]"),
         ("sklearn", "lpn-explorer[train]"),
         ("umap", "lpn-explorer[train]"),

@@ -92,8 +92,8 @@ def test_what_has_no_map_or_takes_no_such_pictures_is_refused() -> None:
             InputError, match="gives an array of 16 x 384 for a picture of 224 x 224 pixels, which is no map"
         ):
             TimmMap("levit_128s", (224, 224))
-    with pytest.raises(InputError, match="pooling = safa with timm:test_vit; SAFA is made for vgg16"):
-        replace(RECIPES["safa-paper"], backbone="timm:test_vit", backbone_dropout=0.0)
+    with pytest.raises(InputError, match="pooling = safa with timm:test_vit"):
+        replace(RECIPES["safa-released"], backbone="timm:test_vit", backbone_dropout=0.0)
 
 
 def test_weights_of_timm_fill_it_with_positions_resampled_to_its_size(tmp_path: Path) -> None:

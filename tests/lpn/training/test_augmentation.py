@@ -7,7 +7,7 @@ from lpn.core import images
 from lpn.core.arrays import UInt8Array
 from lpn.core.views import View
 from lpn.training.augmentation import augment
-from lpn.training.recipes import Recipe
+from lpn.training.recipe import Recipe
 from tools.fixtures import small_worlds
 
 STILL = Recipe(

@@ -17,7 +17,8 @@ from lpn.core import images
 from lpn.core.errors import InputError, PictureError
 from lpn.datasets import open_dataset
 from lpn.training.loader import Loader, TrainingBatch, choose_workers
-from lpn.training.recipes import RECIPES, Recipe
+from lpn.training.recipe import Recipe
+from lpn.training.recipes import RECIPES
 from lpn.training.training_set import TrainingSet
 from tools.fixtures import small_worlds
 

@@ -1,7 +1,9 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,16 +12,19 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from lpn.core.errors import InputError
+from lpn.training import losses
 from lpn.training.losses import (
+    PackageLoss,
+    TrainingStep,
     descriptors,
     hardest_scores,
     infonce_loss,
     instance_loss,
-    released_metric_loss,
+    loss_terms,
     soft_margin_loss,
-    total_loss,
 )
-from lpn.training.recipes import METHODS, METRIC_LOSSES, RECIPES, method
+from lpn.training.recipe import Recipe
+from lpn.training.recipes import METRIC_LOSSES, RECIPES, method
 from tools.fixtures import released_safa, seeded
 
 B = 6
@@ -33,6 +38,15 @@ def drawn(seed: int, *shape: int) -> Tensor:
 def pair() -> tuple[Tensor, Tensor]:
     first = drawn(1, B, 4, 16)
     return descriptors(first), descriptors(first + 1.5 * drawn(2, B, 4, 16))
+
+
+Outputs = dict[str, tuple[Tensor, Tensor]]
+
+
+def total_loss(outputs: Outputs, labels: dict[str, Tensor], recipe: Recipe, step: int = 0) -> Tensor:
+    """The sum of a recipe's terms on part embeddings and class scores of each set."""
+    parts, scores = ({name: of[i] for name, of in outputs.items()} for i in (0, 1))
+    return torch.stack(list(loss_terms(TrainingStep(parts, scores, labels, None, step), recipe).values())).sum()
 
 
 def distances(pair: tuple[Tensor, Tensor]) -> list[list[float]]:
@@ -140,7 +154,7 @@ def test_every_method_has_the_loss_it_is_named_after() -> None:
             torch.testing.assert_close(found, by_method[name])
 
 
-def test_the_released_losses_by_hand() -> None:
+def test_the_hardest_of_a_satellite_s_own_pictures_and_of_a_pool() -> None:
     """Cosines of each satellite with the hardest of its four drone pictures, and with the hardest of others in the pool."""
     b, k = 5, 4
     tiles = descriptors(drawn(1, b, 1, 16))
@@ -154,17 +168,6 @@ def test_the_released_losses_by_hand() -> None:
         wrong = [float(tiles[i] @ drones[n // k, n % k]) for n in pool.tolist() if places[n // k] != places[i]]
         assert float(positive[i]) == pytest.approx(min(own))
         assert float(negative[i]) == pytest.approx(max(wrong))
-    p, n = positive.tolist(), negative.tolist()
-    sums = {
-        "contrastive": sum((1 - a) ** 2 + (1 + c) ** 2 for a, c in zip(p, n, strict=True)),
-        "triplet-0.3": sum(max(0.0, c + 0.3 - a) for a, c in zip(p, n, strict=True)),
-        "triplet-0.5": sum(max(0.0, c + 0.5 - a) for a, c in zip(p, n, strict=True)),
-        "soft-margin": sum(math.log(1 + math.exp(c - a)) for a, c in zip(p, n, strict=True)),
-    }
-    assert 0 < sums["triplet-0.3"] < sums["triplet-0.5"]
-    for name, expected in sums.items():
-        loss = released_metric_loss(positive, negative, method(name, RECIPES["metric-released"]))
-        assert float(loss) == pytest.approx(expected)
 
 
 def test_a_pool_without_another_place_has_no_negative() -> None:
@@ -193,44 +196,63 @@ def test_the_released_losses_take_the_pictures_of_a_satellite_s_own_place() -> N
     assert float(total_loss(outputs, labels, some, step=4)) == float(total_loss(outputs, labels, some, step=4))
 
 
-@pytest.mark.parametrize(
-    "recipe", [name for name, recipe in RECIPES.items() if not recipe.windows and not recipe.compares_drones]
+class Entry:
+    """An entry point of a loss, which is loaded as it is."""
+
+    def __init__(self, loss: object, name: str = "spread") -> None:
+        self.loss, self.name, self.value = loss, name, "package:spread"
+
+    def load(self) -> object:
+        if isinstance(self.loss, Exception):
+            raise self.loss
+        return self.loss
+
+
+def documented(name: str) -> PackageLoss:
+    """The loss that docs/training.md shows."""
+    page = (Path(__file__).parents[3] / "docs" / "training.md").read_text(encoding="utf-8")
+    (code,) = re.findall(r"^    (def spread.*?)\n\n", page, re.MULTILINE | re.DOTALL)
+    found: dict[str, PackageLoss] = {}
+    exec(code.replace("\n    ", "\n"), found)
+    return found[name]
+
+
+STEP = TrainingStep(
+    {"satellite": torch.ones(2, 1, 4), "drone": torch.full((2, 1, 4), 2.0)},
+    dict.fromkeys(("satellite", "drone"), torch.zeros(2, 1, 3)),
+    dict.fromkeys(("satellite", "drone"), torch.arange(2)),
 )
-def test_a_method_is_the_same_network_and_loss_in_every_recipe(recipe: str) -> None:
-    baseline, safa = ("average", "university", False, 1), ("safa", "university", True)
-    summed = {"safa": (8, False), "safa-lpn": (1, True)}
-    expected: dict[str, tuple[tuple[object, ...], tuple[float, str]]] = {
-        "lpn": (("average", "university", False, RECIPES[recipe].n_parts), (1.0, "none")),
-        "instance": (baseline, (1.0, "none")),
-        "contrastive": (baseline, (0.0, "contrastive")),
-        "triplet-0.3": (baseline, (0.0, "triplet")),
-        "triplet-0.5": (baseline, (0.0, "triplet")),
-        "soft-margin": (baseline, (0.0, "soft_margin")),
-        "lpn-sequential": (("average", "strips", False, 4), (1.0, "none")),
-        "lpn-cvusa": (("average", "cvusa", False, 8), (1.0, "none")),
-        "lpn-strips": (("average", "strips", True, 8), (1.0, "none")),
-        "safa": ((*safa, 1), (0.0, "soft_margin")),
-        "safa-lpn": ((*safa, 8), (0.0, "soft_margin")),
-    }
-    assert set(expected) == set(METHODS)
-    for name, (network, loss) in expected.items():
-        made = method(name, RECIPES[recipe])
-        assert (made.pooling, made.layout, made.polar, made.n_parts) == network, name
-        assert (made.instance, made.metric, made.infonce) == (*loss, 0.0), name
-        assert (made.maps, made.metric_per_part) == summed.get(name, (8, False)), name
 
 
-def test_a_recipe_that_cannot_be_trained_is_refused() -> None:
-    with pytest.raises(InputError, match="no loss"):
-        replace(RECIPES["paper"], instance=0.0)
-    with pytest.raises(InputError, match="no class layer"):
-        replace(RECIPES["safa-paper"], instance=1.0)
-    no_street = {"street": False, "google": False}
-    for paired in ({"infonce": 1.0}, {"metric": "triplet", **no_street}, {"flip": "place"}, {"place_rotation": 5.0}):
-        with pytest.raises(InputError, match=f"with {next(iter(paired))}.*; use sampling = places"):
-            replace(RECIPES["released"], **paired)  # type: ignore[arg-type]
-        assert replace(RECIPES["released"], sampling="places", **paired).sampling == "places"  # type: ignore[arg-type]
-    with pytest.raises(InputError, match="metric = triplet with safa; SAFA has soft_margin alone"):
-        replace(RECIPES["safa-paper"], metric="triplet")
-    with pytest.raises(InputError, match="no method 'best'"):
-        method("best", RECIPES["small"])
+def test_a_loss_of_another_package_is_a_term_with_its_weight(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(losses, "entry_points", lambda group: [Entry(documented("spread"))] * (group == "lpn.losses"))
+    recipe = replace(RECIPES["released"], loss="spread", loss_weight=0.5)
+    terms = loss_terms(STEP, recipe, losses.open_loss("spread"))
+    assert list(terms) == ["instance", "spread"]
+    assert float(terms["spread"]) == 0.5
+    alone = replace(recipe, instance=0.0)
+    assert list(loss_terms(STEP, alone, losses.open_loss("spread"))) == ["spread"]
+
+
+@pytest.mark.parametrize(
+    ("loss", "said"),
+    [
+        (None, "There is no loss spread; .* entry point of lpn.losses, which has other."),
+        (ImportError("no module"), r"The loss spread \(package:spread\) cannot be loaded: ImportError: no module."),
+        (lambda *_: 1 / 0, "The loss spread failed: ZeroDivisionError: division by zero."),
+        (lambda *_: 3.0, "returned a float; expected a tensor with one number."),
+        (lambda *_: torch.zeros(2, 3), r"returned a tensor of \(2, 3\); expected"),
+    ],
+)
+def test_a_loss_that_cannot_be_used_is_refused_in_one_sentence(
+    monkeypatch: pytest.MonkeyPatch, loss: object, said: str
+) -> None:
+    points = [Entry(documented("spread"), "other")] if loss is None else [Entry(loss)]
+    monkeypatch.setattr(losses, "entry_points", lambda **_: points)
+    with pytest.raises(InputError, match=said):
+        loss_terms(STEP, replace(RECIPES["released"], loss="spread"), losses.open_loss("spread"))
+
+
+def test_a_loss_has_a_name_of_its_own() -> None:
+    with pytest.raises(InputError, match="The loss infonce has the name of a term of ours"):
+        losses.open_loss("infonce")

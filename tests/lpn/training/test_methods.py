@@ -13,7 +13,6 @@ from rich.console import Console
 from torch import nn
 
 import lpn
-from lpn.core.errors import InputError
 from lpn.datasets import open_dataset
 from lpn.models import backbones
 from lpn.models.checkpoints import load_torch, save
@@ -150,8 +149,3 @@ def test_training_on_panoramas_improves_retrieval(panoramas: Path, tmp_path: Pat
 
 def test_every_method_is_trained_here() -> None:
     assert {name.split(" ")[0] for name in (*ON_PLACES, *ON_PANORAMAS)} == set(METHODS)
-
-
-def test_an_unrolled_tile_has_no_ratio_of_ground() -> None:
-    with pytest.raises(InputError, match="ground_ratio = 2 with polar, but an unrolled tile has no zoom; set it to 1"):
-        replace(RECIPES["safa-paper"], ground_ratio=2.0)

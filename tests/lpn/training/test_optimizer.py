@@ -10,7 +10,8 @@ from lpn.models.spec import ModelSpec
 from lpn.training.learner import Learner
 from lpn.training.loader import TrainingBatch
 from lpn.training.optimizer import MixedPrecision, choose_dtype, loss_factor, rate_factor
-from lpn.training.recipes import RECIPES, Recipe
+from lpn.training.recipe import Recipe
+from lpn.training.recipes import RECIPES
 
 STEPS = 20
 CUDA, CPU = torch.device("cuda"), torch.device("cpu")
@@ -64,8 +65,8 @@ def test_a_factor_of_the_loss_scales_the_step_and_not_the_loss_that_is_told() ->
         network.train()
         weight = network.heads[0].classifier[0].weight
         before = weight.detach().clone()
-        loss, rate = learner.step(batch, 0, 9)
-        losses.append(float(loss))
+        terms, rate = learner.step(batch, 0, 9)
+        losses.append(float(terms["loss"]))
         moved.append(weight.detach() - before)
         assert rate == 0.1
     torch.testing.assert_close(moved[1], moved[0] * 0.2, rtol=1e-4, atol=1e-8)

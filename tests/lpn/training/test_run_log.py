@@ -1,67 +1,47 @@
 from __future__ import annotations
 
 import csv
-import io
-import struct
 from pathlib import Path
 
 import pytest
-from rich.console import Console
-from tensorboardX.proto.event_pb2 import Event
 
-from lpn.core.errors import OutputError
+from lpn.core.errors import InputError
 from lpn.training.model_selection import EpochMetrics, best_epoch
-from lpn.training.run_log import RunLog
+from lpn.training.recipes import RECIPES
+from lpn.training.run_log import begin, epoch_line, read_run, save_log
 
 
 def row(epoch: int, loss: float, **more: float) -> EpochMetrics:
     return {"epoch": epoch, "loss": loss, "lr": 1e-3, "seconds": 1.0, "images_per_second": 8.0, **more}
 
 
-def scalars(out: Path) -> list[tuple[str, int, float]]:
-    """Read tag, step, and value of each scalar in a TensorBoard log; a record is a length, two checksums, and an event."""
-    (file,) = (out / "tensorboard").iterdir()
-    data, found, position = file.read_bytes(), [], 0
-    while position < len(data):
-        (length,) = struct.unpack_from("<Q", data, position)
-        event = Event.FromString(data[position + 12 : position + 12 + length])
-        found += [(value.tag, event.step, value.simple_value) for value in event.summary.value]
-        position += length + 16
-    return found
-
-
-def test_logs_hold_every_epoch_once_although_the_run_was_resumed(tmp_path: Path) -> None:
-    console = Console(file=io.StringIO(), width=100)
+def test_the_log_has_each_epoch_once_and_columns_that_come_later(tmp_path: Path) -> None:
     history = [row(1, 4.0)]
-    run_log = RunLog(tmp_path, history, console)
-    run_log.save()
-    history[-1] |= {"recall@1 drone-to-satellite": 25.0}
-    run_log.save()
-    run_log.close()
-    again = [*history, row(2, 3.0)]
-    run_log = RunLog(tmp_path, again, console)
-    run_log.save()
-    run_log.close()
-    found = scalars(tmp_path)
-    assert len({(tag, step) for tag, step, _ in found}) == len(found)
-    assert [(step, value) for tag, step, value in found if tag == "loss"] == [(1, 4.0), (2, 3.0)]
-    assert ("recall_at_1/drone-to-satellite", 1, 25.0) in found
+    save_log(tmp_path, history)
+    history.append(row(2, 3.0, **{"recall@1 drone-to-satellite": 25.0}))
+    save_log(tmp_path, history)
     with (tmp_path / "log.csv").open() as file:
-        assert [line["loss"] for line in csv.DictReader(file)] == ["4.0", "3.0"]
+        rows = list(csv.DictReader(file))
+    assert [line["loss"] for line in rows] == ["4.0", "3.0"]
+    assert [line["recall@1 drone-to-satellite"] for line in rows] == ["", "25.0"]
 
 
-def test_an_epoch_is_one_line_with_what_was_tested(tmp_path: Path) -> None:
-    said = io.StringIO()
-    run_log = RunLog(tmp_path, [row(1, 4.0, **{"recall@1 drone-to-satellite": 25.0})], Console(file=said, width=40))
-    run_log.print_epoch(30)
-    run_log.close()
-    assert said.getvalue() == "Epoch 1/30  loss 4.000  rate 1.0e-03  8.0 images/s  R@1 drone-to-satellite 25.00\n"
+def test_an_epoch_is_one_line_with_its_terms_and_what_was_tested() -> None:
+    tested = {"recall@1 drone-to-satellite": 25.0}
+    terms = {"loss instance": 3.5, "loss infonce": 0.5}
+    line = "Epoch 1/30  loss 4.000{}  rate 1.0e-03  8.0 images/s  R@1 drone-to-satellite 25.00"
+    assert epoch_line([row(1, 4.0, **terms, **tested)], 30) == line.format("  instance 3.500  infonce 0.500")
+    assert epoch_line([row(1, 4.0, **{"loss instance": 4.0}, **tested)], 30) == line.format("")
 
 
-def test_a_log_that_cannot_be_written_is_one_sentence(tmp_path: Path) -> None:
-    (tmp_path / "tensorboard").write_text("a file")
-    with pytest.raises(OutputError, match="tensorboard cannot be written"):
-        RunLog(tmp_path, [], Console(quiet=True))
+def test_run_json_is_read_again_and_a_damaged_one_refused(tmp_path: Path) -> None:
+    assert read_run(tmp_path) is None
+    made = begin(tmp_path, RECIPES["small"], {"data": "/home/a/places"})
+    assert read_run(tmp_path) == made
+    assert "/home" not in made.metadata()
+    (tmp_path / "run.json").write_text("{")
+    with pytest.raises(InputError, match=r"run\.json is damaged; start the run again without --resume"):
+        read_run(tmp_path)
 
 
 def test_the_best_epoch_is_the_first_of_the_highest() -> None:

@@ -1,4 +1,4 @@
-"""The trainings of a reproduction: each in its own folder, resumable, with an estimate of the time left.
+"""The trainings of a reproduction, each in its own folder and resumable.
 
 Several processes may work on the same trainings: each takes one that no other process has, and at the end waits for theirs.
 """
@@ -9,34 +9,33 @@ import copy
 import csv
 import json
 import shutil
-import statistics
-import tempfile
 import time
-from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, closing, contextmanager, suppress
+from collections.abc import Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
-from itertools import islice
+from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal, cast
+from typing import Any, Literal
 
 import msgspec
+import torch
 
 from lpn.core.consoles import Console
 from lpn.core.errors import DivergedError, InputError, OutputError
 from lpn.core.files import exclusive_lock, fingerprint, write_json
 from lpn.core.formats import decode_json
-from lpn.reproduce.record import Provenance, here
+from lpn.models import checkpoints
+from lpn.models.shipped import model_file
 from lpn.reproduce.sources import Source
 from lpn.reproduce.tables import Training
-from lpn.training.loader import steps_per_epoch
-from lpn.training.recipes import Recipe
+from lpn.training.loader import Loader
+from lpn.training.provenance import Provenance
+from lpn.training.recipe import Recipe
+from lpn.training.run_log import read_run
 from lpn.training.trainer import Trainer
 from lpn.training.training_set import Fold
 
-FORMAT = "lpn-job/2"
-# Estimated time of a training step per pixel of its pictures relative to ResNet-18, for the time left.
-_COSTS = {"resnet18": 1.0, "resnet50": 2.3, "vgg16": 8.5, "vgg16_bn": 8.5}
-_UNKNOWN_COST = 1.0
+FORMAT = "lpn-job/3"
 # Seconds between two looks at trainings that other processes have.
 _POLL = 5.0
 
@@ -44,7 +43,6 @@ _POLL = 5.0
 class _JobFile(msgspec.Struct):
     ended: Literal["finished", "diverged"] | None
     identity: dict[str, Any]
-    made: Provenance
     format: str = FORMAT
 
 
@@ -73,66 +71,43 @@ class TrainingJob:
         return self.folder.name if self.fold else f"{self.training.name}, seed {self.seed}"
 
     @property
-    def done(self) -> bool:
-        """True if the training is finished."""
+    def ended(self) -> Literal["finished", "diverged"] | None:
+        """How the training ended; None if it has not. Another process may change it."""
         file = self._file()
-        return file is not None and file.ended == "finished"
+        return file.ended if file is not None else None
 
     @property
-    def diverged(self) -> bool:
-        """True if the training was given up."""
-        file = self._file()
-        return file is not None and file.ended == "diverged"
+    def done(self) -> bool:
+        """True if the training is finished."""
+        return self.ended == "finished"
 
     @property
     def made(self) -> Provenance | None:
         """Where the training was begun; None before."""
-        file = self._file()
-        return file.made if file is not None else None
+        run = read_run(self.folder)
+        return run.made if run is not None else None
 
     @property
     def model(self) -> Path:
         """Path of the trained network."""
         return self.folder / "last.safetensors"
 
-    @property
-    def work(self) -> float:
-        """Relative cost of an epoch."""
-        height, width = self.recipe.input_size
-        pictures = self.steps * self.recipe.batch * len(self.source.places(self.recipe.sets).files)
-        return pictures * height * width * _COSTS.get(self.recipe.backbone, _UNKNOWN_COST) / 1e6
+    def seconds(self) -> list[float]:
+        """Return the seconds of each epoch on disk."""
+        if not (self.folder / "log.csv").is_file():
+            return []
+        with (self.folder / "log.csv").open(encoding="utf-8", newline="") as file:
+            return [float(row["seconds"]) for row in csv.DictReader(file)]
 
-    @property
+    @cached_property
     def steps(self) -> int:
-        """Updates of an epoch."""
+        """Updates of an epoch; LPNError if the training cannot run on its pictures."""
         places = copy.copy(self.source.places(self.recipe.sets))
         places.hold_out(self.fold or 0.0, self.recipe.seed)
-        return steps_per_epoch(places, self.recipe)
-
-    def seconds(self) -> list[float]:
-        """Seconds of each epoch on disk."""
-        return [float(row["seconds"]) for row in self._log()]
-
-    def epoch_seconds(self) -> float:
-        """Estimate the seconds of one epoch by timing its second step."""
-        with tempfile.TemporaryDirectory() as folder:
-            trainer = Trainer(
-                self.source.dataset,
-                Path(folder),
-                self.recipe,
-                console=Console(quiet=True),
-                test=False,
-                from_scratch=True,
-            )
-            trainer.network.train()
-            with closing(cast(Any, trainer.loader.stream(0, 1))) as stream:
-                # The first step of a process is slower.
-                for number, batch in enumerate(islice(stream, 2)):
-                    started = time.perf_counter()
-                    loss, _ = trainer.learner.step(batch, number, trainer.steps)
-                    # Reading the loss waits for a GPU.
-                    float(loss)
-            return (time.perf_counter() - started) * trainer.steps
+        try:
+            return Loader(places, self.recipe, torch.device("cpu"), 1).steps
+        except InputError as error:
+            raise InputError(f"{self.training.name} cannot be trained on {self.source.name}. {error}") from None
 
     def identity(self) -> dict[str, Any]:
         """Everything that decides the result of the training."""
@@ -160,11 +135,6 @@ class TrainingJob:
                 "another --out."
             )
 
-    def write(self, ended: Literal["finished", "diverged"] | None) -> None:
-        """Write job.json: what is trained in the folder, and how it ended, if it has."""
-        file = _JobFile(ended, self.identity(), self.made or here())
-        write_json(self.folder / "job.json", msgspec.to_builtins(file), ensure_ascii=False)
-
     def train(self, console: Console) -> None:
         """Train to the last epoch, from the last whole one on disk; a training that diverges is given up.
 
@@ -176,7 +146,7 @@ class TrainingJob:
             # The run was killed before its first epoch was on disk. The folder stays, as its lock is held.
             for path in self.folder.iterdir():
                 shutil.rmtree(path, ignore_errors=True) if path.is_dir() else path.unlink()
-        self.write(None)
+        self._write(None)
         ended: Literal["finished", "diverged"] = "finished"
         try:
             Trainer(
@@ -193,13 +163,11 @@ class TrainingJob:
         except DivergedError as error:
             ended = "diverged"
             console.print(f"{self.name} is given up. {error}", markup=False)
-        self.write(ended)
+        self._write(ended)
 
-    def _log(self) -> list[dict[str, str]]:
-        if not (self.folder / "log.csv").is_file():
-            return []
-        with (self.folder / "log.csv").open(encoding="utf-8", newline="") as file:
-            return list(csv.DictReader(file))
+    def _write(self, ended: Literal["finished", "diverged"] | None) -> None:
+        file = msgspec.to_builtins(_JobFile(ended, self.identity()))
+        write_json(self.folder / "job.json", file, ensure_ascii=False)
 
     def _file(self) -> _JobFile | None:
         path = self.folder / "job.json"
@@ -209,15 +177,15 @@ class TrainingJob:
             return None
 
 
-def train(work: Sequence[TrainingJob], console: Console) -> None:
+def train(jobs: Sequence[TrainingJob], console: Console) -> None:
     """Train what is not trained yet, one after the other, and wait for what other processes train.
 
     Raises:
         LPNError: as `lpn.training.trainer.Trainer`, except for a divergence.
     """
     announced = False
-    while left := [job for job in work if not job.done and not job.diverged]:
-        if any(_train_alone(job, work, console) for job in left):
+    while left := [job for job in jobs if not job.ended]:
+        if any(_train_alone(job, jobs, console) for job in left):
             continue
         if not announced:
             console.print(f"Waiting for another process, which trains {', '.join(job.name for job in left)}.")
@@ -225,44 +193,33 @@ def train(work: Sequence[TrainingJob], console: Console) -> None:
         time.sleep(_POLL)
 
 
-def _train_alone(job: TrainingJob, work: Sequence[TrainingJob], console: Console) -> bool:
+def _train_alone(job: TrainingJob, jobs: Sequence[TrainingJob], console: Console) -> bool:
     """Train unless another process does, and return whether it was free."""
     job.folder.mkdir(parents=True, exist_ok=True)
-    with suppress(_TakenError):
-        with _own(job.folder):
-            if not job.done and not job.diverged:
-                left = [other for other in work if not other.done and not other.diverged]
-                place = len(work) - len(left) + 1
-                console.rule(f"{job.name} ({place} of {len(work)} trainings; {said_left(left, work)})")
-                job.train(console)
-        return True
-    return False
-
-
-class _TakenError(Exception):
-    """Another process has the training."""
-
-
-@contextmanager
-def _own(folder: Path) -> Iterator[None]:
-    """Lock a training's folder; _TakenError if another process has it."""
     with ExitStack() as stack:
         try:
-            stack.enter_context(exclusive_lock(folder, wait=False))
-        except OutputError as error:
-            raise _TakenError from error
-        yield
+            stack.enter_context(exclusive_lock(job.folder, wait=False))
+        except OutputError:
+            return False
+        if not job.ended:
+            ended = sum(bool(other.ended) for other in jobs)
+            console.rule(f"{job.name} ({ended + 1} of {len(jobs)} trainings)")
+            job.train(console)
+    return True
 
 
-def seconds_left(left: Sequence[TrainingJob], known: Sequence[TrainingJob]) -> float:
-    """Estimate the remaining seconds from the median speed of the epochs on disk, or from a step of the first training."""
-    timed = [(job.work, seconds) for job in known if (seconds := job.seconds())]
-    speeds = [work / seconds for work, of_job in timed for seconds in of_job]
-    speed = statistics.median(speeds) if speeds else left[0].work / left[0].epoch_seconds()
-    return sum(job.work * (job.recipe.epochs - len(job.seconds())) for job in left) / speed
+def by_backbone(files: Sequence[Path]) -> dict[str, Path]:
+    """Sort the files of --init by the backbone they hold.
 
-
-def said_left(left: Sequence[TrainingJob], known: Sequence[TrainingJob]) -> str:
-    """Say about how much time one process needs for the trainings that are left."""
-    seconds = seconds_left(left, known)
-    return f"about {seconds / 3600:.1f} h left" if seconds > 5400 else f"about {max(seconds / 60, 1):.0f} min left"
+    Raises:
+        ModelFileError: when a file cannot be read or holds no known backbone.
+        InputError: when two files hold the same backbone.
+    """
+    files_of: dict[str, Path] = {}
+    for weights in files:
+        file = model_file(weights, trained=True)
+        name = checkpoints.backbone_in(file)
+        if name in files_of:
+            raise InputError(f"{files_of[name]} and {file} both hold a {name}; give one of them with --init.")
+        files_of[name] = file
+    return files_of

@@ -1,4 +1,4 @@
-"""Figures 1, 7, and 8 of the paper, heatmaps and retrieved pictures, as one PNG each."""
+"""Figures 1, 7, and 8 of the paper, heatmaps and retrieved pictures, as one PNG each, and the pictures of 3 and 4."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from lpn.core import images
 from lpn.core.errors import InputError
 from lpn.core.views import View
 from lpn.datasets import Dataset, Picture
+from lpn.drawing.network_figures import PictureOfView
 from lpn.drawing.plots import encode, pyplot
 from lpn.models.base import Model
 from lpn.retrieval import scoring
@@ -34,31 +35,25 @@ def heatmaps(
     """
     tiles = {picture.label: picture for picture in dataset.gallery("satellite")}
     chosen = named(dataset, view, names, count)
-    figure, axes = pyplot().subplots(
-        2 * len(chosen),
-        1 + len(models),
-        figsize=(2.1 * (1 + len(models)), 4.2 * len(chosen)) if view == "drone" else (10.2, 2.9 * len(chosen)),
-        layout="constrained",
-        squeeze=False,
-    )
-    for row, query in enumerate(chosen):
-        views: tuple[tuple[Picture, View], ...] = ((query, view), (tiles[query.label], "satellite"))
-        for line, (entry, of_view) in enumerate(views):
-            picture = images.load_picture(entry.path)
-            for column in range(1 + len(models)):
-                cell = axes[2 * row + line][column]
-                cell.set_axis_off()
-                # A polar network sees the unrolled tile.
-                seen = models[column - 1][1].as_partitioned(picture, of_view) if column else picture
-                cell.imshow(seen)
-                if column:
-                    heat = retrieval.describe_picture(models[column - 1][1], picture, of_view).activation
-                    height, width = seen.shape[:2]
-                    cell.imshow(
-                        heat, cmap="inferno", alpha=0.55, extent=(0, width, height, 0), interpolation="bilinear"
-                    )
-                if row == line == 0:
-                    cell.set_title(models[column - 1][0] if column else "picture", fontsize=9)
+    rows: list[tuple[Picture, View]] = [
+        row for query in chosen for row in ((query, view), (tiles[query.label], "satellite"))
+    ]
+    size = (2.1 * (1 + len(models)), 4.2 * len(chosen)) if view == "drone" else (10.2, 2.9 * len(chosen))
+    figure, axes = pyplot().subplots(len(rows), 1 + len(models), figsize=size, layout="constrained", squeeze=False)
+    for cells, (entry, of_view) in zip(axes, rows, strict=True):
+        picture = images.load_picture(entry.path)
+        cells[0].imshow(picture)
+        for cell, (_, model) in zip(cells[1:], models, strict=True):
+            # A polar network sees the unrolled tile.
+            seen = model.as_partitioned(picture, of_view)
+            height, width = seen.shape[:2]
+            heat = retrieval.describe_picture(model, picture, of_view).activation
+            cell.imshow(seen)
+            cell.imshow(heat, cmap="inferno", alpha=0.55, extent=(0, width, height, 0), interpolation="bilinear")
+    for cell, title in zip(axes[0], ("picture", *(name for name, _ in models)), strict=True):
+        cell.set_title(title, fontsize=9)
+    for cell in axes.flat:
+        cell.set_axis_off()
     return encode(figure, 100)
 
 
@@ -77,13 +72,8 @@ def retrievals(model: Model, dataset: Dataset, views: Sequence[View], names: Seq
     labels = {picture.label for picture in chosen}
     shown_queries = [(picture, views[0]) for picture in chosen]
     shown_queries += [(p, view) for view in views[1:] for p in dataset.queries(view) if p.label in labels]
-    figure, axes = pyplot().subplots(
-        len(shown_queries),
-        1 + top,
-        figsize=(1.7 * (1 + top), 1.85 * len(shown_queries)),
-        layout="constrained",
-        squeeze=False,
-    )
+    size = (1.7 * (1 + top), 1.85 * len(shown_queries))
+    figure, axes = pyplot().subplots(len(shown_queries), 1 + top, figsize=size, layout="constrained", squeeze=False)
     for row, (query, view) in zip(axes, shown_queries, strict=True):
         other: View = "drone" if view == "satellite" else "satellite"
         gallery = dataset.gallery(other)
@@ -103,6 +93,20 @@ def retrievals(model: Model, dataset: Dataset, views: Sequence[View], names: Seq
             for side in cell.spines.values():
                 side.set(linewidth=0 if query_cell else 3, color=TRUE if right else FALSE)
     return encode(figure, 100)
+
+
+def described(model: Model, dataset: Dataset, names: Sequence[str] = ()) -> list[PictureOfView]:
+    """Describe the first drone query of `names`, or one of all, and its tile for Figures 3 and 4."""
+    (query,) = named(dataset, "drone", names[:1], count=1)
+    tile = next(picture for picture in dataset.gallery("satellite") if picture.label == query.label)
+    made = []
+    pair: dict[View, Picture] = {"drone": query, "satellite": tile}
+    for view, entry in pair.items():
+        picture = images.load_picture(entry.path)
+        one = retrieval.describe_picture(model, picture, view)
+        assert one.activation is not None  # an LPN has a map
+        made.append(PictureOfView(view, model.as_partitioned(picture, view), one.activation, one.descriptor))
+    return made
 
 
 def named(dataset: Dataset, view: View, names: Sequence[str] = (), count: int = 4) -> list[Picture]:
