@@ -114,7 +114,6 @@ class ScreenSession:
             "hover": self.scene.hover,
             "pick": self.scene.pick,
             "scene": self.scene.draw,
-            "still": self.scene.still,
         }
 
     # What panels use, see `Tab`.
@@ -455,12 +454,11 @@ class ScreenSession:
     def _choices(self, state: ScreenState) -> ScreenMessage:
         """Return the state as the page takes it, with its address, and that of its photo's picture."""
         services = self._access.services(state)
-        task, address = services.workspace.tasks[state.task], fields.to_address(state, services.workspace)
+        address = fields.to_address(state, services.workspace)
         if state.place != self._screens.home:
             address = f"show={quote(state.place)}&{address}"
         return state.values() | {
             "address": address,
-            "query_name": task.query_names[state.query],
             "photo": self._photo(state),
         }
 
@@ -474,7 +472,6 @@ class ScreenSession:
         task = self._access.ranking(state).task
         scorings = [name for name in SCORINGS if scored_key(state.task, name) in workspace.rankings]
         return {
-            "data": base.data_name,
             "models": [base.model_name, *(other.label for other in base.beside)],
             "places": dict(self._screens.places),
             "tasks": list(base.tasks),
@@ -487,8 +484,6 @@ class ScreenSession:
             "photo": _noun(task.query_view, base.has_flight),
             "turns": workspace.model is not None,
             "place": "City" if base.basemap is None else "Map",
-            "without_cells": workspace.without_cells,
-            "step": STEP,
             "panels": [
                 {"name": one.name, "title": one.title, "key": one.key, "place": one.place}
                 for one in PANELS.values()

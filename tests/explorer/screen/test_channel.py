@@ -23,7 +23,6 @@ from explorer.compute.background_jobs import BackgroundJob
 from explorer.screen import route
 from explorer.screen.channel import Outbox
 from explorer.screen.own import OwnPhotoBytes
-from explorer.screen.scene import shapes
 from explorer.screen.scene.tab import TabScene
 from explorer.screen.session import ScreenSession
 from explorer.screen.terms import term
@@ -303,21 +302,6 @@ def test_the_server_holds_a_bounded_number_of_bytes_of_own_photos(
     other.until(lambda last: last["result"]["state"]["own"])
     for tab_ in (one, other):
         tab_.socket.close()
-
-
-def test_a_browser_without_webgl_gets_a_still_of_the_city(app: App, tab: Tab) -> None:
-    tab.open()
-    tab.act("still", width=360, height=240)
-    address = tab.until(lambda last: "still" in last)["still"]
-    status, headers, body = get(app, f"/{address}")
-    assert (status, headers.get_content_type()) == (200, "image/jpeg")
-    shown = images.decode_picture(body, "still")
-    assert shown.shape == (240, 360, 3)
-    gold = np.abs(shown.astype(int) - shapes.RIGHT[True]).max(axis=2) < 40
-    assert gold.sum() > 300, "the answer's frame and its badge"
-    tab.act("still", width="wide", height=10**9)
-    tab.send({"set": {"angle": 4}})
-    assert tab.result(angle=4)
 
 
 class _Checked:
