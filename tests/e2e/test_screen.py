@@ -384,17 +384,20 @@ def test_the_scene_shows_the_place_and_the_rings_apart(running: Running, screen:
     tab = page.evaluate("document.documentElement.dataset.tab")
     expect(page.locator("#scene.ready iframe")).to_be_visible()
     session = running.app._channel.sessions[tab]
-    assert session.scene.drawn is not None
-    assert f"/city/tile{running.analysis(query=3).ranking.match(0).index}" in session.scene.drawn.nodes
+
+    def until_drawn(node: str) -> None:
+        for _ in range(600):
+            if session.scene.drawn is not None and node in session.scene.drawn.nodes:
+                return
+            page.wait_for_timeout(100)
+        raise AssertionError(f"the scene has no {node}")
+
+    until_drawn(f"/city/tile{running.analysis(query=3).ranking.match(0).index}")
     expect(page.frame_locator("#scene iframe").locator("canvas[data-engine]")).to_be_visible()
     screen.key("x")
     expect(page.locator("#scene [data-view=apart]")).to_have_attribute("aria-pressed", "true")
     expect(page).to_have_url(re.compile("view=apart"))
-    for _ in range(600):
-        if "/apart/ribbon/3" in session.scene.drawn.nodes:
-            break
-        page.wait_for_timeout(100)
-    assert "/apart/ribbon/3" in session.scene.drawn.nodes
+    until_drawn("/apart/ribbon/3")
     screen.key("g")
     assert box(page.locator("#scene"))["height"] > 340
     screen.key("Escape")

@@ -95,7 +95,7 @@ def test_picked_queries_are_a_text_of_their_task(findings: LabFindings, workspac
         with pytest.raises(UnusableError):
             decode(broken, task)
     state = state_of(workspace, lab_picked=code)
-    again, problems = fields.from_address(fields.to_address(state, workspace), workspace)
+    again, problems = fields.from_values(fields.parsed(fields.to_address(state, workspace)), workspace)
     assert again[PICKED] == code
     assert not problems
     # Another task drops nothing of the address, but shows all its queries.

@@ -55,18 +55,10 @@ def _kind(column: Column) -> str:
 
 
 def entries(findings: LabFindings, shown: list[Column], rows: Int64Array, tiles: str) -> list[tuple[int, list[str]]]:
-    """Return rows of the table: each query and its cells as HTML.
-
-    Args:
-        tiles: the folder of the tiles' thumbnails.
-    """
-    limit = _limit(findings)
-    return [(row, [_cell(findings, column, row, tiles, limit) for column in shown]) for row in rows.tolist()]
-
-
-def _limit(findings: LabFindings) -> float:
+    """Return rows of the table: each query and its cells as HTML; `tiles` is the folder of the tiles' thumbnails."""
     margins = np.abs(findings.outcomes.margin)
-    return float(np.nanmax(margins)) if np.isfinite(margins).any() else 1.0
+    limit = float(np.nanmax(margins)) if np.isfinite(margins).any() else 1.0
+    return [(row, [_cell(findings, column, row, tiles, limit) for column in shown]) for row in rows.tolist()]
 
 
 def _cell(findings: LabFindings, column: Column, row: int, tiles: str, limit: float) -> Markup:
