@@ -1,7 +1,4 @@
-"""HTML of panels, by the templates `*.html.j2` of their folders, which share the macros of `macros.html.j2`.
-
-The page puts it in place, and does what its elements say, see `page/fragment.js`.
-"""
+"""HTML of panels, by the templates of their folders; `page/fragment.js` puts it in place, and does what its elements say."""
 
 from __future__ import annotations
 
