@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import gc
 import logging
 import threading
@@ -11,21 +10,27 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import viser
-from websockets.asyncio.server import ServerConnection
 
+from explorer.compute.background_jobs import BackgroundJob
 from explorer.parameters import DATA
 from explorer.screen import route
 from explorer.screen.channel import Channel
 from explorer.screen.session import Screens
 from explorer.server.auth import Authenticator, make_authenticator
 from explorer.server.gateway import SCENE_TAB, Screen
-from explorer.server.page_server import CLOSE_TIMEOUT, check_free, close_server, no_cell_output, open_server
+from explorer.server.page_server import (
+    CLOSE_TIMEOUT,
+    check_free,
+    close_server,
+    no_cell_output,
+    open_server,
+    warn_of_listening,
+)
 from explorer.server.picture_route import EncodedPicture, PictureRoute
 from explorer.services import WorkspaceServices
 from explorer.workspace import LazyWorkspace, Workspace
 from lpn.core import images
-from lpn.core.errors import InputError
-from lpn.core.resources import is_loopback, limit_malloc_arenas, return_memory
+from lpn.core.resources import limit_malloc_arenas
 from lpn.core.served_page import ServedPage
 from lpn.core.shutdown import writes_finished
 
@@ -75,8 +80,8 @@ class App:
         self._places = {DATA: label or DATA} | {key: other.label for key, other in self._others.items()}
         self._add(DATA, workspace)
         self._pictures = PictureRoute(self._find_picture)
-        self._channel = Channel(Screens(self._services_of, DATA, self._places))
-        screen = Screen(route.respond, route.scene_of, self._serve)
+        self._channel = Channel(Screens(self._services_of, DATA, self._places, self._opening))
+        screen = Screen(route.respond, route.scene_of, self._channel.serve)
         self.server, self.gateway = open_server(host, port, self.authenticator, self._pictures, screen, embedders)
         # The tabs whose scenes viser's clients are.
         self._scenes: dict[int, str] = {}
@@ -97,11 +102,6 @@ class App:
         if not writes_finished(max(until - time.monotonic(), 0)):
             log.warning("A file is still being written")
 
-    async def _serve(self, tab: str, connection: ServerConnection) -> None:
-        """Serve the channel of a tab; what it held, pictures included, is collected now, for which Python would take minutes."""
-        await self._channel.serve(tab, connection)
-        await asyncio.to_thread(_collect)
-
     async def _connect(self, client: viser.ClientHandle) -> None:
         """Attach the client of a scene; viser runs a coroutine where the tab of the scene is known."""
         tab = SCENE_TAB.get()
@@ -121,15 +121,18 @@ class App:
             self._services[key] = WorkspaceServices.of(workspace)
         return self._services[key]
 
+    def _opening(self, key: str) -> BackgroundJob[Workspace] | None:
+        """Return the job that opens a workspace; None if it is open."""
+        other = self._others.get(key)
+        return None if other is None or other.workspace is not None else other.open()
+
     def _services_of(self, key: str) -> WorkspaceServices:
-        """Return the services of a workspace, once it is open; InputError if it cannot be opened."""
+        """Return the services of a workspace that is open."""
         if key not in self._services:
-            other = self._others[key]
-            other.open().wait(threading.TIMEOUT_MAX)
-            if other.workspace is None:
-                raise InputError(f"{other.label} cannot be opened: {other.error}")
+            workspace = self._others[key].workspace
+            assert workspace is not None, key
             with self._lock:
-                self._add(key, other.workspace)
+                self._add(key, workspace)
         return self._services[key]
 
     def _open_workspaces(self) -> dict[str, Workspace]:
@@ -138,11 +141,6 @@ class App:
     def _find_picture(self, path: str) -> Callable[[], EncodedPicture] | None:
         computes = (services.find_picture(path) for services in list(self._services.values()))
         return next((compute for compute in computes if compute is not None), None)
-
-
-def _collect() -> None:
-    gc.collect()
-    return_memory()
 
 
 def serve(
@@ -170,18 +168,11 @@ def serve(
     app = _start(open_workspace, host, port, authenticator, others, label, stories=stories)
     gc.collect()
     gc.freeze()  # keeps the collection after each disconnect short
-    if not is_loopback(host):
-        print(
-            f"Listening on {host}: anyone who reaches port {port} and has the token can use this. The connection is not "
-            "encrypted; docs/serving.md says how to change that.",
-            flush=True,
-        )
+    warn_of_listening(host, port)
     print(f"LPN Explorer is ready: {app.link}  (stop with Ctrl-C)", flush=True)
     try:
         while True:
-            time.sleep(
-                0.5
-            )  # a thread at work may take the signal that stops this one, which then sees it when it wakes
+            time.sleep(0.5)  # a thread at work may take the signal that stops this one, which sees it when it wakes
     finally:
         app.close()
 

@@ -104,6 +104,7 @@ class ExploreLive(ServeOptions, LiveInput):
 
     def run(self) -> None:
         from explorer.flight.live import LiveApp, LiveRecord
+        from explorer.server.page_server import warn_of_listening
         from lpn.flight.live.frames import shown_name
         from lpn.flight.maps import open_map
 
@@ -120,6 +121,7 @@ class ExploreLive(ServeOptions, LiveInput):
                 record.note(sentence)
 
             run = self.open_run(say, [record], stack, [record.count_windows])
+            warn_of_listening(self.host or "0.0.0.0", self.port)
             print(f"LPN Explorer is ready: {app.link}  (stop with Ctrl-C)", flush=True)
             say(f"The flight has ended; {run.run()} frames were located, and the page goes on showing them.")
             while True:

@@ -19,7 +19,6 @@ from explorer.compute.own_photos import OwnPhotoJobs
 from explorer.compute.ranking_job import RankingJob, TaskRanking
 from explorer.compute.request_context import QueuedModel, RequestContext
 from explorer.compute.scorings import Scorings
-from explorer.compute.watchers import Watchers
 from lpn.analysis import answer_context
 from lpn.analysis.answer_context import AnswerDistances
 from lpn.core import images
@@ -122,8 +121,6 @@ class Workspace:
         # The file that keeps stories; None for that beside the data.
         self.stories: Path | None = None
         self.registration: BackgroundJob[None] | None = None
-        # They are told when the registration has ended, which changes what is graded.
-        self.watchers = Watchers()
         self.part_names = self._part_names()
         self._tiles: SingleFlightCache[tuple[str, bool, int], DescribedPicture] = SingleFlightCache(
             TILES, TILE_BYTES, lambda tile: 0 if tile.trace is None else tile.trace.nbytes
@@ -263,7 +260,6 @@ class Workspace:
         def work(report: ReportProgress) -> None:
             yield_cores()  # it takes minutes, and answers must not wait for it
             self.flight = register(report)
-            self.watchers.tell()
 
         self.registration = BackgroundJob(work, self)
         return self.registration

@@ -81,12 +81,6 @@ class InferenceScheduler:
         self._heads: SingleFlightCache[tuple[Model, View], Heads] = SingleFlightCache(_MAX_HEADS)
         self._bound: SingleFlightCache[tuple[Model, View, View], Model] = SingleFlightCache(_MAX_BOUND)
 
-    @property
-    def queue_length(self) -> int:
-        """Number of waiting requests, without those being computed."""
-        with self._changed:
-            return len(self._interactive) + len(self._background)
-
     def heads(self, model: Model, view: View) -> Heads:
         """Return a model's heads, cached: some models read many megabytes for each call."""
         return self._heads.get((model, view), lambda: model.heads(view))
@@ -173,7 +167,20 @@ class InferenceScheduler:
 
     def _loop(self) -> None:
         try:
-            self._work()
+            while True:
+                with self._changed:
+                    self._changed.wait_for(lambda: self._interactive or self._background or self._ending, IDLE_TIMEOUT)
+                    if self._ending:
+                        return
+                    if not self._interactive and not self._background:
+                        self._thread = None
+                        return
+                    batch = self._next_batch()
+                    superseded = self._take_superseded()
+                for request in superseded:  # their contexts prepare the next request while this batch is computed
+                    request.fail(SupersededError())
+                compute(batch)
+                del batch  # frees the pictures
         except BaseException as error:
             log.exception("The inference scheduler failed")
             with self._changed:  # fail all requests; the next one starts another thread
@@ -181,22 +188,6 @@ class InferenceScheduler:
                 self._remove(lost)
             for request in lost:
                 request.fail(error)
-
-    def _work(self) -> None:
-        while True:
-            with self._changed:
-                self._changed.wait_for(lambda: self._interactive or self._background or self._ending, IDLE_TIMEOUT)
-                if self._ending:
-                    return
-                if not self._interactive and not self._background:
-                    self._thread = None
-                    return
-                batch = self._next_batch()
-                superseded = self._take_superseded()
-            for request in superseded:  # their contexts prepare the next request while this batch is computed
-                request.fail(SupersededError())
-            compute(batch)
-            del batch  # frees the pictures
 
     def _next_batch(self) -> list[InferenceRequest]:
         """Take the next batch, of either interactive or background requests only."""

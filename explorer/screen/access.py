@@ -11,15 +11,8 @@ from explorer.compute.ranking_job import RankingJob
 from explorer.compute.request_context import RequestContext
 from explorer.screen.fields import ScreenState
 from explorer.screen.rail import ranks_of
-from explorer.screen.result import STRIP
 from explorer.services import WorkspaceServices
 from explorer.workspace import LazyWorkspace, Workspace, WorkspaceAnalyser
-from lpn.core.errors import LPNError
-from lpn.library.analyser import QueryRequest
-from lpn.library.answer import Answer
-
-# Seconds between two looks at a workspace that is being opened.
-_POLL = 0.2
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +40,6 @@ class Access:
     def __init__(self, services: Callable[[str], WorkspaceServices]) -> None:
         self._services, self._lock = services, threading.Lock()
         self._opened: dict[Workspace, Opened] = {}
-        self._closed = False
 
     def services(self, state: ScreenState) -> WorkspaceServices:
         """Return what a state's place offers, which is open."""
@@ -74,10 +66,6 @@ class Access:
                 self._opened[workspace] = Opened(workspace, requests, background, analyser)
             return self._opened[workspace]
 
-    def analyse(self, state: ScreenState, question: QueryRequest) -> Answer:
-        """Answer a question about the state's task under its model."""
-        return self.opened(state).analyser.analyse(self.ranking(state).task, question, STRIP)
-
     def ranks_beside(self, state: ScreenState) -> list[tuple[str, int]]:
         """Return the label of each other model that has ranked the state's query, and the rank of its truth there, upright."""
         base = self.services(state).workspace
@@ -90,21 +78,13 @@ class Access:
                 ranks += [(label, rank)] if rank else []
         return ranks
 
-    def open_model(self, state: ScreenState, say: Callable[[str], None]) -> None:
-        """Wait until the state's model is open; LPNError if it cannot be."""
+    def opening(self, state: ScreenState) -> BackgroundJob[Workspace] | None:
+        """Return the job that opens the state's model; None if it is open."""
         beside = self._beside(state)
-        if beside is None or beside.workspace is not None:
-            return
-        job: BackgroundJob[Workspace] = beside.open()
-        while not job.wait(_POLL) and not self._closed:
-            done = f": {job.done:,} of {job.total:,} pictures" if job.total else ""
-            say(f"Opening {beside.label}{done}")
-        if beside.workspace is None:
-            raise LPNError(beside.error)
+        return None if beside is None or beside.workspace is not None else beside.open()
 
     def close(self) -> None:
         """Cancel what the tab has asked for."""
-        self._closed = True
         with self._lock:
             for opened in self._opened.values():
                 opened.requests.close()

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import asyncio
+import gc
 import json
 import logging
 from collections import OrderedDict
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from functools import partial
 from typing import Protocol
 
 import viser
@@ -17,12 +17,13 @@ from websockets.exceptions import ConnectionClosed
 
 from explorer.feeds import shown_json
 from explorer.screen.loop import ScreenMessage
+from lpn.core.resources import return_memory
 
 log = logging.getLogger(__name__)
 
 # Characters of a message; parts of a photo are bytes, which the gateway bounds.
 MAX_TEXT = 20_000
-# Threads that do what the messages of all tabs say; one that opens a model takes its thread until that is open.
+# Threads that do what the messages of all tabs say.
 _THREADS = 32
 
 
@@ -133,40 +134,34 @@ class Channel:
         before, self.sessions[tab] = self.sessions.get(tab), session
         if before is not None:
             await asyncio.to_thread(before.leave)
+        log.info("A page has connected; %d are open", len(self.sessions))
         writing = asyncio.create_task(_write(outbox, connection))
-        leaving = asyncio.create_task(_leave_with(connection, session))
         try:
             async for raw in connection:
-                await loop.run_in_executor(self._executor, partial(_receive, session, raw))
+                try:
+                    if isinstance(raw, bytes):
+                        await loop.run_in_executor(self._executor, session.receive_bytes, raw)
+                    elif len(raw) <= MAX_TEXT:
+                        await loop.run_in_executor(self._executor, session.receive, json.loads(raw))
+                except (json.JSONDecodeError, RecursionError):
+                    log.debug("A message of a page is no JSON: %d characters", len(raw))
+                except Exception:
+                    log.exception("A message of a page was not handled")
         except ConnectionClosed:
             pass
         finally:
             writing.cancel()
             if self.sessions.get(tab) is session:
                 del self.sessions[tab]
-            await leaving
+            log.info("A page has left; %d are open", len(self.sessions))
+            await asyncio.to_thread(_end, session)
 
 
-def _receive(session: TabSession, raw: str | bytes) -> None:
-    """Hand a message to its session; one that is malformed is dropped."""
-    try:
-        message = None if isinstance(raw, bytes) or len(raw) > MAX_TEXT else json.loads(raw)
-    except (ValueError, RecursionError):
-        log.debug("A message of a page is no JSON: %d characters", len(raw))
-        return
-    try:
-        if isinstance(raw, bytes):
-            session.receive_bytes(raw)
-        else:
-            session.receive(message)
-    except Exception:
-        log.exception("A message of a page was not handled")
-
-
-async def _leave_with(connection: ServerConnection, session: TabSession) -> None:
-    """End a session with its connection, also while a message of it, such as that of another model, is still being done."""
-    await connection.wait_closed()
-    await asyncio.to_thread(session.leave)
+def _end(session: TabSession) -> None:
+    """End a session, and collect what it held, pictures included: Python would take minutes to find them."""
+    session.leave()
+    gc.collect()
+    return_memory()
 
 
 async def _write(outbox: Outbox, connection: ServerConnection) -> None:

@@ -82,8 +82,8 @@ class Curve:
 
     def __init__(self, send: Callable[[dict[str, Any]], None], held: Descriptors) -> None:
         self._send, self._held = send, held
-        self._turning: Turning | None = None
-        self._sequence = ""
+        # What is drawn, and its sequence: set together, as another thread reads both.
+        self._followed: tuple[Turning | None, str] = None, ""
         self._worker = Worker(self._work, lambda _: None)
 
     def follow(self, turning: Turning | None, sequence: str) -> None:
@@ -92,21 +92,22 @@ class Curve:
         Args:
             sequence: tells the page's photo and weights; the messages name it.
         """
-        before, self._turning, self._sequence = self._turning, turning, sequence
+        before, self._followed = self._followed[0], (turning, sequence)
         if turning is not None and (before is None or (before.key, before.weights) != (turning.key, turning.weights)):
             self._worker.wake()
 
     def stop(self) -> None:
         """End after the point that is being computed."""
-        self._turning = None
+        self._followed = None, ""
         self._worker.stop()
 
     def _work(self) -> None:
-        turning, sequence = self._turning, self._sequence
+        turning, sequence = self._followed
         points: dict[int, tuple[int | None, float]] = {}
         # From the upright photo outwards, as a person turns it.
         for angle in sorted(ANGLES, key=abs):
-            if self._turning is None or turning is None or self._turning.key != turning.key:
+            newest = self._followed[0]
+            if newest is None or turning is None or newest.key != turning.key:
                 return
             try:
                 descriptor = self._held.get((turning.key, angle), partial(turning.descriptor, angle))

@@ -335,13 +335,8 @@ def to_address(state: ScreenState, workspace: Workspace) -> str:
     return urlencode(pairs, quote_via=quote, safe="/,~")
 
 
-def from_address(search: str, workspace: Workspace) -> tuple[ScreenState, list[str]]:
-    """Return the state of a query string, and a sentence for each value that cannot be used; other keys are ignored."""
-    return from_values(parsed(search), workspace)
-
-
 def from_values(given: Mapping[str, str], workspace: Workspace) -> tuple[ScreenState, list[str]]:
-    """Return the state of an address's values by their keys, see `from_address`."""
+    """Return the state of an address's values by their keys, and a sentence for each that cannot be used; see `parsed`."""
     values = {name: given[row.key] for name, row in FIELDS.items() if row.key in given}
     return changed(opening(workspace), values, workspace)
 

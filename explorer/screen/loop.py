@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Any
 
 from explorer.compute.batching import SupersededError
@@ -33,14 +34,14 @@ class Loop:
         on_result: Callable[[ScreenState], None],
     ) -> None:
         self._answer, self._send, self._requests, self._on_result = answer, send, requests, on_result
-        # The newest state with its number, and the number of the last one that was answered.
-        self._asked: tuple[int, ScreenState | None] = 0, None
-        self._answered = 0
+        # The newest state, and the last one that was answered; each is an object of its own.
+        self._asked: ScreenState
+        self._answered: ScreenState | None = None
         self._worker = Worker(self._work, self._fail)
 
     def show(self, state: ScreenState) -> None:
         """Answer a state as soon as the analysis in flight has ended; states in between are left out."""
-        self._asked = self._asked[0] + 1, state
+        self._asked = state
         self._requests().supersede()
         self._worker.wake()
 
@@ -49,29 +50,22 @@ class Loop:
         self._worker.stop()
 
     def _work(self) -> float | None:
-        if self._answered == self._asked[0]:  # it came while the run before began
+        if self._answered is self._asked:  # it came while the run before began
             return None
+        message: ScreenMessage | None = None
         try:
-            state, message = self._newest()
+            with self._requests().answering():
+                while message is None:  # a state that a newer one supersedes in the queue is answered anew
+                    state = self._asked
+                    with suppress(SupersededError):
+                        message = self._answer(state)
         except BusyError:
             self._send({"busy": "The server is busy. Trying again."})
             return RETRY_AFTER
+        self._answered = state
         self._send({"result": message})
         self._on_result(state)
         return None
-
-    def _newest(self) -> tuple[ScreenState, ScreenMessage]:
-        """Answer the newest state; one that a newer one supersedes in the queue is answered anew."""
-        with self._requests().answering():
-            while True:
-                number, state = self._asked
-                assert state is not None
-                try:
-                    message = self._answer(state)
-                except SupersededError:
-                    continue
-                self._answered = number
-                return state, message
 
     def _fail(self, error: Exception) -> None:
         text = str(error) if isinstance(error, LPNError) else "Something failed; the server's log has the details."

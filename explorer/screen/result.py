@@ -15,7 +15,7 @@ from explorer.screen.fields import ScreenState
 from explorer.workspace import Workspace
 from lpn.core import images
 from lpn.core.arrays import Float32Array, Float64Array, FloatingArray, UInt8Array
-from lpn.core.numbers import distance, rounded_to_sum, shown_difference, wrap_degrees
+from lpn.core.numbers import rounded_to_sum, shown_difference, wrap_degrees
 from lpn.core.texts import ordinal
 from lpn.core.views import View
 from lpn.drawing import overlays
@@ -129,7 +129,6 @@ class ScreenResult:
         compared, pinned, truth, shown = self.compared, self.pinned, self.analysis.positive, self.large
         strip = self._strip(compared if pinned else None)
         tiles = {match.index: self._tile(match, match.index in shown) for match in (*strip, *shown.values())}
-        metres = self.analysis.error_m(self.first)
         weights = np.asarray(state.weights or [1.0] * workspace.contract.n_parts)
         return {
             "photo": self._photo(),
@@ -147,7 +146,6 @@ class ScreenResult:
             "nearest": round(self.first.distance2, 3),
             "scale": {"part": self.scale.part * float(weights.max() / weights.mean()), "total": self.scale.total},
             "weights": list(state.weights),
-            "metres": "" if metres is None else distance(metres),
         }
 
     def _title(self, truth: Match | None) -> str:
@@ -258,12 +256,12 @@ class ScreenResult:
         if areas is None:
             return {"parts": None, "heat": None}
         labels = np.rot90(areas.labels, quarter)
-        boxes = [] if quarter % 2 and not _symmetric(areas.boxes) else [list(box) for box in areas.outlines]
         parts = {
             "rows": labels.shape[0],
             "columns": labels.shape[1],
             "labels": _bytes(np.where(labels < 0, 255, labels).astype(np.uint8)),
-            "boxes": boxes,
+            "boxes": [_turned(box, quarter) for box in areas.boxes],
+            "straight": areas.straight,
         }
         values = described.activation if signed is None else signed
         if values is None:
@@ -318,9 +316,10 @@ def _rounded_up(value: float) -> float:
     return max(round(float(np.ceil(round(value / _STEP, 6))) * _STEP, 1), _STEP)
 
 
-def _symmetric(boxes: Sequence[Sequence[float]]) -> bool:
-    """Return whether a quarter turn leaves all boxes where they are."""
-    return all(abs(x0 - y0) < 1e-6 and abs(x1 - y1) < 1e-6 and abs(x0 + x1 - 1) < 1e-6 for x0, y0, x1, y1 in boxes)
+def _turned(box: Sequence[float], quarter: int) -> list[float]:
+    """Return a box of a picture, in shares of its sides, after quarter turns counter-clockwise."""
+    left, top, right, bottom = box
+    return [left, top, right, bottom] if quarter == 0 else _turned((top, 1 - right, bottom, 1 - left), quarter - 1)
 
 
 def _bytes(cells: UInt8Array) -> str:

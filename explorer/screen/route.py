@@ -26,7 +26,7 @@ _PAGE = _SCREEN / "page"
 _BUNDLE = _PAGE / "bundle.js"
 _IMPORT = re.compile(r"""^import (?:\{[^}]*\} from )?"\./([a-z_-]+\.js)";\n""", re.MULTILINE)
 _KINDS = {".html": "text/html", ".css": "text/css", ".js": "text/javascript", ".md": "application/json"}
-_FILE = re.compile(r".*/screen/(page|vendor|panels/([a-z_]{1,40}))/([a-z_-]{1,40}\.(?:css|js))", re.ASCII)
+_FILE = re.compile(r".*/screen/(page|vendor|panels/([a-z_]{1,40}))/([a-z_-]{1,40}\.(?:css|js|html))", re.ASCII)
 # The folder of viser's own page: the scene of a tab.
 _SCENE: Final = re.compile(r".*/scene/([a-z0-9]{8,32})/?", re.ASCII)
 

@@ -5,12 +5,13 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any
 from urllib.parse import quote
 
 import viser
 
+from explorer.compute.background_jobs import BackgroundJob
 from explorer.compute.ranking_job import RankingJob
 from explorer.compute.request_context import RequestContext
 from explorer.compute.worker import Worker
@@ -26,7 +27,7 @@ from explorer.screen.own import OwnPhotoBytes, OwnPhotos
 from explorer.screen.panel import Action, PanelPart, SceneLines
 from explorer.screen.panels import PANELS
 from explorer.screen.rail import Rail
-from explorer.screen.result import ScreenResult, measured_scale
+from explorer.screen.result import STRIP, ScreenResult, measured_scale
 from explorer.screen.scene.scene import views_of
 from explorer.screen.scene.tab import TabScene
 from explorer.services import WorkspaceServices
@@ -47,13 +48,20 @@ class Screens:
     """What all tabs share.
 
     Args:
-        services: opens a workspace by its key; LPNError if that fails.
+        services: returns what an open workspace offers, by its key.
         home: key of the workspace that a page without an address shows.
         places: labels of all workspaces by their keys.
+        opening: returns the job that opens a workspace by its key; None if it is open.
     """
 
-    def __init__(self, services: Callable[[str], WorkspaceServices], home: str, places: Mapping[str, str]) -> None:
-        self.services, self.home, self.places = services, home, places
+    def __init__(
+        self,
+        services: Callable[[str], WorkspaceServices],
+        home: str,
+        places: Mapping[str, str],
+        opening: Callable[[str], BackgroundJob[Workspace] | None] = lambda _: None,
+    ) -> None:
+        self.services, self.home, self.places, self.opening = services, home, places, opening
         self.scale = lru_cache(maxsize=32)(measured_scale)
         self.held = held_descriptors()
         self.own = OwnPhotoBytes()
@@ -64,7 +72,7 @@ class Screens:
 
 
 class ScreenSession:
-    """One tab. Messages come from one thread at a time.
+    """One tab. Messages, panels, and jobs that end change it one after the other, under its lock.
 
     Attributes:
         scene: of the tab.
@@ -78,7 +86,10 @@ class ScreenSession:
         self._access = Access(screens.services)
         self._state: ScreenState | None = None
         self._result: ScreenResult | None = None
-        self._number, self._left = 0, False
+        self._number, self._left, self._lock = 0, False, threading.RLock()
+        # What has to end before the newest wish can be shown: its job, a sentence, and what follows by its success.
+        self._awaited: tuple[BackgroundJob[Any], str, tuple[Callable[[], None], Callable[[], None]]] | None = None
+        self._awaiting = Worker(self._await, lambda _: None)
         self._loop = Loop(self._answer, self._deliver, lambda: self._access.opened(self.state).requests, self._after)
         # What goes on behind an answer.
         self._rail, self._listed, self._listing = Rail(), False, threading.Lock()
@@ -103,7 +114,6 @@ class ScreenSession:
             "hover": self.scene.hover,
             "pick": self.scene.pick,
             "scene": self.scene.draw,
-            "still": self.scene.still,
         }
 
     # What panels use, see `Tab`.
@@ -142,7 +152,22 @@ class ScreenSession:
 
     def set(self, values: Mapping[str, object]) -> None:
         """Set fields of the state as the page does."""
-        self._set(values)
+        with self._lock:
+            state, place = self.state, values.get("place")
+            if isinstance(place, str) and place != state.place and place in self._screens.places:
+                text = f"Opening {self._screens.places[place]}"
+                self._once(self._screens.opening(place), text, lambda: self._go_to(place))
+                return
+            changed, problems = fields.changed(state, values, self.services.workspace)
+            opening = self._access.opening(changed) if changed.model != state.model else None
+            if opening is not None:  # weights are those of an open model
+                self._once(opening, self._opening(changed), lambda: self.set(values))
+                return
+            if "place" in values or "model" in values:  # in place of one that is being opened
+                self._forgo()
+            if changed.own and changed.own not in self._own:
+                changed = replace(changed, own="")
+            self._show(changed, problems)
 
     def send(self, message: ScreenMessage) -> None:
         """Send a message to the open panel's module."""
@@ -172,32 +197,42 @@ class ScreenSession:
 
     def receive(self, message: object) -> None:
         """Do what a message says: `set` fields of the state, or `do` an action; anything else changes nothing."""
+        if self._left:
+            return
         match message:
             case {"set": dict(values)} if self._state is not None:
-                self._set(values)
-            case {"do": str(name), "args": dict(arguments)} if name in self._actions:
-                if name == "open" or self._state is not None:
-                    self._actions[name](arguments)
-            case {"do": str(name)} if name in _COMMANDS and self._state is not None:
-                panel, command = _COMMANDS[name]
-                base = self.services.workspace
-                if panel.offered(base) and command.offered(base):
-                    self._try(lambda: command.act(self))
-            case {"do": str(name), "args": dict(arguments)} if (action := self._panel_action(name)) is not None:
-                self._try(lambda: action(arguments))
-            case {"do": str(name)}:
-                self.say(f"There is no action {printable(name)[:40]}.")
+                self.set(values)
+            case {"do": str(name), **rest}:
+                arguments = rest.get("args")
+                with self._lock:
+                    self._do(name, arguments if isinstance(arguments, dict) else None)
+
+    def _do(self, name: str, arguments: Mapping[str, Any] | None) -> None:
+        """Do an action of the page or of the open panel, which take arguments, or a panel's command."""
+        if name in self._actions and arguments is not None:
+            if name == "open" or self._state is not None:
+                self._actions[name](arguments)
+        elif name in _COMMANDS and self._state is not None:
+            panel, command = _COMMANDS[name]
+            base = self.services.workspace
+            if panel.offered(base) and command.offered(base):
+                self._try(lambda: command.act(self))
+        elif (action := self._panel_action(name)) is not None and arguments is not None:
+            self._try(lambda: action(arguments))
+        else:
+            self.say(f"There is no action {printable(name)[:40]}.")
 
     def receive_bytes(self, part: bytes) -> None:
         """Take a part of the file that `upload` announced; the first photo of several is shown."""
-        if self._state is None:
-            return
-        if self.services.workspace.model is None:
-            self._own.refuse("Saved descriptors cannot describe a photo of yours; open the data set with a model.")
-        key = self._own.receive(part)
-        self._send(self._own.message(self.services.feeds))
-        if key is not None:
-            self._set({"own": key})
+        with self._lock:
+            if self._state is None or self._left:
+                return
+            if self.services.workspace.model is None:
+                self._own.refuse("Saved descriptors cannot describe a photo of yours; open the data set with a model.")
+            key = self._own.receive(part)
+            self._send(self._own.message(self.services.feeds))
+            if key is not None:
+                self.set({"own": key})
 
     @property
     def client(self) -> viser.ClientHandle | None:
@@ -211,11 +246,13 @@ class ScreenSession:
     def leave(self) -> None:
         """Stop all that goes on for this tab: it has left."""
         self._left = True
-        for one in (self._loop, self._curve, self._occlusion, self.scene, self._panels, self._ranks):
+        workers = self._loop, self._curve, self._occlusion, self.scene, self._panels, self._ranks, self._awaiting
+        for one in workers:
             one.stop()
+        self._access.close()
+        self._forgo()  # without the lock: a message that is still being done holds up no end
         self._downloads.close()
         self._close_panel()
-        self._access.close()
         self._own.leave()
         if self._ranked is not None:
             self._ranked.leave(self)
@@ -228,60 +265,92 @@ class ScreenSession:
 
     def _open(self, arguments: Mapping[str, Any]) -> None:
         """Show the state of an address; a page that shows something keeps its place and theme where the address has none."""
-        search, before = arguments.get("search"), self._state
+        search, before, screens = arguments.get("search"), self._state, self._screens
         given = fields.parsed(search) if isinstance(search, str) else {}
         place = given.get("show", "")
-        if place not in self._screens.places:
-            place = self._screens.home if before is None else before.place
-        if before is not None and place != before.place:
-            self._send({"busy": f"Opening {self._screens.places[place]}"})
-        try:
-            services = self._screens.services(place)
-        except LPNError as error:
-            self.say(str(error))
-            if before is not None:
-                return
-            services = self._screens.services(self._screens.home)
-        if before is not None:
-            given = {"theme": before.theme} | given
-        state, problems = fields.from_values(given, services.workspace)
-        if not self._opens_model(replace(state, place=services.workspace.key)):
-            del given["model"]
-        state, problems = fields.from_values(given, services.workspace)  # weights are those of an open model
-        state = replace(state, place=services.workspace.key)  # not that of the address if it does not open
+        if place not in screens.places:
+            place = screens.home if before is None else before.place
+        failed = partial(self._open_at, screens.home, given) if before is None else lambda: None
+        text = f"Opening {screens.places[place]}"
+        self._once(screens.opening(place), text, partial(self._open_at, place, given), failed)
+
+    def _open_at(self, place: str, given: Mapping[str, str]) -> None:
+        """Show the state of an address's values at a place that is open, once its model is."""
+        workspace = self._screens.services(place).workspace
+        if self._state is not None:
+            given = {"theme": self._state.theme} | dict(given)
+        state = replace(fields.from_values(given, workspace)[0], place=workspace.key)
+        without = {key: value for key, value in given.items() if key != "model"}
+        show, show_without = (partial(self._show_address, workspace, values) for values in (given, without))
+        self._once(self._access.opening(state), self._opening(state), show, show_without)
+
+    def _show_address(self, workspace: Workspace, given: Mapping[str, str]) -> None:
+        state, problems = fields.from_values(given, workspace)
+        state = replace(state, place=workspace.key)  # not that of the address if it does not open
+        before = self._state
         moved = before is None or before.place != state.place
         if before is not None and moved:
             self._leave_place()
         self._show(state, problems, new_page=moved)
 
-    def _set(self, values: Mapping[str, Any]) -> None:
-        state, place = self.state, values.get("place")
-        if isinstance(place, str) and place != state.place and place in self._screens.places:
-            self._go_to(place)
-            return
-        changed, problems = fields.changed(state, values, self.services.workspace)
-        if changed.model != state.model:
-            if not self._opens_model(changed):
-                return
-            changed, problems = fields.changed(
-                state, values, self.services.workspace
-            )  # weights are those of an open model
-        if changed.own and changed.own not in self._own:
-            changed = replace(changed, own="")
-        self._show(changed, problems)
-
     def _go_to(self, place: str) -> None:
-        """Open another place, where an own photo is shown on."""
-        state = self.state
-        self._send({"busy": f"Opening {self._screens.places[place]}"})
-        try:
-            workspace = self._screens.services(place).workspace
-        except LPNError as error:
-            self.say(str(error))
-            return
+        """Show another place, which is open; an own photo is shown on."""
+        state, workspace = self.state, self._screens.services(place).workspace
         self._leave_place()
         own = "" if workspace.model is None else state.own
         self._show(replace(fields.opening(workspace), theme=state.theme, view=state.view, own=own), [], new_page=True)
+
+    # What has to be opened before it is shown.
+
+    def _opening(self, state: ScreenState) -> str:
+        base = self._access.services(state).workspace
+        return f"Opening {[base.model_name, *(one.label for one in base.beside)][int(state.model)]}"
+
+    def _once(
+        self,
+        job: BackgroundJob[Any] | None,
+        text: str,
+        done: Callable[[], None],
+        failed: Callable[[], None] = lambda: None,
+    ) -> None:
+        """Go on once a job has ended, or at once without one; the newest wish takes the place of one that waits.
+
+        Args:
+            text: says what goes on.
+            done, failed: follow its success, and its failure, which is said.
+        """
+        self._forgo(job)
+        if job is None:
+            self._try(done)
+            return
+        self._send({"busy": text})
+        self._awaited = job, text, (done, failed)
+        self._awaiting.wake()
+
+    def _forgo(self, job: BackgroundJob[Any] | None = None) -> None:
+        """Give up what is waited for, but not a job that is waited for again."""
+        awaited, self._awaited = self._awaited, None
+        if awaited is not None and awaited[0] is not job:
+            awaited[0].leave(self)
+
+    def _await(self) -> float | None:
+        awaited = self._awaited
+        if awaited is None:
+            return None
+        job, text, (done, failed) = awaited
+        ended = job.wait(_POLL)
+        with self._lock:
+            if self._awaited is not awaited:  # a newer wish has come
+                return 0.0
+            if not ended:
+                counted = f": {job.done:,} of {job.total:,} pictures" if job.total else ""
+                self._send({"busy": f"{text}{counted}"})
+                return 0.0
+            self._forgo()
+            if job.error is not None:
+                self.say(job.error)
+            self._try(done if job.error is None else failed)
+        return None
 
     def _leave_place(self) -> None:
         """Close what belongs to the place that is left, such as its panel: the next place may have one of the same name."""
@@ -289,51 +358,40 @@ class ScreenSession:
         self.services.feeds.leave(self._rail)
         self._rail = Rail()
 
-    def _opens_model(self, state: ScreenState) -> bool:
-        """Wait until a state's model is open; False if it cannot be, which is said."""
-        try:
-            self._access.open_model(state, lambda text: self._send({"busy": text}))
-        except LPNError as error:
-            self.say(str(error))
-            return False
-        return True
-
     def _step(self, arguments: Mapping[str, Any]) -> None:
         by = -1 if arguments.get("by") == -1 else 1
         state = self.state
         own = self._own.step(state.own, by) if state.own else ""
         if own or (state.own and by < 0):
-            self._set({"own": own or state.own})
+            self.set({"own": own or state.own})
         elif (query := state.query if state.own else self._rail.step(state.query, by)) is not None:
-            self._set({"query": query})
+            self.set({"query": query})
 
     def _random(self, _: Mapping[str, Any]) -> None:
         query = self._rail.random(self.state.query)
         if query is not None:
-            self._set({"query": query})
+            self.set({"query": query})
 
     def _upload(self, arguments: Mapping[str, Any]) -> None:
         self._own.announce(arguments)
         self._send(self._own.message(self.services.feeds))
 
     def _forget(self, _: Mapping[str, Any]) -> None:
-        self._set({"own": ""})
+        self.set({"own": ""})
         self._own.forget()
         self._send(self._own.message(self.services.feeds))
 
     def _calibrate(self, _: Mapping[str, Any]) -> None:
         """Prepare the further scorings of the state's model, which may describe all pictures, and show the calibrated one."""
         job = self.workspace.scorings.prepare(self)
-        while job is not None and not job.wait(_POLL) and not self._left:
-            done = f": {job.done:,} of {job.total:,} pictures" if job.total else ""
-            self._send({"busy": f"Calibrating{done}"})
-        if job is not None:
-            job.leave(self)
-        if job is None or job.error is not None:
-            self.say(self.workspace.scorings.why_not if job is None else str(job.error))
-        elif not self._left:
-            state, problems = fields.changed(self.state, {"scoring": "calibrated"}, self.services.workspace)
-            self._show(state, problems, new_page=True)
+        if job is None:
+            self.say(self.workspace.scorings.why_not)
+        else:
+            self._once(job, "Calibrating", self._show_calibrated)
+
+    def _show_calibrated(self) -> None:
+        state, problems = fields.changed(self.state, {"scoring": "calibrated"}, self.services.workspace)
+        self._show(state, problems, new_page=True)
 
     # Panels' commands, and the open panel.
 
@@ -396,12 +454,11 @@ class ScreenSession:
     def _choices(self, state: ScreenState) -> ScreenMessage:
         """Return the state as the page takes it, with its address, and that of its photo's picture."""
         services = self._access.services(state)
-        task, address = services.workspace.tasks[state.task], fields.to_address(state, services.workspace)
+        address = fields.to_address(state, services.workspace)
         if state.place != self._screens.home:
             address = f"show={quote(state.place)}&{address}"
         return state.values() | {
             "address": address,
-            "query_name": task.query_names[state.query],
             "photo": self._photo(state),
         }
 
@@ -415,7 +472,6 @@ class ScreenSession:
         task = self._access.ranking(state).task
         scorings = [name for name in SCORINGS if scored_key(state.task, name) in workspace.rankings]
         return {
-            "data": base.data_name,
             "models": [base.model_name, *(other.label for other in base.beside)],
             "places": dict(self._screens.places),
             "tasks": list(base.tasks),
@@ -428,8 +484,6 @@ class ScreenSession:
             "photo": _noun(task.query_view, base.has_flight),
             "turns": workspace.model is not None,
             "place": "City" if base.basemap is None else "Map",
-            "without_cells": workspace.without_cells,
-            "step": STEP,
             "panels": [
                 {"name": one.name, "title": one.title, "key": one.key, "place": one.place}
                 for one in PANELS.values()
@@ -477,7 +531,7 @@ class ScreenSession:
         if own is None:  # it may have been forgotten
             state = replace(state, own="")
         question = state.question(own)
-        analysis = self._access.analyse(state, question)
+        analysis = self._access.opened(state).analyser.analyse(self._access.ranking(state).task, question, STRIP)
         scale = self._screens.scale(analysis.task)
         result = ScreenResult(workspace, services.feeds, state, question, analysis, scale, self._photo(state))
         key = _curve_key(state, analysis)

@@ -18,7 +18,7 @@ from explorer.server.gateway import Gateway, Screen
 from explorer.server.picture_route import PictureRoute
 from lpn.core.errors import InputError
 from lpn.core.log import conceal
-from lpn.core.resources import port_error
+from lpn.core.resources import is_loopback, port_error
 
 # Seconds that closing the server may take; viser waits for its connections, up to six seconds.
 CLOSE_TIMEOUT = 1.5
@@ -28,6 +28,16 @@ def check_free(host: str, port: int) -> None:
     """Raise InputError if the port is taken; viser would silently use the next one."""
     if problem := port_error(host, port):
         raise InputError(f"{problem}; give another with --port or --host.")
+
+
+def warn_of_listening(host: str, port: int) -> None:
+    """Print what listening on an address beyond this machine means; nothing for a loopback address."""
+    if not is_loopback(host):
+        print(
+            f"Listening on {host}: anyone who reaches port {port} and has the token can use this. The connection is not "
+            "encrypted; docs/serving.md says how to change that.",
+            flush=True,
+        )
 
 
 def open_server(

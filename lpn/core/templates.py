@@ -9,13 +9,13 @@ from lpn.core.files import TYPED, printable
 from lpn.core.numbers import rounded_to_sum, signed
 
 
-def environment(package: str) -> Environment:
-    """Return the templates in the folder `templates` of a package; an unknown name is an error.
+def environment(package: str, folder: str = "templates") -> Environment:
+    """Return the templates in a folder of a package; an unknown name is an error.
 
     They have the filters `signed` and `rounded_to_sum`. Texts are written by `shown`.
     """
     templates = Environment(
-        loader=PackageLoader(package),
+        loader=PackageLoader(package, folder),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,

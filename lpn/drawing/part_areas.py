@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import cast
 
 import numpy as np
 
-from lpn.core import images
 from lpn.core.arrays import BoolArray, Float32Array, Int64Array
 from lpn.core.views import View
 from lpn.models.contract import Contract
@@ -77,10 +75,6 @@ class PartAreas:
     def lumps(self) -> list[int]:
         """The parts that have no cell in this picture, such as a class token."""
         return [part for part, area in enumerate(self.inside) if not area.any()]
-
-    def mask(self, part: int, size: tuple[int, int]) -> BoolArray:
-        """Return True for the pixels of a part in a picture of (height, width), (height, width)."""
-        return cast(BoolArray, images.enlarge(self.inside[part], *size))
 
 
 def _box(area: BoolArray) -> PartBox:

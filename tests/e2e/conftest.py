@@ -14,12 +14,10 @@ import pytest
 from playwright.sync_api import Browser, BrowserContext, FloatRect, Locator, Page, expect, sync_playwright
 
 from explorer.app import App
-from explorer.opening import open_model
 from explorer.workspace import Workspace
 from lpn.core.numbers import rounded_to_sum
 from lpn.library.answer import Answer
-from tests.explorer.conftest import answered
-from tools.fixtures import small_worlds
+from tests.explorer.conftest import answered, mapped_workspace
 from tools.fixtures.chromium import SHORT_LIVED, launch
 from tools.fixtures.processes import Process, free_port
 
@@ -92,14 +90,11 @@ class Running:
 @pytest.fixture(scope="package")
 def running(tmp_path_factory: pytest.TempPathFactory, model_file: Path, one_part_model_file: Path) -> Iterator[Running]:
     folder = tmp_path_factory.mktemp("screen")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("LPN_CACHE", str(folder / "cache"))
-        data = small_worlds.map_dataset(small_worlds.make_dataset(folder / "places", train=1, test=8))
-        workspace = open_model(data, model_file, baseline=one_part_model_file)
-        for ranking in workspace.rankings.values():
-            ranking.wait(workspace, lambda *_: None)
-        with closing(App(workspace, "127.0.0.1", free_port())) as app:
-            yield Running(app, workspace)
+    with (
+        mapped_workspace(folder, model_file, one_part_model_file) as workspace,
+        closing(App(workspace, "127.0.0.1", free_port())) as app,
+    ):
+        yield Running(app, workspace)
 
 
 @pytest.fixture(scope="package")

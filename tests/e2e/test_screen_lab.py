@@ -6,52 +6,48 @@ import csv
 import re
 import time
 from collections.abc import Callable, Iterator
+from contextlib import closing
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from playwright.sync_api import BrowserContext, Locator, Page, expect
 
 from explorer.app import App
-from explorer.opening import open_model
 from explorer.screen.panels.lab.service import LabFindings, lab_of
 from lpn.tasks import notes
 from tests.e2e.conftest import Running, Screen, box, expect_accessible
 from tests.e2e.test_screen import SIZES, hides, scrolls
-from tools.fixtures import small_worlds
+from tests.explorer.conftest import mapped_workspace
 from tools.fixtures.processes import free_port
 from tools.fixtures.waiting import TIMEOUT
 
 TASK = "drone-to-satellite"
-# Where the mouse points at a query of the map; null where it does nowhere.
-POINT = """plane => {
-  const { left, top, width, height } = plane.getBoundingClientRect();
-  for (let y = top + 4; y < top + height; y += 6)
-    for (let x = left + 4; x < left + width; x += 6) {
-      plane.dispatchEvent(new PointerEvent("pointermove", { clientX: x, clientY: y, bubbles: true }));
-      if (plane.style.cursor) return [x, y];
-    }
+# Where the plane of the map has a point of a colour; null where it has none.
+POINT = """colour => {
+  const plane = document.querySelector(".lab .plane"), frame = plane.getBoundingClientRect();
+  const canvas = plane.querySelector("canvas"), { left, top, width, height } = canvas.getBoundingClientRect();
+  const wanted = colour.match(/[0-9]+/g).map(Number);
+  const { data } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
+  for (let at = 0; at < data.length; at += 4) {
+    if (data[at + 3] < 200 || wanted.some((one, channel) => Math.abs(one - data[at + channel]) > 2)) continue;
+    const x = left + ((at / 4 % canvas.width) * width) / canvas.width;
+    const y = top + (Math.floor(at / 4 / canvas.width) * height) / canvas.height;
+    if (x > frame.left + 4 && x < frame.right - 4 && y > frame.top + 4 && y < frame.bottom - 4) return [x, y];
+  }
   return null;
 }"""
 
 
 @pytest.fixture(scope="module")
 def running(tmp_path_factory: pytest.TempPathFactory, model_file: Path, one_part_model_file: Path) -> Iterator[Running]:
-    folder = tmp_path_factory.mktemp("lab")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("LPN_CACHE", str(folder / "cache"))
-        data = small_worlds.map_dataset(small_worlds.make_dataset(folder / "places", train=1, test=13))
-        queries = sorted((data / "test" / "query_drone").rglob("*.png"))
-        lines = [
-            f"{file.relative_to(data).as_posix()},{('rain', 'sun', 'fog')[i % 3]}" for i, file in enumerate(queries)
-        ]
-        (data / "metadata.csv").write_text("\n".join(["path,weather", *lines]))
-        workspace = open_model(data, model_file, baseline=one_part_model_file)
-        for ranking in workspace.rankings.values():
-            ranking.wait(workspace, lambda *_: None)
-        app = App(workspace, "127.0.0.1", free_port())
+    folder, weathers = tmp_path_factory.mktemp("lab"), {"weather": ("rain", "sun", "fog")}
+    with (
+        mapped_workspace(folder, model_file, one_part_model_file, 13, weathers) as workspace,
+        closing(App(workspace, "127.0.0.1", free_port())) as app,
+    ):
         yield Running(app, workspace)
-        app.close()
 
 
 @pytest.fixture(scope="module")
@@ -75,12 +71,13 @@ class LabPage(Screen):
     def row(self, name: str) -> Locator:
         return self.lines.filter(has=self.page.get_by_text(name, exact=True).first)
 
-    def eventually(self, ask: Callable[[str], object], script: str) -> None:
-        """Wait until a script of the page returns something."""
+    def eventually(self, ask: Callable[[], Any]) -> Any:
+        """Return what a script of the page finds, once it finds something."""
         deadline = time.monotonic() + TIMEOUT
-        while ask(script) is None:
-            assert time.monotonic() < deadline, script
+        while (found := ask()) is None:
+            assert time.monotonic() < deadline
             self.page.wait_for_timeout(200)
+        return found
 
     def expect_total(self, total: int, of: int = 13) -> None:
         expect(self.counts).to_contain_text(f"{total} of {of}" if total < of else f"{of} photos")
@@ -223,8 +220,11 @@ def test_a_lasso_on_the_map_picks_queries_and_a_point_opens_its_query(lab: LabPa
     lab.expect_total(1)
     lab.lab.get_by_label("Colour by").select_option("")
     expect(lab.lab.locator(".legend")).to_contain_text("✗ missed 1")
-    lab.eventually(plane.evaluate, POINT)
-    x, y = plane.evaluate(POINT)
+    lab.lab.get_by_label("Colour by").select_option("weather")
+    swatch = lab.lab.locator(".legend span", has_text=re.compile(r" 1$")).locator(".swatch")
+    expect(lab.lab.locator(".legend")).to_contain_text(re.compile("rain|sun|fog"))
+    colour = lab.eventually(lambda: swatch.evaluate("one => getComputedStyle(one).backgroundColor || null"))
+    x, y = lab.eventually(lambda: lab.page.evaluate(POINT, colour))
     lab.page.mouse.move(x, y)
     expect(lab.lab.locator(".map .tip")).to_contain_text(wanted)
     lab.page.mouse.click(x, y)
@@ -234,9 +234,12 @@ def test_a_lasso_on_the_map_picks_queries_and_a_point_opens_its_query(lab: LabPa
 
 def test_a_note_is_kept_and_the_table_is_saved(lab: LabPage, running: Running, tmp_path: Path) -> None:
     lab.open("?panel=lab")
-    lab.lines.nth(4).click()
     form = lab.lab.locator(".note")
-    name = lab.shown.locator("[tabulator-field='=name']").inner_text()
+    cell = lab.lines.nth(4).locator("[tabulator-field='=name']")
+    expect(cell).to_have_text(re.compile(r"\d"))
+    name = cell.inner_text()
+    lab.lines.nth(4).click()
+    expect(lab.shown).to_contain_text(name)
     expect(form.locator("b")).to_have_text(name)
     form.get_by_label("Tags").fill("blur")
     form.get_by_label("Note").fill("A twin <b>roof</b>.")

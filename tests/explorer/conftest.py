@@ -1,15 +1,24 @@
-"""What the screen computes, asked for without a server."""
+"""What the screen computes, asked for without a server, and a workspace of places with known positions."""
 
 from __future__ import annotations
 
+import csv
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from itertools import cycle
+from pathlib import Path
 from queue import Queue
 from typing import Any
 
+import pytest
+
+from explorer.opening import open_model
 from explorer.screen.fields import needs_answer
 from explorer.screen.result import ScreenResult
 from explorer.screen.session import Screens, ScreenSession
 from explorer.services import WorkspaceServices
 from explorer.workspace import Workspace
+from tools.fixtures import small_worlds
 from tools.fixtures.waiting import TIMEOUT
 
 TASK = "drone-to-satellite"
@@ -46,3 +55,28 @@ def answered(workspace: Workspace, search: str = "", own: bytes = b"", **fields:
                 return result
     finally:
         session.leave()
+
+
+@contextmanager
+def mapped_workspace(
+    folder: Path, model: Path, baseline: Path, places: int = 8, columns: Mapping[str, Sequence[str]] | None = None
+) -> Iterator[Workspace]:
+    """Open places on a map under an LPN of four parts, with the baseline beside it; all queries are ranked.
+
+    Args:
+        columns: metadata of the queries: names, and values that the queries take in turn.
+    """
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("LPN_CACHE", str(folder / "cache"))
+        data = small_worlds.map_dataset(small_worlds.make_dataset(folder / "places", train=1, test=places))
+        if columns:
+            files = sorted((data / "test" / "query_drone").rglob("*.png"))
+            paths = (file.relative_to(data).as_posix() for file in files)
+            with (data / "metadata.csv").open("w", newline="") as written:
+                csv.writer(written).writerows(
+                    [["path", *columns], *zip(paths, *map(cycle, columns.values()), strict=False)]
+                )
+        opened = open_model(data, model, baseline=baseline)
+        for ranking in opened.rankings.values():
+            ranking.wait(opened, lambda *_: None)
+        yield opened

@@ -48,7 +48,8 @@ def test_no_message_to_a_page_holds_any(tmp_path: Path, model_file: Path) -> Non
     (root / notes.NAME).write_text(f'path,tags,note\n"{lines[1].split(chr(34))[1]}",night,"typed \u200f(1){EVIL}"\n')
     model = Path(shutil.copy(model_file, tmp_path / f"model{EVIL}.onnx"))
     with closing(App(open_model(root, model), "127.0.0.1", 0)) as app, ScreenTab(app.link) as tab:
-        result = tab.open("?query=~1")
+        result = tab.open("?query=~1&panel=why")
+        tab.until(lambda last: "Data: " in last.get("panel", {}).get("message", {}).get("html", ""))
         rail = tab.until(lambda last: "rail" in last)["rail"]
         with urllib.request.urlopen(f"{app.link}/{rail['address']}{rail['feed']}0", timeout=60) as response:
             listed = json.load(response)

@@ -102,14 +102,14 @@ def test_a_curve_ranks_at_every_angle(workspace: Workspace, live: Workspace) -> 
 
 
 def test_a_link_names_a_tile_as_the_data_set_does(workspace: Workspace) -> None:
-    state, problems = fields.from_address("?with=0020", workspace)
+    state, problems = fields.from_values(fields.parsed("?with=0020"), workspace)
     assert not problems
     assert state.compare is not None
     assert workspace.tasks[TASK].gallery[state.compare].name == "0020"
     assert fields.to_address(state, workspace).endswith("with=0020")
     assert answered(workspace, "?with=0020").message()["rival"] == state.compare
     for bad in ("nothing", "~14", "own"):
-        state, problems = fields.from_address(f"?with={bad}", workspace)
+        state, problems = fields.from_values(fields.parsed(f"?with={bad}"), workspace)
         assert state.compare is None
         assert "no such picture" in problems[0]
 

@@ -146,8 +146,8 @@ def test_links_bring_the_scoring_back(workspace: Workspace) -> None:
         address = fields.to_address(state, workspace)
         assert not problems
         assert ("scoring" in address) == (scoring != opened)
-        assert fields.from_address(address, workspace) == (state, [])
-    kept, problems = fields.from_address("scoring=best", workspace)
+        assert fields.from_values(fields.parsed(address), workspace) == (state, [])
+    kept, problems = fields.from_values(fields.parsed("scoring=best"), workspace)
     assert kept.scoring == opened
     assert problems == ["scoring: expected plain or calibrated or csls."]
 

@@ -375,8 +375,8 @@ def links(folder: Path) -> list[FuzzCase]:
     ]
 
     def read_address(data: bytes) -> None:
-        state, said = fields.from_address(data.decode("utf-8", "replace"), workspace)
-        assert fields.from_address(fields.to_address(state, workspace), workspace) == (state, [])
+        state, said = fields.from_values(fields.parsed(data.decode("utf-8", "replace")), workspace)
+        assert fields.from_values(fields.parsed(fields.to_address(state, workspace)), workspace) == (state, [])
         assert all("\n" not in text for text in said)
 
     def read_message(data: bytes) -> None:

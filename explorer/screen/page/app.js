@@ -43,7 +43,11 @@ const channel = connect(
     },
     state: (state) => {
       const moved = !view.state || ["place", "task", "query", "own", "model"].some((name) => state[name] !== view.state[name]);
-      if (view.state && state.place !== view.state.place) scene.away();
+      if (view.state && state.place !== view.state.place) {
+        scene.away();
+        panels.leave();
+      }
+      if (moved) strip.scrollLeft = 0;
       view.state = state;
       if (moved || sent === null) view.angle = state.angle;
       showYours(find("#yours"), view.yours, state.own);
@@ -80,7 +84,6 @@ const channel = connect(
       soon();
     },
     scene: (place) => place === view.state.place && scene.ready(),
-    still: (address) => scene.still(address),
     picked: (found) => scene.picked(found),
     occlusion: ({ number, done, squares, photo: covered }) => {
       if (view.result?.number !== number) return;
@@ -218,9 +221,8 @@ const draw = () => {
     for (const one of [rows, strip, sum]) markFocus(one, view.focus);
   });
   drawTurn(view);
-  redraw("scene", [...from, state.view], () => scene.show(result.scene, state.view, page.place, `${result.number} ${state.theme}`));
-  drawCurve(find("canvas", curve), view.curve?.points ?? [], result, view.angle, stale);
-  find("canvas", curve).setAttribute("aria-label", `Rank against angle; at ${view.angle}°: ${result.rank ?? "not known"}`);
+  redraw("scene", [...from, state.view], () => scene.show(result.scene, state.view, page.place));
+  drawCurve(curve, view.curve?.points ?? [], result, view.angle, stale);
   document.body.dataset.sequence = String(Number(document.body.dataset.sequence ?? 0) + 1);
 };
 
@@ -282,17 +284,18 @@ strip.addEventListener("click", (event) => {
   if (button) compare(Number(button.dataset.tile));
 });
 curve.addEventListener("pointerdown", (event) => {
-  const canvas = find("canvas", curve);
-  turnTo(angleAt(canvas, event.clientX - canvas.getBoundingClientRect().left));
+  const plot = find(".plot", curve);
+  turnTo(angleAt(plot, event.clientX - plot.getBoundingClientRect().left));
 });
 document.addEventListener("click", (event) => {
-  const chosen = /** @type {any} */ (event.target).closest("[data-query], [data-own], [data-view], [data-filter], [data-back]");
-  const { query, own: mine, view: seen, filter, back } = chosen?.dataset ?? {};
+  const chosen = /** @type {any} */ (event.target).closest("[data-query], [data-own], [data-view], [data-filter], [data-back], [data-equal]");
+  const { query, own: mine, view: seen, filter, back, equal } = chosen?.dataset ?? {};
   if (query) set({ query: Number(query), own: "" });
   if (mine) set({ own: mine });
   if (seen) set({ view: seen });
   if (filter) set({ filter });
-  if (back) say("");
+  if (back !== undefined) say("");
+  if (equal !== undefined) set({ weights: [] });
 });
 const step = (by) => act("step", { by });
 find("#previous").onclick = () => step(-1);

@@ -34,7 +34,7 @@ export const connect = (receive, opened, lost) => {
   return {
     set: (values) => send({ set: values }),
     act: (name, args = {}) => send({ do: name, args }),
-    /** Send a file in parts; the server refuses one that is too large by its size alone. */
+    /** Send a file in parts, which fails for one that cannot be read; the server refuses one that is too large by its size alone. */
     sendFile: async (file, first) => {
       send({ do: "upload", args: { name: file.name, size: file.size, first } });
       for (let start = 0; start < file.size && file.size <= MOST; start += PART) {

@@ -27,14 +27,13 @@ export class Commands {
     this.shown = [];
     this.input = find("input", dialog);
     this.input.addEventListener("input", () => {
-      search(this.input.value);
+      if (this.dialog.dataset.for === "photos") search(this.input.value);
       this.draw();
     });
     this.input.addEventListener("keydown", (event) => {
       if (event.key !== "Enter") return;
       event.preventDefault();
-      const first = this.dialog.dataset.for === "photos" ? ".photos button" : ".actions button";
-      (find(first, dialog) ?? find(":is(.photos, .actions) button", dialog))?.click();
+      (find(".photos button", dialog) ?? find(".actions button", dialog))?.click();
     });
     dialog.addEventListener("keydown", (event) => {
       const buttons = [this.input, ...dialog.querySelectorAll("button")];
@@ -50,14 +49,16 @@ export class Commands {
       if (event.target === dialog || chosen) dialog.close();
       if (chosen?.dataset.number) this.shown[chosen.dataset.number].act();
     });
-    dialog.addEventListener("close", () => {
-      if (this.input.value) search("");
-    });
+    this.clear = () => {
+      if (this.input.value && this.dialog.dataset.for === "photos") search("");
+      this.input.value = "";
+    };
+    dialog.addEventListener("close", this.clear);
   }
 
   /** Open the dialog for "photos", "commands", or "keys". */
   open(what) {
-    this.input.value = "";
+    this.clear();
     this.dialog.dataset.for = what;
     if (!this.dialog.open) this.dialog.showModal();
     this.draw();
@@ -73,9 +74,10 @@ export class Commands {
     this.shown = of.filter((one) => one.label.toLowerCase().includes(text));
     find(".actions", this.dialog).replaceChildren(...this.shown.map((one, number) =>
       make("button", { "data-number": number }, make("span", { text: one.label }), make("kbd", { text: one.key ?? "" }))));
-    const entries = this.list.rail && !keys ? await this.list.piece(0) : [];
+    const ofPhotos = this.dialog.dataset.for === "photos";
+    const entries = this.list.rail && ofPhotos ? await this.list.piece(0) : [];
     const { photos, thumbnails } = this.yours();
-    const yours = keys ? [] : photos.filter((photo) => photo[2].toLowerCase().includes(text));
+    const yours = !ofPhotos ? [] : photos.filter((photo) => photo[2].toLowerCase().includes(text));
     find(".photos", this.dialog).replaceChildren(
       ...yours.map((photo) => ownButton(thumbnails, photo, "", true)),
       ...entries.slice(0, SHOWN).map((entry) => queryButton(this.list.rail, entry, this.list.query, true)));

@@ -32,6 +32,17 @@ export const makeSvg = (name, attributes = {}, ...children) => {
   return element;
 };
 
+const sheets = new Map();
+/** Add a style sheet once, behind or before the page's own ones. @returns {Promise<any>} when it is there */
+export const addStyle = (address, before = false) => {
+  if (!sheets.has(address)) {
+    const sheet = make("link", { rel: "stylesheet", href: address });
+    sheets.set(address, new Promise((done) => (sheet.onload = sheet.onerror = done)));
+    document.head[before ? "prepend" : "append"](sheet);
+  }
+  return sheets.get(address);
+};
+
 const variables = new Map();
 /** @returns {string} the value of a CSS variable that is a colour of the theme */
 export const variable = (name) => {
@@ -40,12 +51,9 @@ export const variable = (name) => {
   return variables.get(key);
 };
 /** @returns {string} the colour of a part, of `count`; one part has none of its own */
-export const partColour = (part, count) => variable(count === 1 ? "--soft" : `--part${part % 4}`);
-/** @returns {string} the colour of a text that is legible on another colour, given as #rrggbb */
-export const inkOn = (colour) => {
-  const number = parseInt(colour.slice(1), 16);
-  return 0.299 * (number >> 16) + 0.587 * ((number >> 8) & 255) + 0.114 * (number & 255) > 125 ? "#0e1216" : "#fff";
-};
+export const partColour = (part, count, on = "") => variable(count === 1 ? `--${on}soft` : `--${on}part${part % 4}`);
+/** @returns {string} the colour of a text on a part's colour */
+export const partInk = (part, count) => partColour(part, count, "on-");
 
 export const wrap = (degrees) => ((((degrees + 180) % 360) + 360) % 360) - 180;
 export const shown = (value) => value.toFixed(3);

@@ -1,10 +1,15 @@
 // Head, headline, and the two large pictures, drawn from the view.
 
 import { find, findAll, make, variable } from "./dom.js";
-import { paintKey } from "./heat.js";
 import { photoTurn, rollPicture, showPicture } from "./pictures.js";
 import { sign } from "./rows.js";
 
+// The legend of each kind of heat.
+const KEYS = {
+  activation: { ends: ["weak", "strong"], meaning: "What the network answers to, cell by cell" },
+  evidence: { ends: ["against", "for"], meaning: "What each cell adds to the score of photo and answer: exact evidence" },
+  occlusion: { ends: ["against", "for"], meaning: "Occlusion: what the score loses when a square is covered; covering a green one raises it" },
+};
 const [photoBox, tileBox] = ["#photo", "#tile"].map((one) => find(one));
 
 /** @returns {number} the tile that stands beside the photo: the truth while T is held, the pinned one, or the answer */
@@ -12,9 +17,9 @@ export const shownTile = ({ result, truth }) => (truth && result.truth !== null 
 
 export const drawHead = ({ page, state, rail }) => {
   const ranked = { plain: "", calibrated: "calibrated ", csls: "CSLS " }[state.scoring];
-  find("#about").textContent = page.parts === 1
-    ? `Which tile shows the photo's place? The baseline compares whole pictures, as one part${ranked && `, by ${ranked}distances`}.`
-    : `Which tile shows the photo's place? Both are cut into ${page.word}s, whose ${ranked}distances add up.`;
+  find("#about i").textContent = page.parts === 1
+    ? `The baseline compares whole pictures, as one part${ranked && `, by ${ranked}distances`}.`
+    : `Both are cut into ${page.word}s, whose ${ranked}distances add up.`;
   const [model, models] = [find("#model"), find("#models")];
   const names = page.models.map((label) => `Model: ${label.replace(/\.onnx$/, "")}`);
   model.textContent = names[Number(state.model)];
@@ -68,10 +73,13 @@ export const drawPictures = (view) => {
   find(".frame", photoBox).classList.toggle("fixed", !page.turns);
   find("figcaption b", photoBox).textContent = page.photo[0].toUpperCase() + page.photo.slice(1);
   find("figcaption .hint", photoBox).textContent = own.own ? "yours" : page.turns ? (own.around ? "drag to roll" : "drag to turn") : "";
-  find("figcaption .key", photoBox).hidden = !own.heat;
-  paintKey(find(".key canvas", photoBox), own.signed);
-  findAll(".key u", photoBox).forEach((word, end) => (word.textContent = (own.signed ? ["against", "for"] : ["weak", "strong"])[end]));
-  if (result.measured) find(".key u", photoBox).textContent = result.measured;
+  const key = find(".key", photoBox);
+  const { ends, meaning } = KEYS[own.signed ? result.state.heat : "activation"];
+  key.hidden = !own.heat;
+  key.title = `${meaning}, on one scale for all parts of a picture. E shows another kind; hold F for full colour.`;
+  key.classList.toggle("signed", Boolean(own.signed));
+  findAll("u", key).forEach((word, end) => (word.textContent = ends[end]));
+  if (result.measured) find("u", key).textContent = result.measured;
   const shown = shownTile(view);
   const answer = result.tiles[shown];
   const role = shown === result.answer ? "Answer" : shown === result.truth ? "Truth" : "Pinned";

@@ -55,17 +55,6 @@ export const cellsOf = (parts, part, width, height) => {
   return path;
 };
 
-/** @returns {number[]} left, top, right, and bottom of a part in shares of the picture's sides */
-export const boxOf = (parts, part) => {
-  if (parts.boxes.length) return parts.boxes[part];
-  const labels = bytes(parts.labels);
-  const cells = [...labels.keys()].filter((cell) => labels[cell] === part);
-  if (!cells.length) return [0, 0, 1, 1];
-  const columns = cells.map((cell) => cell % parts.columns);
-  const rows = cells.map((cell) => Math.floor(cell / parts.columns));
-  return [Math.min(...columns) / parts.columns, Math.min(...rows) / parts.rows, (Math.max(...columns) + 1) / parts.columns, (Math.max(...rows) + 1) / parts.rows];
-};
-
 const cells = document.createElement("canvas");
 /** Paint the heat of a described picture, or of one of its parts alone, whose cells are then not smoothed. */
 export const paintHeat = (pen, width, height, described, only = -1) => {
@@ -85,17 +74,4 @@ export const paintHeat = (pen, width, height, described, only = -1) => {
   pen.imageSmoothingEnabled = only < 0;
   pen.imageSmoothingQuality = "high";
   pen.drawImage(cells, 0, 0, width, height);
-};
-
-/** Paint the key of the colours, from weak to strong or from against to for. */
-export const paintKey = (canvas, signed) => {
-  const pen = canvas.getContext("2d");
-  for (let x = 0; x < canvas.width; x++) {
-    const share = x / (canvas.width - 1);
-    const colour = colourOf(signed ? 2 * share - 1 : share, signed);
-    pen.fillStyle = isLight() ? "#ddd" : "#222";
-    pen.fillRect(x, 0, 1, canvas.height);
-    pen.fillStyle = `rgba(${colour.join(",")})`;
-    pen.fillRect(x, 0, 1, canvas.height);
-  }
 };

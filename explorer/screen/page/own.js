@@ -47,15 +47,20 @@ export class OwnSender {
     this.queue.push(...files.slice(0, MOST_OWN));
     if (running || !this.queue.length) return;
     const whole = this.queue;
+    let unread = "";
     for (let at = 0; this.queue === whole && at < whole.length; at++) {
       this.say(whole.length > 1 ? `Reading photo ${at + 1} of ${whole.length}` : "Reading your photo", true);
       const answered = new Promise((done) => (this.waiting = done));
-      await this.channel.sendFile(whole[at], at === 0);
-      await answered;
+      try {
+        await this.channel.sendFile(whole[at], at === 0);
+        await answered;
+      } catch {
+        unread = whole[at].name; // it was moved, or may not be read
+      }
     }
     if (this.queue !== whole) return; // the connection was lost
     this.queue = [];
-    this.say("", true);
+    this.say(unread && `${unread} cannot be read; choose it again.`, !unread);
   }
 
   listen() {

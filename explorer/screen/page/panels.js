@@ -3,7 +3,7 @@
 // A panel's module has `open(box, context)`, which returns `{receive(message), draw(view), close()}`: `receive` takes what its
 // Python sends, `draw` is called after each change of the view. `context` is `{set, go, act, say, view}`; `go` shows an address.
 
-import { find, make } from "./dom.js";
+import { addStyle, find } from "./dom.js";
 
 export class Panels {
   /**
@@ -47,9 +47,11 @@ export class Panels {
     if (had || this.context.view.result) find("h2", this.box).focus({ preventScroll: true }); // not on a page's opening
     await addStyle(`screen/panels/${name}/${name}.css`);
     const { open } = await import(`../panels/${name}/${name}.js`);
-    if (turn !== this.turn) return; // closed meanwhile, and perhaps opened again
     const { set, go, say, view } = this.context;
-    this.panel = open(content, { set, go, say, view, act: (action, args) => this.context.act(`${name}.${action}`, args) });
+    if (turn !== this.turn) return; // closed meanwhile, and perhaps opened again
+    const panel = await open(content, { set, go, say, view, act: (action, args) => this.context.act(`${name}.${action}`, args) });
+    if (turn !== this.turn) return panel.close();
+    this.panel = panel;
     for (const { message } of this.waiting.splice(0)) this.panel.receive(message);
     this.panel.draw(view);
   }
@@ -60,15 +62,13 @@ export class Panels {
     else this.waiting.push({ name, message });
   }
 
+  /** Another place is shown, where the panel opens anew. */
+  leave() {
+    this.panel?.close();
+    [this.name, this.panel] = ["", null];
+  }
+
   close() {
     this.context.set({ panel: "" });
   }
 }
-
-const addStyle = (address) =>
-  new Promise((done) => {
-    if (find(`link[href="${address}"]`)) return done(null);
-    const link = make("link", { rel: "stylesheet", href: address });
-    link.onload = link.onerror = () => done(null);
-    document.head.append(link);
-  });

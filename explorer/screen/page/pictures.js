@@ -1,7 +1,7 @@
 // The two large pictures with their rings, and the crops of one ring.
 
-import { find, inkOn, isPhone, make, makeSvg, partColour, picture, variable } from "./dom.js";
-import { boxOf, cellsOf, isLight, paintHeat } from "./heat.js";
+import { find, isPhone, make, makeSvg, partColour, partInk, picture, variable } from "./dom.js";
+import { cellsOf, isLight, paintHeat } from "./heat.js";
 
 const HEAT_SIDE = 320;
 const MOST_WIDE = 2.5; // of a strip's crop, which is else a line
@@ -54,7 +54,7 @@ const drawParts = (svg, described, count) => {
   svg.setAttribute("preserveAspectRatio", "none");
   svg.replaceChildren();
   if (!parts) return;
-  const boxes = parts.boxes.map((box, part) => ({ box, part }));
+  const boxes = parts.straight ? parts.boxes.map((box, part) => ({ box, part })) : [];
   boxes.sort((one, other) => area(other.box) - area(one.box));
   for (const { box, part } of boxes) {
     const [left, top, right, bottom] = box;
@@ -74,7 +74,7 @@ const drawParts = (svg, described, count) => {
       const left = x + across + 3.9 * size > 100 * aspect ? x - 3.9 * size : x + across;
       const top = Math.min(y, 100 - 4.4 * size);
       mark.append(makeSvg("path", { d: `M${left} ${top}h${3.9 * size}v${4.4 * size}h${-3.9 * size}z`, fill: colour }));
-      const text = makeSvg("text", { x: left + 1.95 * size, y: top + 3.45 * size, "font-size": 3.5 * size, "font-weight": 700, "text-anchor": "middle", fill: inkOn(colour) });
+      const text = makeSvg("text", { x: left + 1.95 * size, y: top + 3.45 * size, "font-size": 3.5 * size, "font-weight": 700, "text-anchor": "middle", fill: partInk(part, count) });
       text.textContent = part + 1;
       mark.append(text);
     }
@@ -114,7 +114,7 @@ export const drawCrop = (canvas, described, part, count, turn, colour, angle = 0
   const image = picture(described.src);
   if (!parts) return;
   const aspect = described.aspect ?? 1;
-  let [left, top, right, bottom] = boxOf(parts, part);
+  let [left, top, right, bottom] = parts.boxes[part];
   const most = (MOST_WIDE * (bottom - top)) / aspect;
   if (right - left > most) [left, right] = [(left + right - most) / 2, (left + right + most) / 2];
   const scale = side / Math.max((right - left) * aspect, bottom - top);

@@ -5,11 +5,17 @@ import { find, findAll, make } from "./dom.js";
 const ENTRY = 62; // pixels of an entry
 const PIECE = 100; // entries that the server sends at once
 
-/** A query's button: its thumbnail, and its mark. */
+/** A photo's button: its thumbnail, its mark, and perhaps its name. */
+const photoButton = (data, name, said, source, chosen, title, ...marks) =>
+  make("button", { class: "query", ...data, title: name, "aria-label": said, "aria-current": String(chosen), style: { "background-image": `url("${source}")` } }, ...marks, title ? make("span", { text: name }) : "");
+
+/** A query's button. */
 export const queryButton = (rail, [query, name, rank], chosen, title = false) =>
-  make("button", { class: "query", "data-query": query, title: name, "aria-label": `${name}${rank > 1 ? `, truth ${rank}.` : rank === 1 ? ", found" : ""}`, "aria-current": String(query === chosen), style: { "background-image": `url("${rail.thumbnails}${query}")` } },
-    rank ? make("b", { class: rank === 1 ? "right" : "wrong", text: rank === 1 ? "✓" : rank }) : "",
-    title ? make("span", { text: name }) : "");
+  photoButton({ "data-query": query }, name, `${name}${rank > 1 ? `, truth ${rank}.` : rank === 1 ? ", found" : ""}`, rail.thumbnails + query, query === chosen, title,
+    rank ? make("b", { class: rank === 1 ? "right" : "wrong", text: rank === 1 ? "✓" : rank }) : "");
+
+/** An own photo's button. */
+export const ownButton = (thumbnails, [number, own, name], chosen, title = false) => photoButton({ "data-own": own }, name, name, thumbnails + number, own === chosen, title);
 
 /** Show the own photos above the list, if there are any. */
 export const showYours = (box, { photos, thumbnails }, chosen) => {
@@ -17,11 +23,6 @@ export const showYours = (box, { photos, thumbnails }, chosen) => {
   find(".items", box).replaceChildren(...photos.map((photo) => ownButton(thumbnails, photo, chosen)));
   find("[aria-current=true]", box)?.scrollIntoView({ block: "nearest" });
 };
-
-/** An own photo's button. */
-export const ownButton = (thumbnails, [number, own, name], chosen, title = false) =>
-  make("button", { class: "query", "data-own": own, title: name, "aria-label": name, "aria-current": String(own === chosen), style: { "background-image": `url("${thumbnails}${number}")` } },
-    title ? make("span", { text: name }) : "");
 
 export class RailList {
   constructor(list) {

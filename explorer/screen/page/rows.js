@@ -1,9 +1,7 @@
 // The row of each ring, the two sums, and the strip of the nearest tiles.
 
-import { find, findAll, inkOn, make, partColour, shown } from "./dom.js";
+import { find, findAll, make, partColour, partInk, shown } from "./dom.js";
 import { drawCrop } from "./pictures.js";
-
-const CROP = 132;
 
 export const sign = (true_) => (true_ === null ? "" : make("i", { class: true_ ? "right" : "wrong", text: true_ ? "✓" : "✗" }));
 
@@ -14,7 +12,7 @@ export const stack = (tile, total, least) => {
     const width = (100 * Math.max(share, 0)) / total;
     const colour = partColour(part, count);
     const number = count > 1 && width >= least ? String(part + 1) : "";
-    return make("i", { "data-part": part, text: number, style: { width: `${width}%`, background: colour, color: inkOn(colour) } });
+    return make("i", { "data-part": part, text: number, style: { width: `${width}%`, background: colour, color: partInk(part, count) } });
   });
   const cut = tile.shares.reduce((sum, share) => sum + share, 0) > total;
   return make("div", { class: cut ? "stack cut" : "stack" }, ...segments);
@@ -26,12 +24,13 @@ const layRows = (rows, count) => {
   rows.dataset.parts = count;
   document.documentElement.style.setProperty("--parts", count);
   rows.classList.toggle("many", count > 6);
-  const crops = () => [0, 1, 2].map(() => make("canvas", { width: CROP, height: CROP, "aria-hidden": "true" }));
-  const bar = (part) => make("div", { class: "bar" },
-    make("div", { class: "line" }, make("span", { class: "number", "data-weight": part, role: "slider", tabindex: 0, "aria-valuemin": 0, "aria-valuemax": 2, "aria-label": `Weight of part ${part + 1}` }), make("b"), make("i")),
-    make("div", { class: "track" }, make("i")), make("div", { class: "track2" }, make("i")));
-  rows.replaceChildren(make("div", { class: "head" }),
-    ...Array.from({ length: count }, (_, part) => make("div", { class: "row", "data-part": part, role: "group" }, ...crops(), bar(part))), make("p", { class: "beside" }));
+  const row = (part) => {
+    const made = find("#row").content.firstElementChild.cloneNode(true);
+    made.dataset.part = find(".number", made).dataset.weight = part;
+    find(".number", made).setAttribute("aria-label", `Weight of part ${part + 1}`);
+    return made;
+  };
+  rows.replaceChildren(make("div", { class: "head" }), ...Array.from({ length: count }, (_, part) => row(part)), make("p", { class: "beside" }));
 };
 
 /** Show the rows of a result. */
@@ -44,21 +43,21 @@ export const showRows = (rows, page, result, colour) => {
     make("span", { text: page.photo }),
     make("span", { text: "answer " }, sign(answer.true)),
     make("span", { text: rival ? `${result.rival_word} ` : "" }, rival ? sign(rival.true) : "", rival ? make("u", { text: " " }) : "", rival ? make("u", { class: "hatched" }) : ""),
-    make("span", { text: `share to ${Number(result.scale.part.toFixed(2))}` }, rival ? make("i", { text: result.headline.found === null ? "nearer" : "prefers" }) : ""),
+    make("span", { text: `share to ${Number(result.scale.part.toFixed(2))}` }, result.weights.length ? make("button", { class: "reset", "data-equal": true, text: "equal weights" }) : rival ? make("i", { text: result.headline.found === null ? "nearer" : "prefers" }) : ""),
   );
   findAll(".row", rows).forEach((row, part) => {
     const [photo, own, other] = findAll("canvas", row);
     drawCrop(photo, result.photo, part, count, -result.angle, colour, result.angle);
     drawCrop(own, answer, part, count, -90 * answer.quarter, colour);
     if (rival) drawCrop(other, rival, part, count, -90 * rival.quarter, colour);
-    else other.getContext("2d").clearRect(0, 0, CROP, CROP);
+    else other.getContext("2d").clearRect(0, 0, other.width, other.height);
     const tone = partColour(part, count);
     const number = find(".number", row);
     number.textContent = part + 1;
     number.hidden = count === 1;
     number.title = "Drag, or arrows, to weigh this part";
     number.style.background = tone;
-    number.style.color = inkOn(tone);
+    number.style.color = partInk(part, count);
     number.setAttribute("aria-valuenow", String(result.weights[part] ?? 1));
     if (result.weights.length) number.append(make("u", { text: `×${result.weights[part]}` }));
     find("b", row).textContent = shown(answer.shares[part]);

@@ -23,36 +23,26 @@ export class SceneFrame {
     /** @type {any} */
     this.frame = null;
     this.waiting = 0;
-    this.key = "";
     /** @type {boolean | null | undefined} whether this browser has WebGL; null before it is looked for */
     this.live = null;
     addEventListener("resize", () => this.resized());
   }
 
-  /**
-   * Make the frame, or hide the box of a task that has no place, which is called a city or a map.
-   * @param {string} key of what is to be seen; a still of it is asked for until the frame shows it, or always without WebGL
-   */
-  show(views, view, place, key) {
+  /** Make the frame, or hide the box: without WebGL, and for a task that has no place, which is called a city or a map. */
+  show(views, view, place) {
     find("[data-view=city]", this.box).textContent = place;
-    this.box.hidden = this.live === false ? !views.includes("city") : !views.length;
+    this.box.hidden = this.live === false || !views.length;
     for (const button of findAll("[data-view]", this.box)) {
-      button.hidden = !views.includes(button.dataset.view) || this.live === false;
+      button.hidden = !views.includes(button.dataset.view);
       button.setAttribute("aria-pressed", String(button.dataset.view === (views.includes(view) ? view : views[0])));
     }
-    if (this.box.hidden) return;
-    if (this.live === null) {
-      this.live = undefined; // it is looked for once
-      whenIdle(() => {
-        this.live = Boolean(document.createElement("canvas").getContext("webgl2"));
-        if (this.live) this.begin();
-        this.show(views, view, place, key);
-      });
-    }
-    if (!this.box.classList.contains("ready") && views.includes("city") && key !== this.key) {
-      this.key = key;
-      this.channel.act("still", { width: this.box.clientWidth, height: this.box.clientHeight });
-    }
+    if (this.box.hidden || this.live !== null) return;
+    this.live = undefined; // it is looked for once
+    whenIdle(() => {
+      this.live = Boolean(document.createElement("canvas").getContext("webgl2"));
+      if (this.live) this.begin();
+      else this.box.hidden = true;
+    });
   }
 
   begin() {
@@ -62,19 +52,10 @@ export class SceneFrame {
     this.box.append(this.frame);
   }
 
-  /** A still has been drawn, in place of the frame. */
-  still(address) {
-    if (this.box.classList.contains("ready")) return;
-    const image = find("img", this.box) ?? this.box.appendChild(make("img", { alt: "The place, with the nearest tiles" }));
-    image.onerror = () => image.remove(); // a busy app refuses pictures
-    image.src = address;
-  }
-
   /** The server has drawn in the frame. */
   ready() {
     if (!this.box.classList.contains("ready")) this.resized(); // viser's panel has taken its width only now
     this.box.classList.add("ready");
-    find("img", this.box)?.remove();
   }
 
   /** The connection is lost, or another place comes: what viser's page still shows is hidden. */

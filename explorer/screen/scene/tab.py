@@ -9,17 +9,11 @@ from typing import Any
 import viser
 
 from explorer.compute.worker import Worker
-from explorer.feeds import Feeds
 from explorer.screen.fields import ScreenState
 from explorer.screen.loop import ScreenMessage
 from explorer.screen.panel import SceneLines
 from explorer.screen.result import ScreenResult
-from explorer.screen.scene import still
-from explorer.screen.scene.scene import Scene, views_of
-from lpn.core import images
-
-# Pixels of a still's longer side, at most.
-_WIDEST = 2000
+from explorer.screen.scene.scene import Scene
 
 
 class TabScene:
@@ -43,7 +37,6 @@ class TabScene:
         self.client: viser.ClientHandle | None = None
         self.drawn: Scene | None = None
         self._shown: tuple[ScreenResult, ScreenState] | None = None
-        self._feeds: set[Feeds] = set()
         self._worker = Worker(self._draw, lambda _: None)
 
     def attach(self, client: viser.ClientHandle | None) -> None:
@@ -58,22 +51,6 @@ class TabScene:
     def draw(self, _: Mapping[str, Any] | None = None) -> None:
         """Draw what was taken last, fitted to the frame's size."""
         self._worker.wake()
-
-    def still(self, arguments: Mapping[str, Any]) -> None:
-        """Send the address of a picture of the city, for a browser without WebGL, of a `width` and a `height`."""
-        width, height = arguments.get("width"), arguments.get("height")
-        if not (isinstance(width, int) and isinstance(height, int) and 0 < width <= _WIDEST and 0 < height <= _WIDEST):
-            return
-        if self._shown is None or "city" not in views_of(self._shown[0]):
-            return
-        result, dark = self._shown[0], self._shown[1].theme == "dark"
-
-        def drawn() -> bytes:
-            return images.jpeg(still.draw(result, width, height, dark), 88)
-
-        self._feeds.add(result.feeds)
-        folder = result.feeds.publish_bytes(self, "still", drawn, "image/jpeg")
-        self._send({"still": f"{result.feeds.address}{folder}0"})
 
     def hover(self, arguments: Mapping[str, Any]) -> None:
         """Show one `part` alone, or all."""
@@ -92,8 +69,6 @@ class TabScene:
     def stop(self) -> None:
         """End after what is being drawn."""
         self._worker.stop()
-        for feeds in list(self._feeds):
-            feeds.leave(self)
 
     def _draw(self) -> None:
         client = self.client

@@ -32,7 +32,7 @@ from lpn.core.views import View
 from lpn.models.base import Model
 from lpn.models.contract import ForwardPass, Heads
 from lpn.models.spec import ModelSpec
-from tools.fixtures.waiting import TIMEOUT, wait_until
+from tools.fixtures.waiting import TIMEOUT, n_queued, wait_until
 
 SPEC = ModelSpec(views=("satellite", "drone"), n_parts=2, embedding=3, input_size=(4, 4))
 
@@ -137,9 +137,9 @@ def queue_up(queue: InferenceScheduler, *clients: Callable[[], Client]) -> list[
     """Start clients one after the other."""
     begun = []
     for one in clients:
-        before = queue.queue_length
+        before = n_queued(queue)
         begun.append(one())
-        wait_until(lambda before=before: queue.queue_length > before)  # type: ignore[misc]
+        wait_until(lambda before=before: n_queued(queue) > before)  # type: ignore[misc]
     return begun
 
 
@@ -279,7 +279,7 @@ class RoundRobin:
     def _all_wait(self, others: int) -> bool:
         """Return whether the others wait, or were refused because the queue is full."""
         waiting = min(others, self._max_queued)
-        return self._queue.queue_length == waiting and len(self._queue._refused) == others - waiting
+        return n_queued(self._queue) == waiting and len(self._queue._refused) == others - waiting
 
     def _ask(self, model: QueuedModel, mark: int) -> None:
         while self._going:
@@ -375,7 +375,7 @@ def test_requests_of_a_closed_context_are_dropped(network: ManualModel) -> None:
     gone.close()
     for one in dropped:
         assert isinstance(one.finished().error, WorkCancelledError)
-    assert queue.queue_length == 1
+    assert n_queued(queue) == 1
     assert isinstance(Client(answers, 4).finished().error, WorkCancelledError)
     network.release(10)
     for one in (first, *stays):
@@ -469,7 +469,7 @@ def drag(network: ManualModel, queue: InferenceScheduler, *marks: int) -> list[D
     begun: list[DraggingBrowser] = []
     for mark in marks:
         begun.append(DraggingBrowser(network, queue, mark))
-        wait_until(lambda: queue.queue_length == len(begun))
+        wait_until(lambda: n_queued(queue) == len(begun))
     return begun
 
 
@@ -483,11 +483,11 @@ def test_a_superseded_request_is_replaced_by_the_newest_in_the_same_place(networ
     other.move(22)
     network.release()
     network.began()  # computes `one`, while `other` prepares its next request
-    wait_until(lambda: other.begun == 2 and queue.queue_length == 2)
+    wait_until(lambda: other.begun == 2 and n_queued(queue) == 2)
     third.move(33)
     network.release()
     network.began()
-    wait_until(lambda: third.begun == 2 and queue.queue_length == 2)
+    wait_until(lambda: third.begun == 2 and n_queued(queue) == 2)
     clock.now += MIN_WAIT
     for browser in clients:  # no second cancellation: they would never see an answer
         browser.move(7)
@@ -578,7 +578,7 @@ def test_after_a_failed_thread_start_the_next_call_tries_again(
             queued(network, queue).run(pictures(1), "drone")
         with pytest.raises(RuntimeError):
             worker.wake()
-    assert queue.queue_length == 0
+    assert n_queued(queue) == 0
     assert Client(queued(network, queue), 2).finished().result is not None
     assert network.passes == [[2]]
     worker.wake()

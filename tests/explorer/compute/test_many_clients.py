@@ -41,7 +41,7 @@ from lpn.retrieval import scoring
 from tests.explorer.conftest import TASK
 from tools.fixtures import small_worlds
 from tools.fixtures.screen_tab import PART, ScreenTab, scene_socket
-from tools.fixtures.waiting import TIMEOUT, wait_until
+from tools.fixtures.waiting import TIMEOUT, n_queued, wait_until
 
 # Classes of which each tab has its own instances.
 PER_TAB = (ScreenSession, RequestContext, OwnPicture)
@@ -173,7 +173,7 @@ def test_a_full_queue_is_said_and_later_the_newest_state_is_answered(
         one.set(angle=31)
         assert gate.began.wait(TIMEOUT)
         two.set(angle=32)
-        wait_until(lambda: workspace.inference.queue_length == 1)
+        wait_until(lambda: n_queued(workspace.inference) == 1)
         three.set(angle=33)
         three.until(lambda last: "The server is busy" in last.get("busy", ""))
         assert three.last["result"]["angle"] == 0, "what it showed stays"
@@ -208,7 +208,7 @@ def test_a_superseded_request_is_computed_once(
         one.set(angle=131)
         assert gate.began.wait(TIMEOUT)
         other.set(angle=132)
-        wait_until(lambda: workspace.inference.queue_length == 1)
+        wait_until(lambda: n_queued(workspace.inference) == 1)
         one.set(angle=141)
         other.set(angle=142)
         for tab, angle in ((one, 141), (other, 142)):
@@ -339,10 +339,10 @@ def test_nothing_is_computed_for_a_tab_that_left(app: App, workspace: Workspace,
             stays.set(angle=61)
             assert gate.began.wait(TIMEOUT)
             goes.set(angle=62)
-            wait_until(lambda: workspace.inference.queue_length == 1)
+            wait_until(lambda: n_queued(workspace.inference) == 1)
             session = weakref.ref(app._channel.sessions["00112233445566bb"])
             passes = gate.passes
-        wait_until(lambda: workspace.inference.queue_length == 0)
+        wait_until(lambda: n_queued(workspace.inference) == 0)
         wait_until(lambda: (gc.collect(), session() is None)[1])
         gate.open.set()
         stays.result(angle=61)

@@ -9,10 +9,9 @@ from typing import Any
 import pytest
 
 from explorer.app import App
-from explorer.opening import open_model
 from explorer.workspace import LazyWorkspace, Workspace
 from lpn.core.errors import DataError
-from tools.fixtures import small_worlds
+from tests.explorer.conftest import mapped_workspace
 from tools.fixtures.screen_tab import ScreenTab
 
 TAB = "0123456789abcdef"
@@ -22,14 +21,7 @@ TAB = "0123456789abcdef"
 def workspace(
     tmp_path_factory: pytest.TempPathFactory, model_file: Path, one_part_model_file: Path
 ) -> Iterator[Workspace]:
-    """Eight places on a map under an LPN of four parts, with the baseline beside it; all queries are ranked."""
-    folder = tmp_path_factory.mktemp("screen")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("LPN_CACHE", str(folder / "cache"))
-        data = small_worlds.map_dataset(small_worlds.make_dataset(folder / "places", train=1, test=8))
-        opened = open_model(data, model_file, baseline=one_part_model_file)
-        for ranking in opened.rankings.values():
-            ranking.wait(opened, lambda *_: None)
+    with mapped_workspace(tmp_path_factory.mktemp("screen"), model_file, one_part_model_file) as opened:
         yield opened
 
 

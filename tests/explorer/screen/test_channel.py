@@ -23,7 +23,6 @@ from explorer.compute.background_jobs import BackgroundJob
 from explorer.screen import route
 from explorer.screen.channel import Outbox
 from explorer.screen.own import OwnPhotoBytes
-from explorer.screen.scene import shapes
 from explorer.screen.scene.tab import TabScene
 from explorer.screen.session import ScreenSession
 from explorer.server.auth import Authenticator
@@ -305,21 +304,6 @@ def test_the_server_holds_a_bounded_number_of_bytes_of_own_photos(
         tab_.socket.close()
 
 
-def test_a_browser_without_webgl_gets_a_still_of_the_city(app: App, tab: Tab) -> None:
-    tab.open()
-    tab.act("still", width=360, height=240)
-    address = tab.until(lambda last: "still" in last)["still"]
-    status, headers, body = get(app, f"/{address}")
-    assert (status, headers.get_content_type()) == (200, "image/jpeg")
-    shown = images.decode_picture(body, "still")
-    assert shown.shape == (240, 360, 3)
-    gold = np.abs(shown.astype(int) - shapes.RIGHT[True]).max(axis=2) < 40
-    assert gold.sum() > 300, "the answer's frame and its badge"
-    tab.act("still", width="wide", height=10**9)
-    tab.send({"set": {"angle": 4}})
-    assert tab.result(angle=4)
-
-
 class _Checked:
     """A map's jobs: each is the one that a test gives."""
 
@@ -502,22 +486,56 @@ def test_a_click_in_the_scene_is_told_from_a_hover(monkeypatch: pytest.MonkeyPat
     assert [one["kind"] for one in sent] == ["click", "hover"], "a page that is slow gets both"
 
 
+class _Slow:
+    """A job that goes on until a test ends it."""
+
+    def __init__(self) -> None:
+        self.begun, self._end = threading.Event(), threading.Event()
+        self.job: BackgroundJob[Any] = BackgroundJob(self._work, self)
+
+    def _work(self, report: Callable[[int, int], None]) -> None:
+        report(3, 9)
+        self.begun.set()
+        self._end.wait(TIMEOUT)
+
+    def end(self) -> None:
+        self._end.set()
+        assert self.job.wait(TIMEOUT)
+
+
+def test_while_a_model_opens_photos_are_answered_and_the_newest_wish_wins(
+    app: App, tab: Tab, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tab.open()
+    session = app._channel.sessions[TAB]
+    assert isinstance(session, ScreenSession)
+    first, second = _Slow(), _Slow()
+    with monkeypatch.context() as patch:
+        patch.setattr(session._access, "opening", lambda _: first.job)
+        tab.set(model="1")
+        tab.until(lambda last: last.get("busy", "").endswith(": 3 of 9 pictures"))
+        assert tab.turn(12)["state"]["model"] == "0"
+        patch.setattr(session._access, "opening", lambda _: second.job)
+        tab.set(model="1")
+        wait_until(lambda: session._awaited is not None and session._awaited[0] is second.job)
+    first.end()
+    tab.turn(14)
+    assert tab.last["state"]["model"] == "0", "it is waited for no longer"
+    second.end()
+    assert tab.result(model="1")["angle"] == 14
+
+
 def test_a_tab_that_leaves_waits_for_no_model(app: App, tab: Tab, monkeypatch: pytest.MonkeyPatch) -> None:
     tab.open()
     session = app._channel.sessions[TAB]
     assert isinstance(session, ScreenSession)
-    begun, left = threading.Event(), threading.Event()
-
-    def opened(*_: object) -> None:
-        begun.set()
-        wait_until(lambda: session._access._closed)
-        left.set()
-
-    monkeypatch.setattr(session._access, "open_model", opened)
+    slow = _Slow()
+    monkeypatch.setattr(session._access, "opening", lambda _: slow.job)
     tab.set(model="1")
-    assert begun.wait(TIMEOUT)
+    wait_until(lambda: session._awaited is not None)
     tab.socket.close()
-    assert left.wait(TIMEOUT)
+    wait_until(lambda: session._awaited is None)
+    slow.end()
 
 
 def test_saved_descriptors_take_no_photo(tab: Tab, workspace: Workspace, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 
 from explorer.app import App
-from explorer.opening import open_model
 from explorer.parameters import UnusableError
 from explorer.screen import fields
 from explorer.screen.fields import ScreenState
+from explorer.screen.fragments import fragment
 from explorer.screen.panels.lab import charts, points, table
 from explorer.screen.panels.lab.selection import PICKED, WHERE, LabSelection, decode, encode
 from explorer.screen.panels.lab.service import LabFindings, chosen_places, lab_of
@@ -24,8 +24,8 @@ from explorer.workspace import Workspace
 from lpn.analysis import breakdown
 from lpn.core.errors import InputError
 from lpn.tasks.notes import Note
+from tests.explorer.conftest import mapped_workspace
 from tests.explorer.screen.conftest import Tab
-from tools.fixtures import small_worlds
 from tools.fixtures.waiting import TIMEOUT
 
 TASK = "drone-to-satellite"
@@ -33,22 +33,14 @@ WEATHERS = ("<b>rain", 'say "hi"', "sun and sea")
 
 
 @pytest.fixture(scope="module")
-def workspace(tmp_path_factory: pytest.TempPathFactory, model_file: Path, one_part_model_file: Path) -> Workspace:
-    """Thirteen places on a map with metadata, of which the untrained network finds some; the baseline stands beside it."""
-    folder = tmp_path_factory.mktemp("lab")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("LPN_CACHE", str(folder / "cache"))
-        data = small_worlds.map_dataset(small_worlds.make_dataset(folder / "places", train=1, test=13))
-        lines = ["path,weather,wind"]
-        for i, file in enumerate(sorted((data / "test" / "query_drone").rglob("*.png"))):
-            weather = WEATHERS[i % 3].replace('"', '""')
-            lines.append(f'{file.relative_to(data).as_posix()},"{weather}",{100 + 10 * (i % 6)}')
-        (data / "metadata.csv").write_text("\n".join(lines))
-        opened = open_model(data, model_file, baseline=one_part_model_file)
-        for ranking in opened.rankings.values():
-            ranking.wait(opened, lambda *_: None)
-    assert 0 < (opened.rankings[TASK].ranks > 0).sum() < 13
-    return opened
+def workspace(
+    tmp_path_factory: pytest.TempPathFactory, model_file: Path, one_part_model_file: Path
+) -> Iterator[Workspace]:
+    """Thirteen places with metadata, of which the untrained network finds some."""
+    columns = {"weather": WEATHERS, "wind": [str(100 + 10 * i) for i in range(6)]}
+    with mapped_workspace(tmp_path_factory.mktemp("lab"), model_file, one_part_model_file, 13, columns) as opened:
+        assert 0 < (opened.rankings[TASK].ranks > 0).sum() < 13
+        yield opened
 
 
 @pytest.fixture(scope="module")
@@ -103,7 +95,7 @@ def test_picked_queries_are_a_text_of_their_task(findings: LabFindings, workspac
         with pytest.raises(UnusableError):
             decode(broken, task)
     state = state_of(workspace, lab_picked=code)
-    again, problems = fields.from_address(fields.to_address(state, workspace), workspace)
+    again, problems = fields.from_values(fields.parsed(fields.to_address(state, workspace)), workspace)
     assert again[PICKED] == code
     assert not problems
     # Another task drops nothing of the address, but shows all its queries.
@@ -170,6 +162,7 @@ def test_bars_of_margins_and_recall_count_the_selected_queries(findings: LabFind
     selection = LabSelection.of(findings, state_of(workspace), "")
     message = charts.message(selection, selection.rows())
     graded = findings.graded
+    assert "Photos by margin" in fragment("lab/charts", **message, tiles="")
     assert sum(message["margins"]["found"]) == graded.hits.sum()
     assert sum(message["margins"]["missed"]) == graded.failed.sum()
     recall = message["recall"]
@@ -185,8 +178,9 @@ def test_a_query_whose_judge_is_in_doubt_counts_nowhere(findings: LabFindings, w
     head = table.message(selection, selection.rows())
     assert head["counts"]["missed"] == len(failed) - 1
     assert head["graded"] == 12
-    [(_, cells)] = table.entries(doubted, [doubted.table.columns["rank"]], failed[:1])
-    assert cells[0][1] is None
+    [(_, cells)] = table.entries(doubted, [doubted.table.columns["rank"]], failed[:1], "tiles/")
+    assert "✗" not in cells[0]
+    assert "✗" in table.entries(findings, [findings.table.columns["rank"]], failed[:1], "tiles/")[0][1][0]
     assert points.colours(doubted, "").codes[failed[0]] == points.UNKNOWN
 
 

@@ -117,7 +117,7 @@ def test_each_step_of_the_shipped_stories_shows_what_its_caption_says() -> None:
     }
     for name, facts in FACTS.items():
         for step, (compared, found, said) in zip(STORIES[name].steps, facts, strict=True):
-            state, problems = fields.from_address(step.shows, workspace)
+            state, problems = fields.from_values(fields.parsed(step.shows), workspace)
             assert not problems
             assert (state.scoring, fields.parsed(step.shows)["scoring"]) == (SCORINGS[name],) * 2
             shown = analyser.analyse(workspace.ranking(state.task, state.scoring).task, state.question(), STRIP)
@@ -140,7 +140,7 @@ def test_each_step_of_the_shipped_stories_shows_what_its_caption_says() -> None:
     assert len(answers) == sum(name != "0449" for name in answers) == 8
     assert answers.count("0450") == 7
     assert "All eight pictures of this place fail, seven of them with this twin" in STORIES["Not found"].steps[0].notes
-    state, _ = fields.from_address(STORIES["Not found"].steps[-1].shows, workspace)
+    state, _ = fields.from_values(fields.parsed(STORIES["Not found"].steps[-1].shows), workspace)
     shown = analyser.analyse(workspace.ranking(state.task, state.scoring).task, state.question(), STRIP)
     places = shown.task.geometry
     assert places is not None
@@ -148,7 +148,7 @@ def test_each_step_of_the_shipped_stories_shows_what_its_caption_says() -> None:
     assert (apart < places.width).all(), "the frames overlap"
 
     turned = STORIES["A first look"].steps[3]
-    state, _ = fields.from_address(turned.shows, workspace)
+    state, _ = fields.from_values(fields.parsed(turned.shows), workspace)
     angles = [state.with_value("angle", float(angle)) for angle in range(-180, 180, 15)]
     ranks = [
         positive(analyser.analyse(workspace.ranking(one.task, one.scoring).task, one.question(), STRIP)).rank

@@ -63,7 +63,7 @@ def test_s_keeps_what_is_shown_with_its_headline_while_no_panel_is_open(tab: Tab
     assert kept.steps[0].caption.endswith(f", {said['title']}. {said['reason']}")
     tab.act("open", search=kept.steps[0].shows)
     again = tab.until(lambda last: last["state"]["panel"] == "")["state"]
-    assert (again["query_name"], again["angle"], again["weights"]) == ("0004", 30, [1, 0, 1, 1])
+    assert (again["query"], again["angle"], again["weights"]) == (2, 30, [1, 0, 1, 1])
     assert again["theme"] == "light", "the page keeps its theme"
 
 

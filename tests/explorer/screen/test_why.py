@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import json
+import re
 from dataclasses import replace
+from html import unescape
 from typing import Any
 
 import numpy as np
@@ -10,6 +13,7 @@ import pytest
 
 from explorer.parameters import UnusableError
 from explorer.screen import fields
+from explorer.screen.fragments import fragment
 from explorer.screen.panels.compare.models import changes
 from explorer.screen.panels.compare.pair import TilePair
 from explorer.screen.panels.region import CellRuns, message
@@ -40,11 +44,15 @@ def analysed(workspace: Workspace, region: tuple[int, ...] = (), **state: Any) -
     return WorkspaceAnalyser(workspace).analyse(workspace.tasks[TASK], question, 6)
 
 
-def shown(tab: Tab, key: str) -> dict[str, Any]:
-    """Return the newest message of the open panel that has a key; a state that changes nothing has it sent again."""
+def panel_until(tab: Tab, pattern: str) -> str:
+    """Return the HTML of the open panel once a pattern is found in it; a state that changes nothing has it sent again."""
     tab.send({"set": {}})
-    tab.until(lambda last: key in last.get("panel", {"message": {}})["message"])
-    return dict(tab.last["panel"]["message"])
+    tab.until(lambda last: re.search(pattern, _html(last)))
+    return _html(tab.last)
+
+
+def _html(last: dict[str, Any]) -> str:
+    return str((last.get("panel") or {"message": {}})["message"].get("html", ""))
 
 
 def mendable(workspace: Workspace) -> int:
@@ -61,6 +69,7 @@ def test_the_page_behind_the_verdict_has_the_measured_figures(workspace: Workspa
     assert figures is not None
     assert ranking.result is not None
     named = {name: value for name, value, _ in page["figures"]}
+    assert f"{figures['ap']:.1f} %" in fragment("why/why", **page, word="ring")
     right = int((ranking.ranks == 0).sum())
     assert (named["found"], named["missed"]) == (str(right), str(8 - right))
     assert named["R@1"] == f"{100 * right / 8:.1f} %"
@@ -117,15 +126,14 @@ def test_the_pair_has_the_rows_of_the_screen_and_the_ranks_of_each_part(workspac
 def test_weights_that_are_offered_put_the_truth_first_on_the_screen(workspace: Workspace, tab: Tab) -> None:
     query = mendable(workspace)
     assert tab.open(f"?query=~{query}&panel=compare")["headline"]["found"] is False
-    weights = shown(tab, "pair")["pair"]["weights"]
+    weights = list(TilePair.of(result_of(workspace, query=query)).usable)
+    panel_until(tab, "Use these weights")
     tab.send({"set": {"compare_tried": "yes"}})
-    told = tab.until(lambda last: (last["panel"]["message"].get("pair") or {}).get("effect"))["panel"]["message"][
-        "pair"
-    ]
+    told = panel_until(tab, "R@1 goes from")
     task = workspace.tasks[TASK]
     effect = effect_on(task.with_fields(weights=scoring.part_weights(4)), weights)
-    assert str(len(effect.gained)) in told["effect"][0]
-    assert f"to {effect.after:.1f} %" in told["effect"][1]
+    assert f"{len(effect.gained)} more are found" in told
+    assert f"to {effect.after:.1f} %" in told
     tab.send({"set": {"weights": weights}})
     assert tab.result(weights=[round(weight, 2) for weight in weights])["headline"]["found"] is True
 
@@ -152,21 +160,18 @@ def test_the_account_of_the_answer_adds_up_to_its_score(workspace: Workspace) ->
 
 def test_a_second_model_has_its_own_answer_to_the_same_photo(workspace: Workspace, tab: Tab) -> None:
     tab.open("?query=~2&panel=compare")
-    tab.send({"set": {}})
-    tab.until(lambda last: ((last.get("panel") or {"message": {}})["message"].get("models") or {}).get("alone"))
-    told = tab.last["panel"]["message"]["models"]
+    told = panel_until(tab, r"Of \d+ photos")
     other = workspace.beside[0].workspace
     assert other is not None
-    for column, one in zip(told["columns"], (workspace, other), strict=True):
-        analysis = analysed(one, query=2)
-        first = analysis.ranking.match(0)
-        assert column["tiles"][0]["index"] == first.index
-        assert column["tiles"][0]["distance"] == f"{first.distance2:.3f}"
-        assert column["sign"] == analysis.verdict.sign
-        assert column["recall"] == f"{100 * float((one.rankings[TASK].ranks == 0).mean()):.1f} %"
-        assert len(column["tiles"][0]["shares"]) == one.contract.n_parts
+    columns = told.split('<div class="column">')[1:]
+    for column, one in zip(columns, (workspace, other), strict=True):
+        first = analysed(one, query=2).ranking.match(0)
+        assert f"{first.rank}: {one.tasks[TASK].gallery[first.index].title}, distance {first.distance2:.3f}" in column
+        assert f"R@1 {100 * float((one.rankings[TASK].ranks == 0).mean()):.1f} %" in column
+        assert len(re.findall("data-part", column.partition("</button>")[0])) == one.contract.n_parts
     ranks, theirs = (one.rankings[TASK].ranks for one in (workspace, other))
-    assert told["alone"] == [8, int(((ranks == 0) & (theirs > 0)).sum()), int(((theirs == 0) & (ranks > 0)).sum())]
+    mine, others = int(((ranks == 0) & (theirs > 0)).sum()), int(((theirs == 0) & (ranks > 0)).sum())
+    assert re.search(rf"Of 8 photos, .+ alone finds {mine}, and .+ alone {others}\.", told)
 
 
 def test_a_second_model_that_does_not_open_says_why_and_is_tried_again(
@@ -180,9 +185,7 @@ def test_a_second_model_that_does_not_open_says_why_and_is_tried_again(
 
     monkeypatch.setattr(workspace, "beside", [LazyWorkspace("third", never)])
     tab.open("?panel=compare")
-    tab.send({"set": {}})
-    tab.until(lambda last: ((last.get("panel") or {"message": {}})["message"].get("models") or {}).get("again"))
-    assert tab.last["panel"]["message"]["models"]["text"] == "The file is not there; give another."
+    assert "The file is not there; give another." in panel_until(tab, "Try again")
     tab.act("compare.again")
     tab.until(lambda _: len(tried) == 2)
 
@@ -196,32 +199,29 @@ def test_photos_whose_ranks_differ_most_are_listed() -> None:
 
 
 @pytest.mark.parametrize("over", ["zoom", "shift", "rotation"])
-def test_a_sweep_begins_at_the_photo_as_it_is_and_its_shares_add_up(workspace: Workspace, tab: Tab, over: str) -> None:
+def test_a_sweep_begins_at_the_photo_as_it_is_and_its_shares_add_up(workspace: Workspace, tab: Tab, over: Any) -> None:
     tab.open(f"?query=~1&panel=sweep&sweep={over}")
-    tab.until(
-        lambda last: (found := (last.get("panel") or {"message": {}})["message"]).get("done", 0) == found.get("total")
-    )
-    told = tab.last["panel"]["message"]
-    assert told["x"] == sorted(told["x"])
-    assert told["total"] == len(sweeps.changes_over(over, side=workspace.contract.input_size[1]))  # type: ignore[arg-type]
-    here = told["x"].index({"zoom": 1}.get(over, 0))
+    told = panel_until(tab, "As it is, the truth is")
+    charts = [json.loads(unescape(one)) for one in re.findall("data-chart='(.*?)'", told)]
+    rank, distance, shares = ([line["values"] for line in chart["lines"]] for chart in charts)
+    x = charts[0]["x"]
+    assert x == sorted(x)
+    assert len(x) == len(sweeps.changes_over(over, side=workspace.contract.input_size[1]))
+    here = x.index({"zoom": 1}.get(over, 0))
     analysis = analysed(workspace, query=1)
     assert analysis.positive is not None
-    assert told["rank"][here] == analysis.positive.rank
-    assert told["distance"][here] == pytest.approx(analysis.positive.distance2, abs=1e-4)
-    for number, distance in enumerate(told["distance"]):
-        assert sum(of[number] for of in told["shares"]) == pytest.approx(distance, abs=1e-3)
-    assert told["said"]
+    assert rank[0][here] == analysis.positive.rank
+    assert distance[0][here] == pytest.approx(analysis.positive.distance2, abs=1e-4)
+    for number, one in enumerate(distance[0]):
+        assert sum(of[number] for of in shares) == pytest.approx(one, abs=1e-3)
 
 
 def test_a_sweep_follows_the_photo(tab: Tab) -> None:
     tab.open("?query=~1&panel=sweep&sweep=zoom")
-    tab.until(lambda last: (last.get("panel") or {"message": {}})["message"].get("done", 0) > 2)
-    tab.last.pop("panel")
+    panel_until(tab, r"[3-9] of \d+ steps")
     tab.send({"set": {"query": 5}})
     tab.result(query=5)
-    done = [0]
-    tab.until(lambda last: "panel" in last and (done.append(last["panel"]["message"]["done"]) or done[-1] < done[-2]))
+    panel_until(tab, r"\b1 of \d+ steps")
 
 
 def test_a_region_ranks_as_the_library_does(workspace: Workspace) -> None:

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from explorer.screen.fields import OneOf, PanelField
+from explorer.screen.fragments import fragment
 from explorer.screen.panel import Panel, PanelPart, Tab
 from explorer.screen.panels.compare.models import OTHER, SecondModel
 from explorer.screen.panels.compare.pair import TilePair
@@ -22,6 +25,7 @@ class _Compare(PanelPart):
         self._second = SecondModel(tab)
         self._pair: TilePair | None = None
         self._closed = False
+        self._values: dict[str, Any] = {"models": None}
         self.actions = {"again": lambda _: self._second.open_again()}
 
     def show(self) -> float | None:
@@ -32,8 +36,7 @@ class _Compare(PanelPart):
             self._pair = TilePair.of(result)
         self._show_pair(self._pair)
         second = self._second.message(result)
-        if not self._closed:
-            self.tab.append("models", {"models": second.values})
+        self._send(models=second.values)
         return second.again
 
     def close(self) -> None:
@@ -42,11 +45,16 @@ class _Compare(PanelPart):
 
     def _show_pair(self, pair: TilePair) -> None:
         tries = self.tab.state[TRIED] == "yes" and bool(pair.usable) and pair.effect is None
-        if not self._closed:
-            self.tab.append("pair", {"pair": pair.message(trying=tries)})
+        self._send(**{"weights": [], "change": "", "account": None} | pair.message(trying=tries))
         if tries:
             pair.effect = effect_on(_counted(pair.result), pair.usable)
             self._show_pair(pair)
+
+    def _send(self, **values: object) -> None:
+        self._values |= values
+        if not self._closed:
+            html = fragment("compare/compare", word=self.tab.workspace.contract.part_noun, **self._values)
+            self.tab.send({"html": html, "photo": self._values.get("photo")})
 
 
 def _counted(result: ScreenResult) -> Task:

@@ -68,7 +68,15 @@ class SecondModel:
         if not base.beside:
             return ModelsMessage(None)
         labels = [label.removesuffix(".onnx") for label in (base.model_name, *(one.label for one in base.beside))]
-        shown = {"labels": labels, "own": int(result.state.model), "other": number, "text": "", "again": False}
+        shown = {
+            "labels": labels,
+            "own": int(result.state.model),
+            "other": number,
+            "text": "",
+            "unlike": "",
+            "again": False,
+            "columns": [],
+        }
         lazy = base.beside[number - 1] if number else None
         if lazy is not None and not lazy.asked:
             lazy.open()

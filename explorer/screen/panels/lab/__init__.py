@@ -13,9 +13,10 @@ import numpy as np
 
 from explorer.compute.background_jobs import BackgroundJob
 from explorer.screen.fields import ScreenState
+from explorer.screen.fragments import fragment
 from explorer.screen.panel import Panel, PanelPart, Tab
 from explorer.screen.panels.lab import charts, points, table
-from explorer.screen.panels.lab.selection import COLOUR, FIELDS, MAP, PICKED, SECOND, TAB, LabSelection, encode
+from explorer.screen.panels.lab.selection import COLOUR, FIELDS, MAP, PICKED, SECOND, SHOW, TAB, LabSelection, encode
 from explorer.screen.panels.lab.service import (
     Lab,
     LabFindings,
@@ -120,24 +121,31 @@ class LabPart(PanelPart):
         rows, ordered = selection.rows(), selection.ordered()
         self._ordered = ordered
         shown, task = selection.columns(), findings.task
+        tiles = self._feeds.thumbnails(task, "tile")
         feed = self._publish(
             "rows",
             (findings, ordered.tobytes(), tuple(shown)),
             lambda name: self._feeds.publish_list(
-                self, name, len(ordered), lambda start, end: table.entries(findings, shown, ordered[start:end])
+                self,
+                name,
+                len(ordered),
+                lambda start, end: table.entries(findings, shown, ordered[start:end], tiles),
             ),
         )
         head = table.message(selection, rows) | {
             "feed": feed,
             "address": self._feeds.address,
-            "thumbnails": [self._feeds.thumbnails(task, "query"), self._feeds.thumbnails(task, "tile")],
-            "maps": map_kinds(task),
+            "thumbnails": self._feeds.thumbnails(task, "query"),
             "beside": self._labels(state),
         }
+        pieces = ("columns", "shown", "help", "error", "counts", "second")
+        values = head | {"show": state[SHOW], "chosen": state[SECOND]}
+        head["html"] = {piece: fragment("lab/head", piece=piece, **values) for piece in pieces}
         self._send("table", head)
         self._show_query(state, findings, lab)
         if state[TAB] == "charts":
-            self._send("charts", charts.message(selection, rows))
+            values = charts.message(selection, rows) | {"tiles": tiles}
+            self._send("charts", {"html": fragment("lab/charts", **values)})
         elif state[TAB] == "map":
             self._draw_map(state, selection, rows, lab)
 
@@ -154,18 +162,23 @@ class LabPart(PanelPart):
         outcomes, known = findings.outcomes, findings.graded.known[state.query]
         data = {
             "kind": kind,
-            "axes": found.axes,
+            "address": self._feeds.address,
+            "thumbnails": self._feeds.thumbnails(findings.task, "query"),
             "queries": len(found.queries),
             "plane": self._bytes("plane", found, lambda: points.plane(found)),
             "marks": self._bytes(
                 "marks", (findings, state[COLOUR], rows.tobytes()), lambda: points.marks(findings, coloured, rows)
             ),
-            "legend": points.legend(coloured, rows),
-            "colour": state[COLOUR] if state[COLOUR] in findings.table.columns else "",
+            "palette": coloured.palette,
             "lines": points.lines(findings, found, rows),
             "ground": points.ground(found),
+            "bounds": points.bounds(found),
             "answers": [int(tiles[state.query]) for tiles in (outcomes.answer, outcomes.true) if known],
         }
+        colour = state[COLOUR] if state[COLOUR] in findings.table.columns else ""
+        values = {"kinds": kinds, "kind": kind, "columns": list(findings.table.columns), "colour": colour}
+        legend = points.legend(coloured, rows) | {"axes": found.axes}
+        data["html"] = {piece: fragment("lab/map", piece=piece, **values, **legend) for piece in ("maps", "legend")}
         if picture is not None:
             data["picture"] = self._bytes("ground", found, lambda: images.jpeg(picture[0], 85), "image/jpeg")
         self._send("map", data)

@@ -10,7 +10,6 @@ import numpy as np
 from explorer.screen.panels.lab.service import LabFindings, PlanePoints
 from lpn.core.arrays import Float64Array, Int64Array, UInt8Array
 from lpn.core.tables import Column
-from lpn.datasets import geo
 from lpn.drawing import overlays, theme
 
 # The code of a query without a value, and that of all values beyond the most frequent ones.
@@ -110,19 +109,24 @@ def legend(coloured: PointColours, rows: Int64Array) -> dict[str, Any]:
     }
 
 
-def ground(points: PlanePoints) -> dict[str, Any] | None:
-    """Return the borders of the ground's picture, and how metres become degrees; None for descriptors."""
-    if points.ground is None:
-        return None
+def ground(points: PlanePoints) -> list[list[float]] | None:
+    """Return the lower left and the upper right corner of the ground's picture, y before x; None for descriptors."""
+    return None if points.ground is None else _corners(points, np.array(points.ground[1]).reshape(2, 2))
+
+
+def bounds(points: PlanePoints) -> list[list[float]]:
+    """Return the corners of all that has a place, y before x."""
+    both = np.concatenate(
+        [points.queries, points.tiles, *([] if points.ground is None else [np.reshape(points.ground[1], (2, 2))])]
+    )
+    known = both[np.isfinite(both).all(axis=1)]
+    return _corners(points, np.array([known.min(axis=0), known.max(axis=0)]) if len(known) else np.zeros((2, 2)))
+
+
+def _corners(points: PlanePoints, corners: Float64Array) -> list[list[float]]:
     origin, unit = scale(points)
-    west, south, east, north = points.ground[1]
-    corners = (np.array([[west, south], [east, north]]) - origin) / unit
-    degrees = None
-    if points.origin is not None:
-        in_latitude, in_longitude = geo.metres_per_degree(points.origin.latitude)
-        middle = points.origin.latitude + origin[1] / in_latitude, points.origin.longitude + origin[0] / in_longitude
-        degrees = [*map(float, middle), 1 / in_latitude, 1 / in_longitude]
-    return {"corners": corners.tolist(), "degrees": degrees}
+    shifted: list[list[float]] = ((corners - origin) / unit)[:, ::-1].tolist()
+    return shifted
 
 
 def lines(findings: LabFindings, points: PlanePoints, rows: Int64Array) -> list[list[int]]:

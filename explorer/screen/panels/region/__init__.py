@@ -8,6 +8,7 @@ from typing import Any
 
 from explorer.parameters import UnusableError
 from explorer.screen.fields import PanelField, ScreenState
+from explorer.screen.fragments import fragment
 from explorer.screen.panel import Panel, PanelPart
 from explorer.screen.result import ScreenResult
 from explorer.workspace import Workspace
@@ -51,7 +52,9 @@ class _Region(PanelPart):
     def show(self) -> None:
         result = self.tab.result
         if result is not None:
-            self.tab.send(message(result, self.tab.state[CELLS]))
+            found = message(result, self.tab.state[CELLS])
+            listed = {name: found.pop(name, []) for name in ("said", "tiles")}
+            self.tab.send(found | {"html": fragment("region/region", **listed)})
 
 
 def message(result: ScreenResult, painted: tuple[int, ...]) -> dict[str, Any]:

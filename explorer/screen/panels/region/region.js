@@ -1,19 +1,20 @@
 // Cells of the photo are painted; the tiles are ranked by them alone.
 
 import { make, prepare, variable } from "../../page/dom.js";
+import { listen, put } from "../../page/fragment.js";
 import { makePicture, rollPicture, showPicture } from "../../page/pictures.js";
-import { sign } from "../../page/rows.js";
 
 const KEYS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
 
-export const open = (box, { set, view }) => {
+export const open = (box, { set, act, view }) => {
   const figure = makePicture();
   const grid = make("canvas", { class: "cells", tabindex: 0, role: "application", "aria-label": "Cells of the photo: arrows move, Space paints or erases" });
   figure.querySelector(".pan").append(grid);
-  const [why, said, tiles] = [make("p"), make("div", { class: "said fade", "aria-live": "polite" }), make("div", { class: "tiles fade" })];
+  const [why, found] = [make("p"), make("div", { class: "fade" })];
   const clear = make("button", { class: "clear button", text: "Clear" });
-  const page = make("div", { class: "region" }, figure, why, clear, said, tiles);
+  const page = make("div", { class: "region" }, figure, why, clear, found);
   box.append(page);
+  listen(found, { set, act });
   let told = null;
   /** @type {Set<number>} */
   let cells = new Set();
@@ -40,15 +41,6 @@ export const open = (box, { set, view }) => {
     pen.strokeStyle = variable("--ink");
     pen.lineWidth = 2;
     pen.strokeRect((at % told.columns) * across + 1, Math.floor(at / told.columns) * down + 1, across - 2, down - 2);
-  };
-  const list = () => {
-    said.replaceChildren(...(told.said ?? []).map((text) => make("p", { text })));
-    tiles.replaceChildren(...(told.tiles ?? []).map((tile) => {
-      const button = make("button", { title: `Compare ${tile.name}`, "aria-label": `${tile.rank}: ${tile.name}, distance ${tile.distance}, by the whole photo ${tile.was}` },
-        make("u", { style: { "background-image": `url("${tile.src}")` } }), make("b", {}, `${tile.rank} `, sign(tile.true)), make("span", { text: tile.name }), make("span", { text: tile.distance }), make("span", { text: `was ${tile.was}` }));
-      button.onclick = () => set({ compare: tile.index });
-      return button;
-    }));
   };
   const cellAt = (event) => {
     const { left, top, width, height } = grid.getBoundingClientRect();
@@ -100,7 +92,7 @@ export const open = (box, { set, view }) => {
       told = message;
       if (!pressed) cells = new Set(message.cells ?? []);
       draw();
-      list();
+      put(found, message.html ?? "");
     },
     draw,
     close: () => page.remove(),

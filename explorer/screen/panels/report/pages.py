@@ -14,7 +14,7 @@ from explorer.workspace import Workspace
 from lpn import report
 from lpn.core.arrays import Float32Array
 from lpn.core.demo import own_file
-from lpn.core.errors import InputError
+from lpn.core.errors import InputError, LPNError
 from lpn.library.answer import Answer
 from lpn.models.base import Model
 from lpn.tasks import notes
@@ -31,7 +31,7 @@ def save_answer(tab: Tab) -> None:
     def make(progress: ReportProgress) -> tuple[str, bytes]:
         workspace, answer = shown.workspace, reported(shown.workspace, shown.analysis, model)
         options = report.Options(change=shown.question.change, doubtful=_doubtful(workspace, answer.task))
-        task = _noted(workspace, answer.task, model, answer.ranking.weights)
+        task = _noted(tab, workspace, answer.task, model, answer.ranking.weights)
         return f"{file_name(answer.name)}.html", report.build(task, [answer], options, progress)
 
     tab.download("Report", make)
@@ -49,7 +49,7 @@ def save_worst(tab: Tab) -> None:
     options = report.Options(selection="the worst failures", doubtful=_doubtful(workspace, ranking.task))
 
     def make(progress: ReportProgress) -> tuple[str, bytes]:
-        task = _noted(workspace, ranking.task, model)
+        task = _noted(tab, workspace, ranking.task, model)
         return f"{file_name(task.name)}-failures.html", report.build(task, queries, options, progress)
 
     tab.download("Report", make)
@@ -87,10 +87,16 @@ def file_name(name: str) -> str:
     return "".join(letter if letter.isalnum() or letter in "-_" else "-" for letter in name)[:60] or "report"
 
 
-def _noted(workspace: Workspace, task: Task, model: Model | None, weights: Float32Array | None = None) -> Task:
-    """Return the task with part weights, the model that describes pictures, and the person's notes."""
+def _noted(
+    tab: Tab, workspace: Workspace, task: Task, model: Model | None, weights: Float32Array | None = None
+) -> Task:
+    """Return the task with part weights, the model that describes pictures, and the person's notes, if they can be read."""
     bound = None if model is None else workspace.scored_model(model, task).for_task(*task.views)
-    stored = notes.read_notes(own_file(workspace.root, notes.NAME))
+    try:
+        stored = notes.read_notes(own_file(workspace.root, notes.NAME))
+    except LPNError as error:  # a report is useful without notes
+        tab.note(f"Notes are left out: {error}")
+        stored = {}
     return replace(task, model=bound, weights=weights, notes=stored)
 
 

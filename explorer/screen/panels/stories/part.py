@@ -10,6 +10,7 @@ from msgspec.structs import replace
 
 from explorer.screen import fields
 from explorer.screen.fields import Line, PanelField
+from explorer.screen.fragments import fragment
 from explorer.screen.panel import Action, PanelPart, Tab
 from explorer.screen.panels.stories import story as files
 from explorer.screen.panels.stories.export import save_story
@@ -98,7 +99,7 @@ class StoriesPart(PanelPart):
         }
         if message != self._sent:
             self._sent = message
-            self.tab.send(message)
+            self.tab.send(message | {"html": fragment("stories/stories", **message)})
 
     def _story(self, given: Mapping[str, Any]) -> Story:
         story = files.stories_of(self.tab.services.workspace).by_name.get(_text(given, "story"))

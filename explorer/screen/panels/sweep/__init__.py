@@ -9,6 +9,7 @@ import numpy as np
 
 from explorer.compute.background_jobs import WorkCancelledError
 from explorer.screen.fields import OneOf, PanelField
+from explorer.screen.fragments import fragment
 from explorer.screen.panel import Panel, PanelPart, Tab
 from explorer.screen.result import ScreenResult
 from lpn.core.arrays import Float32Array
@@ -87,6 +88,8 @@ class PhotoSweep:
                 [round(float(share), 4) for share in of] for of in zip(*(_shares(one) for one in points), strict=True)
             ],
             "now": here,
+            "names": self._result.workspace.part_names,
+            "word": self._result.workspace.contract.part_noun,
             "said": self._said(profile) if len(points) == self.total else [],
         }
 
@@ -176,7 +179,7 @@ class _SweepPart(PanelPart):
             why = (
                 "Saved descriptors have no network, which a sweep needs." if model is None else "A tile has no weather."
             )
-            self.tab.send({"choices": choices, "over": over, "why": why})
+            self.tab.send({"html": fragment("sweep/sweep", choices=choices, over=over, why=why)})
             return None
         if self._sweep is None or self._sweep.key != sweep_key(over, result):
             self._sweep = PhotoSweep(over, result, model)
@@ -185,7 +188,8 @@ class _SweepPart(PanelPart):
         except WorkCancelledError:  # the tab has left
             return None
         if not self._closed:
-            self.tab.send({"choices": choices, **self._sweep.message(result.state.angle)})
+            message = self._sweep.message(result.state.angle)
+            self.tab.send({"html": fragment("sweep/sweep", choices=choices, why="", **message)})
         return 0.0 if goes_on else None
 
     def close(self) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from explorer.screen.fragments import fragment
 from explorer.screen.panel import Panel, PanelPart
 from explorer.screen.panels.why import words
 
@@ -14,7 +15,8 @@ class _Why(PanelPart):
         result, ranking = self.tab.result, self.tab.ranking
         if result is None:
             return None
-        self.tab.send(words.page(result, ranking))
+        page = words.page(result, ranking) | {"word": result.workspace.contract.part_noun}
+        self.tab.send({"html": fragment("why/why", **page)})
         return _INTERVAL if ranking.result is None and not ranking.error else None
 
 

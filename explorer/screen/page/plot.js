@@ -1,0 +1,70 @@
+// Charts by uPlot, which is loaded with the first one, in the page's colours.
+
+import { variable } from "./dom.js";
+import { load } from "./vendor.js";
+
+const FONT = "12px Inter, Helvetica, Arial";
+const signed = (text) => text.replace("-", "−");
+
+/**
+ * Draw a chart that Python describes in a box, in place of what the box holds; the legend has the values under the pointer.
+ * @param {any} box
+ * @param {object} chart
+ * @param {string} chart.label what the chart shows, for screen readers
+ * @param {number[]} chart.x
+ * @param {[string, string]} chart.axes what x and y are
+ * @param {string} chart.name of x in the legend
+ * @param {{label: string, values: any[], colour: string, dash?: boolean}[]} chart.lines `colour` names a variable of the theme
+ * @param {[number, string]} [chart.of_y] decimals and unit of the lines' values
+ * @param {string[]} [chart.names] of the values of x, which then stand upright
+ * @param {boolean} [chart.bars] in place of lines
+ * @param {boolean} [chart.log_x]
+ * @param {boolean} [chart.log_y]
+ * @param {boolean} [chart.down] small values of y stand above
+ * @param {[number, number]} [chart.range] of y
+ * @param {number[]} [chart.ticks] of x
+ * @param {number} [chart.mark] a place of x that has a line
+ * @param {number} [chart.height]
+ * @param {(position: number) => void} pick a point was clicked
+ */
+export const plot = async (box, chart, pick) => {
+  const { default: UPlot } = await load("uplot");
+  if (!box.isConnected || !box.clientWidth) return;
+  const [ink, soft, line] = ["--ink", "--soft", "--line"].map(variable);
+  const [decimals, unit] = chart.of_y ?? [0, ""];
+  const ofX = (one) => (one === null ? "" : chart.names ? (chart.names[chart.x.indexOf(one)] ?? "") : signed(String(Number(one.toPrecision(3)))));
+  const ofY = (_, one) => (one === null ? "" : signed(one.toFixed(decimals)) + unit);
+  const axis = { stroke: soft, font: FONT, labelFont: FONT, labelSize: 18, grid: { stroke: line, width: 1 }, ticks: { stroke: line, width: 1, size: 4 } };
+  // Of a logarithmic scale, the powers of ten have lines.
+  const grid = (log) => ({ ...axis.grid, ...(log ? { filter: (_, splits) => splits.map((one) => (Number.isInteger(Math.log10(one)) ? one : null)) } : {}) });
+  const ticks = chart.names ? chart.x : chart.ticks;
+  const stand = (drawn) => {
+    const { min, max } = drawn.scales.x;
+    if (chart.mark === undefined || chart.mark === null || chart.mark < min || chart.mark > max) return;
+    drawn.ctx.fillStyle = ink;
+    drawn.ctx.fillRect(drawn.valToPos(chart.mark, "x", true) - 1, drawn.bbox.top, 2, drawn.bbox.height);
+  };
+  const style = (colour) => (chart.bars ? { paths: UPlot.paths.bars({ size: [0.92, 60] }), fill: colour, points: { show: false } } : { points: { size: 5, fill: colour, show: chart.x.length < 60 } });
+  const options = {
+    width: box.clientWidth,
+    height: chart.height ?? 170,
+    cursor: { drag: { x: false, y: false }, points: { size: 7 } },
+    scales: {
+      x: { time: false, distr: chart.log_x ? 3 : 1, ...(chart.log_x ? { range: [chart.x[0], chart.x[chart.x.length - 1]] } : {}) },
+      y: { distr: chart.log_y ? 3 : 1, dir: chart.down ? -1 : 1, ...(chart.range ? { range: chart.range } : {}) },
+    },
+    axes: [
+      { ...axis, grid: grid(chart.log_x && !ticks), label: chart.axes[0] || null, size: 28, values: (_, values) => values.map(ofX), ...(ticks ? { splits: () => ticks, filter: (_, splits) => splits } : {}), ...(chart.names ? { rotate: -60, size: 82 } : {}) },
+      { ...axis, grid: grid(chart.log_y), label: chart.axes[1] || null, size: 44 },
+    ],
+    series: [{ label: chart.name, value: (_, one) => ofX(one) }, ...chart.lines.map(({ label, colour, dash }) => ({ label, stroke: variable(colour), width: 1.75, dash: dash ? [5, 4] : [], value: ofY, ...style(variable(colour)) }))],
+    hooks: { draw: [stand] },
+  };
+  const made = new UPlot(options, [chart.x, ...chart.lines.map((one) => one.values)], (drawn, init) => {
+    box.replaceChildren(drawn.root);
+    init();
+  });
+  box.setAttribute("role", "img");
+  box.setAttribute("aria-label", chart.label);
+  made.over.addEventListener("click", () => made.cursor.idx !== null && pick(chart.x[made.cursor.idx]));
+};
