@@ -52,7 +52,7 @@ def network(model: Model, pictures: Sequence[PictureOfView]) -> bytes:
         for part, (cell, name) in enumerate(zip(cells[2:-1], model.contract.names(view), strict=True)):
             light = np.ones((height, width), np.float32)
             if areas is not None:
-                light = np.where(areas.mask(part, (height, width)), np.float32(1), np.float32(_DIMMED))
+                light = np.where(images.enlarge(areas.inside[part], height, width), np.float32(1), np.float32(_DIMMED))
             shown = (seen * light[..., None]).astype(np.uint8)
             _show(cell, shown, f"{name}: mean, head, {descriptor.shape[1]} numbers")
         limit = float(np.abs(descriptor).max()) or 1.0
