@@ -51,7 +51,15 @@ def test_every_module_is_reached_by_the_quick_tests() -> None:
     waiting |= ENTRY_POINTS | {
         name
         for name in known
-        if name.startswith(("lpn.datasets.layouts.", "lpn.sources.kinds.", "lpn.cli.", "explorer.screen.panels."))
+        if name.startswith(
+            (
+                "lpn.datasets.layouts.",
+                "lpn.models.adapters.methods.",
+                "lpn.sources.kinds.",
+                "lpn.cli.",
+                "explorer.screen.panels.",
+            )
+        )
     }  # found by their folder
     reached: set[str] = set()
     while waiting:

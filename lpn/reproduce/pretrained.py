@@ -13,7 +13,7 @@ from lpn.core.errors import InputError, ModelFileError
 from lpn.core.files import fingerprint
 from lpn.models import checkpoints
 from lpn.models.backbones import CHANNELS
-from lpn.models.network import LPN
+from lpn.models.lpn import LPN
 from lpn.models.shipped import model_file
 from lpn.models.spec import ModelSpec
 from lpn.training.recipes import Recipe

@@ -6,7 +6,7 @@ from typing import cast
 
 from torch import nn
 
-from lpn.models.network import LPN
+from lpn.models.lpn import LPN
 from lpn.training.recipes import Recipe
 
 

@@ -25,7 +25,7 @@ from lpn.datasets import Dataset
 from lpn.flight.maps import Map
 from lpn.models import checkpoints
 from lpn.models.backbones import CHANNELS
-from lpn.models.network import LPN
+from lpn.models.lpn import LPN
 from lpn.models.pretrained_weights import AUTO, find_weights
 from lpn.models.shipped import model_file
 from lpn.models.spec import ModelSpec, is_timm

@@ -19,7 +19,7 @@ import lpn
 from lpn.core.errors import InputError, LPNError, ModelFileError
 from lpn.models import checkpoints
 from lpn.models.checkpoints import TorchModel, exact_inference, load_backbone, load_torch, save
-from lpn.models.network import LPN
+from lpn.models.lpn import LPN
 from lpn.models.published_checkpoints import infer_spec
 from lpn.models.spec import ModelSpec
 from lpn.models.weight_storage import WeightType

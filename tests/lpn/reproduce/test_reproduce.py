@@ -23,7 +23,7 @@ from lpn.core.files import exclusive_lock
 from lpn.datasets import open_dataset
 from lpn.datasets.rendered import UNFINISHED
 from lpn.models.checkpoints import save
-from lpn.models.network import LPN
+from lpn.models.lpn import LPN
 from lpn.models.spec import ModelSpec
 from lpn.reproduce import claims, footnotes, paper_values, report, sources, trainings
 from lpn.reproduce.command import KEYS, Reproduction
