@@ -35,8 +35,8 @@ from lpn.models.spec import SLOPES
 from lpn.models.token_pooling import TokenPooling
 from lpn.models.weight_storage import WeightType, to_eight_bits
 
-# The submodule that computes a model's map or tokens.
-_TRUNK_MODULES = ("network.trunk", "branch")
+# The submodules that compute a model's map or tokens, or a vector as the network itself pools it.
+_TRUNK_MODULES = ("branch", *(f"network.{vector}{own}" for vector in ("", "vector.") for own in ("trunk", "network")))
 
 
 class _AccountGraph(nn.Module):

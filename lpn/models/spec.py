@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import re
 from dataclasses import asdict, dataclass, fields
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import msgspec
 
@@ -27,12 +27,11 @@ SLOPES: dict[Activation, float] = {"none": 1.0, "relu": 0.0, "leaky_relu": 0.1}
 _ALLOWED: dict[str, tuple[Any, ...]] = {
     "backbone": BACKBONES,
     "last_layer": ("layer3", "layer4"),
-    "shared": (True, False),
-    "layout": ("university", "cvusa", "strips"),
-    "pooling": ("average", "safa"),
-    "polar": (True, False),
+    "layout": get_args(Layout),
+    "pooling": get_args(Pooling),
     "weighting": WEIGHTINGS,
-    "activation": ("none", "relu", "leaky_relu"),
+    "activation": get_args(Activation),
+    **dict.fromkeys(("shared", "polar"), (True, False)),
 }
 
 # The names of timm's networks begin with this. They are our backbones, not the paper's.

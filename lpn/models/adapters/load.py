@@ -44,16 +44,16 @@ def load_file(
         InputError: if there is no such kind, a package is missing, or an option does not fit the model.
     """
     path = Path(path)
-    options = read_options(path.with_name("opts.yaml"))
-    if network is None and kind is None and tokens.is_of_transformers(path.parent):
-        made = tokens.of_transformers(path.parent, options, _told(pooling, path))
-        beside = [file.read_bytes() for file in sorted(path.parent.glob("*config.json"))]
-        return _model(made, path, device, beside)
     if holds_safetensors(path) and is_own(path):
         for option, given in (("--kind", kind), ("--pooling", pooling), ("timm:", network)):
             if given is not None:
                 raise InputError(f"{path.name} contains its network and its parts; leave {option} out.")
         return load_torch(path, device)
+    options = read_options(path.with_name("opts.yaml"))
+    if network is None and kind is None and tokens.is_of_transformers(path.parent):
+        made = tokens.of_transformers(path.parent, options, _told(pooling, path))
+        beside = [file.read_bytes() for file in sorted(path.parent.glob("*config.json"))]
+        return _model(made, path, device, [options, *beside])
     state = read_state(path)
     if network is not None:
         if kind is not None:

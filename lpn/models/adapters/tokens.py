@@ -144,7 +144,10 @@ def of_timm(entries: Entries, pooling: TokenPooling, name: str) -> PublishedPart
 
 def is_of_transformers(folder: Path) -> bool:
     """Return whether a folder has the configuration that transformers writes beside the weights of a network."""
-    return "model_type" in read_configuration(folder, NETWORK)
+    try:
+        return "model_type" in read_configuration(folder, NETWORK)
+    except ModelFileError:  # other programs write a config.json of their own
+        return False
 
 
 def of_transformers(folder: Path, options: Mapping[str, Any], pooling: TokenPooling) -> PublishedParts:
