@@ -20,7 +20,7 @@ $(VENV)/.base: pyproject.toml constraints.txt | $(BIN)/python
 	$(PIP) -e '.[maps]'
 	touch $@
 
-# timm without its requirement torchvision, whose compiled operators need one build of torch; see lpn/models/adapters/timm_networks.py.
+# timm without its requirement torchvision, whose compiled operators need one build of torch; see lpn/models/timm_networks.py.
 TIMM := $(PIP) --no-deps timm
 
 $(VENV)/.train: pyproject.toml constraints.txt | $(BIN)/python

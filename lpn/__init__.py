@@ -121,13 +121,13 @@ def load(
     exported model, or any graph with a contract in its metadata, and needs no torch. Other files need the extra `train`, and
     other methods than LPN and SDPL the extra `models`. "NAME" or "NAME:FILE" also opens what a package registers in the entry
     points `lpn.models` (docs/contract.md), which comes before a shipped model. "timm:NAME:FILE" is a network of timm and a file
-    of its weights; nothing is downloaded.
+    of its weights, and a folder that transformers wrote is its network; nothing is downloaded.
 
     Args:
         provider: "auto" (LPN_PROVIDER if that is set, else a GPU if one works, else the CPU), "cpu", "cuda", or, for an
             `.onnx`, another execution provider of ONNX Runtime, such as "coreml".
         kind: the method of a published state dict, such as "dac"; by default recognised by the names of its entries.
-        pooling: how the tokens of a vision transformer, of a network of timm, or of an `.onnx` that returns tokens become a
+        pooling: how the tokens of a network of timm or transformers, or of an `.onnx` that returns tokens, become a
             descriptor: "mean", "gem", "cls", "cls+mean", or "rings:N", see `lpn.models.token_pooling`. By default the mean.
 
     Raises:
@@ -135,7 +135,7 @@ def load(
         InputError: if the provider that is named is missing or does not work.
         MissingPackageError: if torch is needed and not installed.
     """
-    from lpn.models.timm_files import timm_file
+    from lpn.models.registered import open_registered, timm_file
     from lpn.models.token_pooling import TokenPooling
 
     pooled = None if pooling is None else TokenPooling.parse(pooling)
@@ -143,7 +143,6 @@ def load(
     if (timm := timm_file(path)) is not None:
         network, path = timm
     if not Path(path).is_file():
-        from lpn.models.registered import open_registered
         from lpn.models.shipped import model_file
 
         registered = open_registered(str(path))
@@ -160,9 +159,9 @@ def load(
         if network is not None:
             raise InputError(f"{Path(path).name} contains its network; leave timm:{network}: out.")
         if pooled is not None:
-            from lpn.models.onnx_tokens import pooled_file
+            from lpn.models.onnx_tokens import PooledEngine
 
-            path = pooled_file(Path(path), pooled)
+            return PooledEngine(path, pooled, provider=provider)
         return Engine(path, provider=provider)
     try:
         from lpn.models.adapters.load import load_file

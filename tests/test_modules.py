@@ -58,6 +58,7 @@ def test_every_module_is_reached_by_the_quick_tests() -> None:
         if name.startswith(
             (
                 "lpn.datasets.layouts.",
+                "lpn.models.adapters.methods.",
                 "lpn.sources.kinds.",
                 "lpn.cli.",
                 "lpn.flight.commands.",

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
@@ -190,7 +190,7 @@ class CompareCommand:
             shipped = ModelOptions(model=SHIPPED_MODEL, provider=self.provider)
             return {shipped.name: shipped}
         count = len(self.model)
-        kinds = cast("list[Kind | None]", of_each("--kind", self.kind, count, "models"))
+        kinds = of_each("--kind", self.kind, count, "models")
         poolings = of_each("--pooling", self.pooling, count, "models")
         names = model_names(self.model, poolings, kinds)
         if twice := next((name for name in names if names.count(name) > 1), None):

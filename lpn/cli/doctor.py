@@ -30,8 +30,8 @@ class DoctorCommand:
     kind: Kind | None = None
     """With --model: method of a published .pth, such as dac, if its entries do not identify it; see docs/models.md."""
     pooling: str | None = None
-    """With --model: pooling of tokens, of a vision transformer, timm:NAME:FILE, or an .onnx of tokens: mean, gem, cls, cls+mean,
-    or rings:N; see docs/models.md."""
+    """With --model: pooling of tokens, of timm:NAME:FILE, a folder of transformers, or an .onnx of tokens: mean, gem, cls,
+    cls+mean, or rings:N; see docs/models.md."""
     quick: bool = False
     """Read only the header and end of each picture, without decoding it."""
     json: Path | None = None

@@ -20,8 +20,7 @@ class ExportCommand:
     """Write a .pth or .safetensors model as .onnx, which needs no torch; with --compute int8 also an .onnx in 8 bits."""
 
     model: Path
-    """Trained LPN: .safetensors or .pth; with --pooling also an .onnx that returns tokens; with --compute int8 also an .onnx
-    that was exported with --storage float32."""
+    """Trained LPN: .safetensors or .pth; with --compute int8 also an .onnx that was exported with --storage float32."""
     out: Path
     """File to write, ending in .onnx; views with weights of their own get files beside it."""
     kind: KindOption = None

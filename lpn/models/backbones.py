@@ -6,13 +6,15 @@ class layers, because LPN reads the last feature map.
 
 from __future__ import annotations
 
+import copy
 from typing import Literal, cast
 
 import torch
 from torch import Tensor, nn
 
 from lpn.core.errors import InputError
-from lpn.models.spec import BACKBONES
+from lpn.models.spec import BACKBONES, TIMM, ModelSpec
+from lpn.models.timm_networks import TimmMap
 
 BackboneName = Literal["resnet18", "resnet50", "vgg16", "vgg16_bn"]
 LastLayer = Literal["layer3", "layer4"]
@@ -130,6 +132,27 @@ class VGG16(nn.Module):
 
     def forward(self, x: Tensor) -> Tensor:
         return cast(Tensor, self.features(x))
+
+
+def backbone_of(spec: ModelSpec) -> ResNet | VGG16 | TimmMap:
+    """Build the backbone of one branch of a spec with random weights."""
+    if spec.backbone.startswith(TIMM):
+        return TimmMap(spec.backbone.removeprefix(TIMM), spec.input_size)
+    return build_backbone(
+        cast(BackboneName, spec.backbone),
+        cast(LastLayer, spec.last_layer),
+        spec.last_stride,
+        spec.backbone_dropout,
+        # Released SAFA pools with TensorFlow's padding SAME: 112 x 616 pixels give 4 x 20 cells, not 3 x 19.
+        ceil_mode=spec.pooling == "safa",
+    )
+
+
+def map_size(backbone: nn.Module, input_size: tuple[int, int]) -> tuple[int, int]:
+    """Return (h, w) of the feature map for an input size, without computing it."""
+    with torch.device("meta"):
+        shadow = copy.deepcopy(backbone).to("meta").eval()
+        return cast("tuple[int, int]", tuple(shadow(torch.zeros(1, 3, *input_size)).shape[2:]))
 
 
 def build_backbone(

@@ -22,21 +22,23 @@ from lpn.core.files import fingerprint, printable, write_atomic
 from lpn.core.formats import is_newer, newer_version
 from lpn.core.resources import COMPUTE_ON_CPU, ProviderName, resolve_provider
 from lpn.core.views import BRANCH, View
+from lpn.models import safa
+from lpn.models.backbones import map_size
 from lpn.models.base import Model
 from lpn.models.contract import ForwardPass, Heads
 from lpn.models.file_contents import check_contents, contents_of
-from lpn.models.network import LPN, map_size
+from lpn.models.lpn import LPN
+from lpn.models.options import read_options
 from lpn.models.pickled_states import find_state, unpickle
 from lpn.models.published_checkpoints import (
     StateDict,
     infer_backbone,
     infer_spec,
     name_unknown,
-    read_options,
     unknown_entries,
     with_named_branch,
 )
-from lpn.models.spec import ModelSpec, is_timm
+from lpn.models.spec import SLOPES, ModelSpec, is_timm
 from lpn.models.timm_networks import TimmMap
 from lpn.models.weight_storage import WeightType, to_eight_bits
 
@@ -65,9 +67,13 @@ class TorchModel(Model):
 
     def run(self, images: Float32Array, view: View) -> ForwardPass:
         """Run one forward pass of images (B, 3, H, W)."""
-        outputs = self._forward(images, view)
-        parts, features, attention = (None if tensor is None else tensor.cpu().numpy() for tensor in outputs)
-        return self.spec.forward_pass(cast(Float32Array, parts), cast(Float32Array, features), attention)
+        parts, features, attention = self._forward(images, view)
+        outputs: dict[str, Tensor] = {"parts": parts, "features": features}
+        if attention is not None:
+            outputs["features"], outputs["cells"] = safa.by_part(features, attention)
+        elif self.spec.activation != "none":
+            outputs["slopes"] = torch.where(parts > 0, 1.0, SLOPES[self.spec.activation])
+        return ForwardPass(**{name: tensor.cpu().numpy() for name, tensor in outputs.items()})
 
     def _parts(self, images: Float32Array, view: View) -> Float32Array:
         return cast(Float32Array, self._forward(images, view)[0].cpu().numpy())

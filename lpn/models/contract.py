@@ -17,7 +17,7 @@ from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 
-from lpn.core.arrays import AnyArray, Float32Array
+from lpn.core.arrays import Float32Array
 from lpn.core.errors import InputError, ModelFileError
 from lpn.core.files import printable
 from lpn.core.images import MEAN, STD, Triple
@@ -158,7 +158,7 @@ class Contract:
         if view in self.part_names:
             return [printable(name) for name in self.part_names[view]]
         partition = self.partition(view)
-        return [str(part + 1) for part in range(self.n_parts)] if partition is None else partition.names()
+        return [str(part + 1) for part in range(self.n_parts)] if partition is None else part_names(partition)
 
     @property
     def part_noun(self) -> str:
@@ -173,6 +173,15 @@ class Contract:
     def unrolled(self, view: View) -> bool:
         """Return whether pictures of `view` are unrolled around their centre first."""
         return view in self.polar
+
+
+def part_names(partition: Partition) -> list[str]:
+    """Return a short name for each part: "1 centre", "2", "3", "4 outer"."""
+    if partition.n == 1:
+        return ["1 whole"]
+    ends = {"rows": ("top", "bottom"), "columns": ("left", "right"), "windows": ("left", "right")}
+    first, last = ends.get(partition.kind, ("centre", "outer"))[:: -1 if partition.outside_in else 1]
+    return [f"1 {first}", *(str(i + 1) for i in range(1, partition.n - 1)), f"{partition.n} {last}"]
 
 
 @dataclass(frozen=True)
@@ -209,21 +218,14 @@ class ForwardPass(NamedTuple):
 
 
 def check_parts(contract: Contract, parts: Float32Array, count: int) -> None:
-    """Refuse raw parts of `count` pictures whose shape contradicts the contract.
-
-    Raises:
-        ModelFileError: with the shape that was found and the one that was expected.
-    """
-    _check_shapes(contract, [("parts", parts, (count, contract.n_parts, contract.embedding))])
+    """Refuse raw parts of `count` pictures whose shape contradicts the contract (ModelFileError)."""
+    if parts.shape != (count, contract.n_parts, contract.embedding):
+        check_shapes(contract, {"pictures": (count,), "parts": parts.shape})
 
 
 def check_fixed_cells(contract: Contract, cells: Float32Array, size: tuple[int, ...]) -> None:
-    """Refuse cells of the heads that do not fit the contract and a map of this size, (h, w).
-
-    Raises:
-        ModelFileError: with the shape that was found and the one that was expected.
-    """
-    _check_shapes(contract, [("the heads' cells", cells, (contract.n_parts, *size))])
+    """Refuse cells of the heads that do not fit the contract and a map of this size, (h, w) (ModelFileError)."""
+    check_shapes(contract, {"features": (1, 1, *size), "the heads' cells": cells.shape}, channels=False)
 
 
 def check_pass(contract: Contract, outputs: ForwardPass, heads: Heads) -> None:
@@ -232,27 +234,16 @@ def check_pass(contract: Contract, outputs: ForwardPass, heads: Heads) -> None:
     Raises:
         ModelFileError: with the shapes that were found and those that were expected, or with what is not finite.
     """
-    n, size, count = contract.n_parts, contract.embedding, len(outputs.parts)
     if outputs.features is None:
         raise ModelFileError(
             f"{contract.method} returns no features, but its contract says {contract.claim!r}; return them, or say "
-            f"{'one vector' if n == 1 else 'parts only'!r}."
+            f"{'one vector' if contract.n_parts == 1 else 'parts only'!r}."
         )
-    check_parts(contract, outputs.parts, count)
-    shape = outputs.features.shape
-    channels = (shape[-3] if len(shape) > 3 else 1) if heads.weight is not None else size
-    cells = shape[-2:]
-    by_part = (n,) if len(shape) == 5 else ()
-    expected: list[tuple[str, AnyArray | None, tuple[int, ...]]] = [
-        ("features", outputs.features, (count, *by_part, channels, *cells)),
-        ("cells", outputs.cells, (count, n, *cells)),
-        ("constants", outputs.constants, (count, n, size)),
-        ("slopes", outputs.slopes, (count, n, size)),
-        ("the heads' weight", heads.weight, (n, size, channels)),
-        ("the heads' bias", heads.bias, (n, size)),
-    ]
-    _check_shapes(contract, expected)
-    for name, array in [*((name, array) for name, array, _ in expected), ("the heads' cells", heads.cells)]:
+    found = {name: array for name, array in outputs._asdict().items() if array is not None}
+    static = {"the heads' weight": heads.weight, "the heads' bias": heads.bias}
+    found |= {name: array for name, array in static.items() if array is not None}
+    check_shapes(contract, {name: array.shape for name, array in found.items()})
+    for name, array in [*found.items(), ("the heads' cells", heads.cells)]:
         if array is not None and not np.isfinite(array).all():
             raise ModelFileError(
                 f"{contract.method} gives {name} with values that are not finite, so its weights are damaged or its code divides "
@@ -260,14 +251,34 @@ def check_pass(contract: Contract, outputs: ForwardPass, heads: Heads) -> None:
             )
 
 
-def _check_shapes(contract: Contract, expected: Sequence[tuple[str, AnyArray | None, tuple[int, ...]]]) -> None:
-    for name, array, shape in expected:
-        if array is not None and array.shape != shape:
+def check_shapes(contract: Contract, found: Mapping[str, Sequence[int]], channels: bool = True) -> None:
+    """Refuse shapes that contradict the contract or each other.
+
+    Args:
+        found: shapes by the names of `ForwardPass`, of "the heads' weight", "the heads' bias", and "the heads' cells", and as
+            "pictures" the number of pictures where that is not the parts'.
+        channels: False to leave the channels of the features out.
+
+    Raises:
+        ModelFileError: with the shape that was found and the one that was expected.
+    """
+    n, size = contract.n_parts, contract.embedding
+    count = found.get("pictures", found.get("parts", (1,)))[0]
+    expected: dict[str, tuple[int, ...]] = {"parts": (count, n, size)}
+    if (shape := tuple(found.get("features", ()))) or "features" in found:
+        width = (shape[-3] if len(shape) > 3 else 1) if "the heads' weight" in found or not channels else size
+        by_part, cells = (n,) if len(shape) == 5 else (), shape[-2:]
+        expected |= {"features": (count, *by_part, width, *cells), "cells": (count, n, *cells)}
+        expected |= {"constants": (count, n, size), "slopes": (count, n, size), "the heads' cells": (n, *cells)}
+        expected |= {"the heads' weight": (n, size, width), "the heads' bias": (n, size)}
+    for name, wanted in expected.items():
+        if name in found and tuple(found[name]) != wanted:
             raise ModelFileError(
-                f"{contract.method} gives {name} of shape {_shape(array.shape)}; by its contract of {contract.n_parts} parts of "
-                f"{contract.embedding} numbers, and its map, they are {_shape(shape)}."
+                f"{contract.method} gives {name} of shape {shown(found[name])}; by its contract of {n} parts of {size} numbers, "
+                f"and its map, they are {shown(wanted)}."
             )
 
 
-def _shape(shape: tuple[int, ...]) -> str:
+def shown(shape: Sequence[object]) -> str:
+    """Return a shape as text, such as 4 x 512."""
     return " x ".join(map(str, shape))

@@ -8,7 +8,7 @@ import warnings
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -21,36 +21,22 @@ from lpn.core.checksums import SEAL, UNSEALED, with_seal
 from lpn.core.errors import InputError
 from lpn.core.files import check_writable, write_atomic
 from lpn.core.views import View
+from lpn.models import safa
 from lpn.models.adapters import Kind
 from lpn.models.adapters.load import load_file
 from lpn.models.adapters.model import PublishedModel
 from lpn.models.base import Model
 from lpn.models.checkpoints import TorchModel
 from lpn.models.contract_metadata import to_metadata
-from lpn.models.network import weigh
-from lpn.models.onnx_engine import FORMAT, OUTPUTS, TRUNK, extra_outputs, graph_files
-from lpn.models.onnx_tokens import TOKENS, pooled_graph
+from lpn.models.onnx_engine import TRUNK, graph_files
+from lpn.models.registered import timm_file
 from lpn.models.shipped import model_file
 from lpn.models.spec import SLOPES
-from lpn.models.timm_files import timm_file
 from lpn.models.token_pooling import TokenPooling
 from lpn.models.weight_storage import WeightType, to_eight_bits
 
-# The module of `_AccountGraph` up to the map or tokens of a published model.
-_TRUNK_MODULE = "network.trunk"
-
-
-class _SafaGraph(nn.Module):
-    """SAFA at test time for one view."""
-
-    def __init__(self, model: TorchModel, view: View) -> None:
-        super().__init__()
-        self.network, self.view = model.network, view
-
-    def forward(self, images: Tensor) -> tuple[Tensor, ...]:
-        features = self.network.features(images, self.view)
-        attention = self.network.attention(features, self.view)
-        return weigh(features, attention), features, attention
+# The submodules that compute a model's map or tokens, or a vector as the network itself pools it.
+_TRUNK_MODULES = ("branch", *(f"network.{vector}{own}" for vector in ("", "vector.") for own in ("trunk", "network")))
 
 
 class _AccountGraph(nn.Module):
@@ -69,6 +55,21 @@ class _AccountGraph(nn.Module):
         return (*fields, cast(Tensor, self.network.weight)) if "head_weight" in self.outputs else tuple(fields)
 
 
+class _SafaGraph(nn.Module):
+    """SAFA at test time for one view: its parts are sums over maps of their own."""
+
+    outputs = ("parts", "features", "cells")
+
+    def __init__(self, model: TorchModel, view: View) -> None:
+        super().__init__()
+        self.branch, self.cells = model.network.branch(view), model.spec.partition(view)
+
+    def forward(self, images: Tensor) -> tuple[Tensor, ...]:
+        features = cast(Tensor, self.branch(images))
+        attention = safa.attention(features, self.cells, self.branch.aware)
+        return (safa.weigh(features, attention), *safa.by_part(features, attention))
+
+
 class _Graph(nn.Module):
     """An LPN at test time for one view, with its heads as affine maps."""
 
@@ -76,20 +77,27 @@ class _Graph(nn.Module):
         super().__init__()
         self.branch = model.network.branch(view)
         heads = model.heads(view)
-        self.activation = model.spec.activation
+        self.slope = SLOPES[model.spec.activation]
         self.weight = nn.Buffer(torch.from_numpy(heads.weight))
         self.bias = nn.Buffer(torch.from_numpy(heads.bias))
         self.partition = nn.Buffer(torch.from_numpy(heads.cells))
+        self.outputs = [
+            "parts",
+            "features",
+            "head_weight",
+            "head_bias",
+            "cells",
+            *(["slopes"] if self.slope != 1 else []),
+        ]
 
     def forward(self, images: Tensor) -> tuple[Tensor, ...]:
         features = cast(Tensor, self.branch(images))
         pooled = torch.matmul(self.partition.flatten(1), features.flatten(2).transpose(1, 2))
         parts = torch.matmul(self.weight, pooled.unsqueeze(3)).squeeze(3) + self.bias
-        if self.activation == "relu":
-            parts = nn.functional.relu(parts)
-        elif self.activation == "leaky_relu":
-            parts = nn.functional.leaky_relu(parts, SLOPES["leaky_relu"])
-        return parts, features, self.weight, self.bias, self.partition
+        if self.slope == 1:
+            return parts, features, self.weight, self.bias, self.partition
+        slopes = torch.where(parts > 0, 1.0, self.slope)
+        return parts * slopes, features, self.weight, self.bias, self.partition, slopes
 
 
 def export(
@@ -99,12 +107,11 @@ def export(
     kind: Kind | None = None,
     pooling: str | None = None,
 ) -> list[Path]:
-    """Export a `.pth` or `.safetensors` model for ONNX Runtime, or an `.onnx` that returns tokens with a pooling behind them.
+    """Export a `.pth` or `.safetensors` model for ONNX Runtime.
 
     The first group of views is written to `out`; further groups, such as the street view, to files beside it (`out` with the
-    views' names before the suffix). Outputs: `parts` (B, n, D), `features` (B, C, h, w), and the constants `head_weight`
-    (n, D, C), `head_bias` (n, D), `cells` (n, h, w); SAFA has `attention` (B, n, M, h, w) instead of the constants. A published
-    model of another method has `parts` and what its account needs, with its contract as metadata (docs/contract.md).
+    views' names before the suffix). A graph returns the parts and what their account needs, and its metadata state the contract
+    (docs/contract.md).
 
     Args:
         storage: of the weights in the file. float16 halves the file; int8 stores convolutions in a quarter, with one scale
@@ -121,32 +128,16 @@ def export(
     """
     network, model = timm_file(model) or (None, Path(model))
     model, out = model_file(model, trained=True), Path(out)
-    pooled = None if pooling is None else TokenPooling.parse(pooling)
     if out.suffix != ".onnx":
         raise InputError(f"The output is named {out.name}; expected a name ending in .onnx.")
     if model.suffix == ".onnx":
-        if pooled is None or network is not None:
-            raise InputError(
-                f"{model.name} is exported already; give the .safetensors or .pth it was made from, or, if it returns tokens, "
-                "their --pooling."
-            )
-        if out.resolve() == model.resolve():
-            raise InputError(f"{out.name} is the model itself; give another name for the exported one.")
-        check_writable(out)
-        graph = pooled_graph(model, pooled)
-        if storage != "float32":
-            proto = onnx.load_model_from_string(graph)
-            _shrink(proto, storage, TOKENS)
-            graph = _sealed(proto, {entry.key: entry.value for entry in proto.metadata_props})
-        write_atomic(out, graph)
-        return [out]
+        raise InputError(f"{model.name} is exported already; give the .safetensors or .pth it was made from.")
     check_writable(out)
-    loaded = load_file(model, kind=kind, pooling=pooled, network=network)
+    loaded = load_file(
+        model, kind=kind, pooling=None if pooling is None else TokenPooling.parse(pooling), network=network
+    )
     groups = list(loaded.contract.groups)
-    if loaded.spec is None:
-        metadata = {**to_metadata(loaded.contract), "source": loaded.fingerprint}
-    else:
-        metadata = {"format": FORMAT, "spec": loaded.spec.to_json(), "source": loaded.fingerprint}
+    metadata = {**to_metadata(loaded.contract), "source": loaded.fingerprint}
     graphs = {
         path: _graph(loaded, group[0], metadata | {"group": "+".join(group)}, storage)
         for path, group in zip(graph_files(out, groups), groups, strict=True)
@@ -157,7 +148,7 @@ def export(
 
 
 @contextmanager
-def _quiet() -> Iterator[None]:
+def quiet() -> Iterator[None]:
     """Silence the exporter's messages about its own internals."""
     logging.disable(logging.WARNING)
     try:
@@ -168,27 +159,20 @@ def _quiet() -> Iterator[None]:
         logging.disable(logging.NOTSET)
 
 
-def _network(model: Model, view: View) -> tuple[nn.Module, list[str]]:
-    """Return what is traced for a view, and the names of its outputs."""
-    if isinstance(model, PublishedModel):
-        traced = _AccountGraph(model, view)
-        return traced, traced.outputs
-    assert isinstance(model, TorchModel)
-    names = [*OUTPUTS, *extra_outputs(model.spec)]
-    return (_SafaGraph if model.spec.pooling == "safa" else _Graph)(model, view), names
-
-
 def _graph(model: Model, view: View, metadata: dict[str, str], storage: WeightType) -> bytes:
     """Trace one view with a dynamic batch and return the serialised graph."""
     height, width = model.input_size
-    network, names = _network(model, view)
-    example = torch.zeros(2, 3, height, width)
-    with _quiet():
+    if isinstance(model, PublishedModel):
+        network: Any = _AccountGraph(model, view)
+    else:
+        assert isinstance(model, TorchModel)
+        network = (_SafaGraph if model.spec.pooling == "safa" else _Graph)(model, view)
+    with quiet():
         program = torch.onnx.export(
             network.eval(),
-            (example,),
+            (torch.zeros(2, 3, height, width),),
             input_names=["images"],
-            output_names=names,
+            output_names=list(network.outputs),
             dynamic_shapes={"images": {0: torch.export.Dim("batch", min=1)}},
             dynamo=True,
             optimize=True,
@@ -196,8 +180,7 @@ def _graph(model: Model, view: View, metadata: dict[str, str], storage: WeightTy
         )
     assert program is not None
     proto = program.model_proto
-    if isinstance(model, PublishedModel):
-        _name_trunk(proto.graph)
+    _name_trunk(proto.graph)
     _remove_origin(proto)
     if storage != "float32":
         _shrink(proto, storage, kept=_behind_trunk(proto.graph) if isinstance(model, PublishedModel) else ())
@@ -220,14 +203,15 @@ def _remove_origin(proto: onnx.ModelProto) -> None:
 
 
 def _name_trunk(graph: onnx.GraphProto) -> None:
-    """Mark by their names the nodes that the exporter made of a published model's trunk."""
+    """Mark by their names the nodes that the exporter made of a model's trunk."""
     for number, node in enumerate(graph.node):
         scopes = next((entry.value for entry in node.metadata_props if entry.key == "pkg.torch.onnx.name_scopes"), "")
-        node.name = f"{TRUNK if repr(_TRUNK_MODULE) in scopes else ''}{number}"
+        of_trunk = any(repr(module) in scopes for module in _TRUNK_MODULES)
+        node.name = f"{TRUNK if of_trunk else ''}{number}"
 
 
 def _behind_trunk(graph: onnx.GraphProto) -> set[str]:
-    """Return the names of what nodes behind the trunk read, but for the outputs.
+    """Return the tensors that nodes after the trunk read, except the graph's outputs.
 
     The exporter derives constants of one weight, such as its transpose for the parts and its sums for the account. Rounded one
     by one, they would contradict each other.
@@ -236,22 +220,21 @@ def _behind_trunk(graph: onnx.GraphProto) -> set[str]:
     return read - {output.name for output in graph.output}
 
 
-def _shrink(proto: onnx.ModelProto, storage: WeightType, prefix: str = "", kept: Collection[str] = ()) -> None:
+def _shrink(proto: onnx.ModelProto, storage: WeightType, kept: Collection[str] = ()) -> None:
     """Store weights in fewer bits, behind nodes that convert them to the float32 of the graph.
 
     Args:
-        prefix: of the names of the weights; others stay as they are.
-        kept: further names of weights that stay as they are.
+        kept: names of weights that stay as they are.
     """
     graph = proto.graph
     widening: list[onnx.NodeProto] = []
     for weight in list(graph.initializer):
         values = onnx.numpy_helper.to_array(weight)
-        if values.dtype != np.float32 or not weight.name.startswith(prefix) or weight.name in kept:
+        if values.dtype != np.float32 or weight.name in kept:
             continue
         name, stored = weight.name, f"{weight.name}.stored"
         narrow: npt.NDArray[np.float16] | Int8Array
-        # Heads and cells are small, and the graph's constants must be the values that it computes with.
+        # Heads and cells get no scale: the constants that the graph returns must be those it computes with.
         if storage == "float16" or values.ndim != 4:
             widened, narrow = name, values.astype(np.float16)
         else:

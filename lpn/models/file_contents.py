@@ -5,8 +5,7 @@ from __future__ import annotations
 import re
 import zipfile
 import zlib
-from collections.abc import Sequence
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import Literal
 
 from lpn.core.errors import ModelFileError
@@ -60,7 +59,7 @@ def contents_of(path: Path) -> FileFormat | None:
     """
     start = _start(path)
     if start.startswith(b"PK\x03\x04"):
-        return "pytorch" if pickle_entry(_entries(path) or ()) else None
+        return "pytorch" if any(re.fullmatch(r"[^/]+/data\.pkl", entry) for entry in _entries(path) or ()) else None
     if start[8:9] == b"{" and int.from_bytes(start[:8], "little") < 1 << 40:
         return "safetensors"
     if re.match(rb"\x80[\x02-\x05]", start):
@@ -84,12 +83,6 @@ def check_trained_file(path: Path) -> None:
         check_contents(path, "safetensors" if path.suffix == ".safetensors" else "pytorch")
     elif int.from_bytes(_start(path)[:8], "little") > path.stat().st_size - 8:
         raise ModelFileError(f"{printable(path.name)} is truncated; {_AGAIN}.")
-
-
-def pickle_entry(entries: Sequence[str]) -> str | None:
-    """Return the entry of a ZIP archive that is PyTorch's pickle, also where the archive was unpacked and packed again."""
-    pickles = [entry for entry in entries if PurePosixPath(entry).name == "data.pkl" and "__MACOSX" not in entry]
-    return pickles[0] if len(pickles) == 1 else None
 
 
 def _start(path: Path) -> bytes:

@@ -14,7 +14,6 @@ from lpn.core.files import printable
 
 # The largest message of Protocol Buffers in bytes.
 MAX_BYTES = 2**31
-
 _FIELDS: dict[str, dict[int, str]] = {
     "model": {7: "graph", 20: "training", 25: "function"},
     "training": {1: "graph", 2: "graph"},
@@ -23,20 +22,21 @@ _FIELDS: dict[str, dict[int, str]] = {
     "node": {5: "attribute"},
     "attribute": {5: "tensor", 6: "graph", 10: "tensor", 11: "graph", 22: "sparse", 23: "sparse"},
     "sparse": {1: "tensor", 2: "tensor"},
-    "tensor": {},
+    "tensor": {13: "external"},
+    "external": {},
 }
-_EXTERNAL_DATA, _DATA_LOCATION = 13, 14
 _MAX_DEPTH = 30
 
 
-def check_self_contained(path: Path, remedy: str) -> None:
-    """Refuse a model that reads weights from other files, which could be any file on this machine.
+def external_files(path: Path, remedy: str) -> list[Path]:
+    """Return the files beside a model that hold weights of it, such as `model.onnx.data`.
 
     Args:
-        remedy: what to do, as the end of a sentence.
+        remedy: what to do about a damaged file, as the end of a sentence.
 
     Raises:
-        ModelFileError: if it does, or is not an ONNX file, or is truncated.
+        ModelFileError: if one is missing or lies elsewhere, which could be any file on this machine; or if the model is no ONNX
+            file, or truncated.
     """
     size = path.stat().st_size
     damaged = f"{path.name} is not an ONNX model or is truncated; {remedy}."
@@ -44,29 +44,35 @@ def check_self_contained(path: Path, remedy: str) -> None:
         raise ModelFileError(damaged)
     with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
         try:
-            external = _has_external_data(data, 0, size, "model", 0)
+            names = sorted({name.decode() for name in _locations(data, 0, size, "model", 0)})
         except ValueError as error:
             raise ModelFileError(damaged) from error
-    if external:
-        raise ModelFileError(
-            f"{path.name} takes weights from other files, which lpn export never does, so it was not opened; if it is your own, "
-            f'put them into one file: python -c "import onnx; onnx.save(onnx.load({printable(str(path))!r}), '
-            f'{printable(str(path.with_stem(path.stem + "-whole")))!r})".'
-        )
+    for name in names:
+        beside = path.with_name(name) if name and Path(name).name == name and "\0" not in name else None
+        if beside is None:
+            raise ModelFileError(
+                f"{path.name} takes weights from {printable(name)[:80]!r}, which is no file beside it, so it was not opened; put "
+                "its weights into one file with onnx.save_model."
+            )
+        if not beside.is_file():
+            raise ModelFileError(
+                f"{path.name} takes weights from {printable(name)[:80]}, which is missing; copy that file beside it."
+            )
+    return [path.with_name(name) for name in names]
 
 
-def _has_external_data(data: mmap.mmap, start: int, end: int, message: str, depth: int) -> bool:
-    """Return whether a message between two positions has a tensor with external data."""
+def _locations(data: mmap.mmap, start: int, end: int, message: str, depth: int) -> Iterator[bytes]:
+    """Yield the locations of external data in a message between two positions."""
     if depth > _MAX_DEPTH:
         raise ValueError("it is nested too deep")
-    fields = _FIELDS[message]
+    texts: dict[int, bytes] = {}
     for number, kind, first, last in _fields(data, start, end):
-        if message == "tensor" and number in (_EXTERNAL_DATA, _DATA_LOCATION):
-            if number == _EXTERNAL_DATA or kind != 0 or _varint(data, first, last)[0]:
-                return True
-        elif number in fields and kind == 2 and _has_external_data(data, first, last, fields[number], depth + 1):
-            return True
-    return False
+        if kind == 2 and number in _FIELDS[message]:
+            yield from _locations(data, first, last, _FIELDS[message][number], depth + 1)
+        elif kind == 2 and message == "external":
+            texts[number] = data[first:last]
+    if message == "external" and texts.get(1) == b"location":
+        yield texts.get(2, b"")
 
 
 def _fields(data: mmap.mmap, position: int, end: int) -> Iterator[tuple[int, int, int, int]]:

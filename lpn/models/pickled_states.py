@@ -7,10 +7,9 @@ import logging
 import re
 import threading
 import warnings
-import zipfile
 from functools import cache
 from pathlib import Path
-from typing import Any, BinaryIO, cast
+from typing import Any, cast
 
 import numpy as np
 import torch
@@ -19,7 +18,6 @@ from torch import Tensor
 from lpn.core.checksums import check_entries
 from lpn.core.errors import ModelFileError
 from lpn.core.files import first_few, printable
-from lpn.models.file_contents import pickle_entry
 
 log = logging.getLogger(__name__)
 
@@ -79,7 +77,9 @@ def unpickle(path: Path) -> Any:
     try:
         with warnings.catch_warnings(), _ALLOWING, torch.serialization.safe_globals(stand_ins):
             warnings.simplefilter("ignore")
-            return torch.load(_as_torch_packs(path), map_location="cpu", weights_only=True)
+            # torch goes by this ending.
+            file = io.BytesIO(path.read_bytes()) if path.suffix == ".safetensors" else path
+            return torch.load(file, map_location="cpu", weights_only=True)
     except Exception as error:  # the unpickler may raise anything
         named = _NAMED.search(str(error))
         if named is None:
@@ -91,26 +91,6 @@ def unpickle(path: Path) -> Any:
             f"{path.name} holds more than tensors: it names {printable(named[1])[:80]}, which may run code, so it was not "
             f"opened; {_SAVE_AGAIN}."
         ) from error
-
-
-def _as_torch_packs(path: Path) -> Path | BinaryIO:
-    """Return the file; if somebody zipped it again under other folders, return its entries under torch's folder."""
-    if path.suffix == ".safetensors":  # torch goes by this ending
-        return io.BytesIO(path.read_bytes())
-    if not zipfile.is_zipfile(path):
-        return path
-    with zipfile.ZipFile(path) as archive:
-        names = archive.namelist()
-        folder = (pickle_entry(names) or "").removesuffix("data.pkl")
-        if folder.count("/") == 1 and all(name.startswith(folder) for name in names):
-            return path
-        packed = io.BytesIO()
-        with zipfile.ZipFile(packed, "w") as target:
-            for name in names:
-                if name.startswith(folder) and not name.endswith("/"):
-                    target.writestr(f"archive/{name[len(folder) :]}", archive.read(name))
-    packed.seek(0)
-    return packed
 
 
 def find_state(loaded: Any, path: Path) -> dict[str, Tensor]:

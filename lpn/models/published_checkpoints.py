@@ -5,34 +5,20 @@ from __future__ import annotations
 import logging
 import re
 from collections.abc import Collection, Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import torch
-import yaml
 from torch import Tensor
 
 from lpn.core.errors import ModelFileError
 from lpn.core.files import first_few, printable
 from lpn.core.views import BRANCH, VIEWS, View
+from lpn.models.options import invalid, picture_size
 from lpn.models.spec import BACKBONES, ModelSpec, is_timm
 
 log = logging.getLogger(__name__)
 
 StateDict = dict[str, Tensor]
-
-# The largest opts.yaml in bytes (usual ones have some forty lines), and characters of a value that are kept.
-_OPTIONS_BYTES, _SHOWN = 100_000, 1000
-
-# An option at the begin of a line, numbers, and the words of YAML for true, false, and nothing.
-_OPTION = re.compile(r"(?m)^(?=[\w-]+[ \t]*:)")
-_WHOLE = re.compile(r"[+-]?[0-9]+")
-_DECIMAL = re.compile(r"[+-]?([0-9]+\.[0-9]*|\.[0-9]+|[0-9]+)([eE][+-]?[0-9]+)?")
-_WORDS: dict[str, bool | None] = {
-    **dict.fromkeys(("true", "yes", "on"), True),
-    **dict.fromkeys(("false", "no", "off"), False),
-    **dict.fromkeys(("", "~", "null", "none"), None),
-}
 
 # Words in the options of models that were trained on panoramas.
 _PANORAMAS = ("cvusa", "cvact")
@@ -41,7 +27,7 @@ _PANORAMAS = ("cvusa", "cvact")
 UNUSED = re.compile(r"model_\d\.model\.(fc|classifier|avgpool2?|maxpool2)\.")
 # Further ones, by which a checkpoint may differ from the network without being of another method.
 _BESIDE = re.compile(
-    r"num_batches_tracked$|^classifier\d*\.classifier\.|\.(head|_fc|_bn1|_conv_head)\.|(^|\.)logit_scale"
+    r"num_batches_tracked$|^classifier\d*\.classifier\.|^model_\d\.model\.(network\.)?(head|_fc|_bn1|_conv_head)\.|^logit_scale$"
 )
 
 
@@ -114,22 +100,8 @@ def infer_spec(state: StateDict, options: dict[str, Any], name: str = "the file"
         embedding=linear.shape[0],
         classes=1 if classes is None or classes.ndim != 2 else classes.shape[0],
         dropout=float(options.get("droprate", 0.5)),
-        input_size=_input_size(options, name),
+        input_size=picture_size(options, name, (256, 256), tell=True),
     )
-
-
-def _input_size(options: Mapping[str, Any], name: str) -> tuple[int, int]:
-    """Return the input size (height, width) of the options; what they lack is that of the released script, which is logged."""
-    height, width = int(options.get("h", 256)), int(options.get("w", 256))
-    if not {"h", "w"} <= options.keys():
-        log.warning(
-            "%s does not tell the whole size of its pictures, so %d x %d pixels are assumed; if it was trained at another size, "
-            "write h: and w: into an opts.yaml beside it.",
-            printable(name),
-            height,
-            width,
-        )
-    return height, width
 
 
 def with_named_branch(state: StateDict, options: Mapping[str, Any], name: str) -> StateDict:
@@ -140,7 +112,7 @@ def with_named_branch(state: StateDict, options: Mapping[str, Any], name: str) -
     """
     stated = options.get("model_2", "street")
     if stated not in ("street", "drone"):
-        raise _invalid("model_2", stated, "street or drone, the pictures that this branch describes")
+        raise invalid("model_2", stated, "street or drone, the pictures that this branch describes")
     if stated == "street":
         return state
     if "drone" in _held(state):
@@ -243,89 +215,3 @@ def _branches_equal(state: StateDict, views: tuple[View, ...]) -> bool:
     first, other = BRANCH["satellite"] + ".", BRANCH[second] + "."
     keys = [k[len(first) :] for k in state if k.startswith(first) and not UNUSED.match(k)]
     return all(other + k in state and torch.equal(state[first + k], state[other + k]) for k in keys)
-
-
-def read_options(path: Path) -> dict[str, Any]:
-    """Read the `opts.yaml` of a published checkpoint; empty if there is none.
-
-    Tags such as `!!python/tuple` are passed over, so nothing in the file runs. Quotes do not matter: `'256'` is the number 256.
-
-    Raises:
-        ModelFileError: if it cannot be read, or an option that is used has an invalid value.
-    """
-    if not path.is_file():
-        return {}
-    try:
-        if path.stat().st_size > _OPTIONS_BYTES:
-            raise ValueError("it is no list of options")
-        options = _as_mapping(_parsed(path.read_bytes()))
-    except Exception as error:  # the reader may raise anything on deep nesting
-        raise ModelFileError("The opts.yaml beside the model cannot be read; correct or remove it.") from error
-    if options is None:
-        return {}
-    if not isinstance(options, dict):
-        raise ModelFileError("The opts.yaml beside the model is not a list of options; correct or remove it.")
-    typed = {key: _value(value) for key, value in options.items() if isinstance(key, str)}
-    known = {key: value for key, value in typed.items() if value is not None}
-    for key in ("h", "w", "stride", "block", "views"):
-        value = known.get(key, 1)
-        if isinstance(value, float) and value.is_integer() and value < 1e9:
-            value = known[key] = int(value)
-        if not isinstance(value, int) or isinstance(value, bool) or value < 1:
-            raise _invalid(key, value, "a whole number")
-    rate = known.get("droprate", 0.5)
-    if not isinstance(rate, int | float) or isinstance(rate, bool) or not 0 <= rate < 1:
-        raise _invalid("droprate", rate, "a number from 0 up to 1")
-    for key in ("LPN", "share", "use_vgg16"):
-        if not isinstance(known.get(key, True), bool):
-            if known[key] not in (0, 1):
-                raise _invalid(key, known[key], "true or false")
-            known[key] = bool(known[key])
-    return known
-
-
-def _invalid(key: str, value: Any, expected: str) -> ModelFileError:
-    return ModelFileError(
-        f"The opts.yaml beside the model says {key}: {printable(str(value)[:80])}; expected {expected}, so correct it."
-    )
-
-
-def _parsed(data: bytes) -> Any:
-    """Return the values of YAML as texts, lists, and mappings, without its tags and types."""
-    # Windows writes UTF-16 with a mark; paths in other encodings do not matter.
-    text = data.decode("utf-16") if data[:2] in (b"\xff\xfe", b"\xfe\xff") else data.decode("utf-8-sig", "replace")
-    try:
-        return yaml.load(text, yaml.BaseLoader)
-    except yaml.YAMLError:
-        # One invalid option must not hide the others.
-        options: dict[str, Any] = {}
-        for option in filter(_OPTION.match, _OPTION.split(text)):
-            try:
-                options |= yaml.load(option, yaml.BaseLoader)
-            except yaml.YAMLError:
-                options[option.partition(":")[0].strip()] = "an unreadable value"
-        if not options:
-            raise
-        return options
-
-
-def _as_mapping(options: Any) -> Any:
-    """Return the options of a file whose tag made them a dictionary of another class: its items, or pairs in lists."""
-    while isinstance(options, list) and len(options) == 1 and isinstance(options[0], list):
-        options = options[0]
-    if isinstance(options, list) and all(isinstance(pair, list) and len(pair) == 2 for pair in options):
-        return {key: value for key, value in options if isinstance(key, str)}
-    inner = options.get("dictitems") if isinstance(options, dict) else None
-    return inner if isinstance(inner, dict) else options
-
-
-def _value(value: Any) -> Any:
-    """Return an option's text as a number, a truth value, None, or a text; a list or mapping becomes its type's name."""
-    if not isinstance(value, str):
-        return f"a {type(value).__name__}"
-    text = value.strip()
-    if _WHOLE.fullmatch(text):
-        return int(text) if len(text) < 20 else "a huge number"
-    if _DECIMAL.fullmatch(text):
-        return float(text)
-    return _WORDS.get(text.lower(), printable(value[:_SHOWN]))

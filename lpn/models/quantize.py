@@ -8,10 +8,8 @@ numbers and evidence stays exact.
 
 from __future__ import annotations
 
-import logging
 import tempfile
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from inspect import signature
 from pathlib import Path
 from typing import NamedTuple, cast
@@ -28,6 +26,7 @@ from lpn.core.resources import ProviderName
 from lpn.core.views import View
 from lpn.datasets import Dataset, Picture
 from lpn.datasets.integrity import check_whole
+from lpn.models.export import quiet
 from lpn.models.onnx_engine import COMPUTE, TRUNK, Engine, graph_files
 from lpn.models.shipped import model_file
 
@@ -44,8 +43,6 @@ _QUANTISED, _QUANTISED_CONVOLUTIONAL = (
     frozenset({"Relu", "Clip", "Add", "MaxPool"}),
 )
 _FLOAT_OUTPUTS = ["MatMul", "Gemm"]
-# Their outputs tell the size of a value and nothing of its numbers.
-_OF_SHAPE = frozenset({"Shape", "Size"})
 
 
 class Agreement(NamedTuple):
@@ -195,12 +192,13 @@ def _quantised(file: Path, engine: Engine, pictures: Sequence[tuple[View, Pictur
     names = _quantisable(proto.graph)
     if not names:
         raise InputError(
-            f"{file.name} has no convolution and no linear layer before its outputs part; there is nothing to compute in 8 bits."
+            f"{file.name} has no convolution and no linear layer in a trunk that lpn export marked; "
+            "export the model with lpn export first."
         )
     options = {"calibration_providers": engine.calibration_providers()}
     if "calibration_providers" not in signature(quantize_static).parameters:  # before ONNX Runtime 1.21
         options = {}
-    with tempfile.TemporaryDirectory(prefix="lpn-") as folder, _quiet():
+    with tempfile.TemporaryDirectory(prefix="lpn-") as folder, quiet():
         made = Path(folder) / "quantised.onnx"
         quantize_static(
             proto,
@@ -222,7 +220,8 @@ def _quantised(file: Path, engine: Engine, pictures: Sequence[tuple[View, Pictur
 
 def _quantisable(graph: onnx.GraphProto) -> list[str]:
     """Return the names of the trunk's nodes that are computed in 8 bits."""
-    trunk, weights = _trunk(graph), {weight.name: weight.dims for weight in graph.initializer}
+    trunk = [node for node in graph.node if node.name.startswith(TRUNK)]
+    weights = {weight.name: weight.dims for weight in graph.initializer}
     convolved = {name for node in trunk if node.op_type == "Conv" for name in node.output}
     types = _QUANTISED
     if not any(node.op_type == "LayerNormalization" for node in trunk):
@@ -236,41 +235,6 @@ def _quantisable(graph: onnx.GraphProto) -> list[str]:
         return node.op_type in types and linear and activation
 
     return [node.name for node in trunk if fits(node)]
-
-
-def _trunk(graph: onnx.GraphProto) -> list[onnx.NodeProto]:
-    """Return the nodes up to the last value through which all outputs are computed from the images, and those named as trunk.
-
-    A trunk of several maps has no such value at its end.
-    """
-    needed = _upstream(graph)
-    nodes = [node for node in graph.node if node.name in needed]
-    # Each value's last reader; an output of the graph is read to its end.
-    readers = {
-        name: position for position, node in enumerate(nodes) if node.op_type not in _OF_SHAPE for name in node.input
-    }
-    readers |= {output.name: len(nodes) for output in graph.output}
-    live, end = {"images"}, 0
-    for position, node in enumerate(nodes):
-        if node.op_type not in _OF_SHAPE and not live.isdisjoint(node.input):
-            live |= set(node.output)
-        live = {name for name in live if readers.get(name, -1) > position}
-        if len(live) == 1:
-            end = position + 1
-    return [node for position, node in enumerate(nodes) if position < end or node.name.startswith(TRUNK)]
-
-
-def _upstream(graph: onnx.GraphProto) -> set[str]:
-    """Return the names of the nodes that outputs depend on."""
-    makers = {name: node for node in graph.node for name in node.output}
-    names: set[str] = set()
-    left = [output.name for output in graph.output]
-    while left:
-        node = makers.get(left.pop())
-        if node is not None and node.name not in names:
-            names.add(node.name)
-            left += list(node.input)
-    return names
 
 
 def _agreement(before: Engine, after: Engine, pictures: Sequence[tuple[View, Picture]]) -> Agreement:
@@ -288,13 +252,3 @@ def _agreement(before: Engine, after: Engine, pictures: Sequence[tuple[View, Pic
         np.tensordot(rows, gallery, ((1, 2), (1, 2))).argmax(1) for rows, gallery in zip(queries, tiles, strict=True)
     ]
     return Agreement(cosines, float((firsts[0] == firsts[1]).mean()), len(queries[0]), len(tiles[0]))
-
-
-@contextmanager
-def _quiet() -> Iterator[None]:
-    """Silence the quantiser's advice on its own internals."""
-    logging.disable(logging.WARNING)
-    try:
-        yield
-    finally:
-        logging.disable(logging.NOTSET)

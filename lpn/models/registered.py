@@ -1,4 +1,4 @@
-"""Models of other packages: the entry points of the group `lpn.models`, see docs/contract.md."""
+"""Models by name: those of other packages, by the entry points of the group `lpn.models`, and `timm:NAME:FILE`; no torch here."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from typing import Any
 from lpn.core.errors import LPNError, ModelFileError
 from lpn.core.files import printable
 from lpn.models.base import Model
+from lpn.models.spec import TIMM
 
 GROUP = "lpn.models"
 
@@ -48,3 +49,27 @@ def _call(point: EntryPoint, arguments: list[Path]) -> Any:
         raise ModelFileError(
             f"The model {point.name} cannot be opened ({type(error).__name__}: {reason}); it is registered as {point.value}."
         ) from error
+
+
+def timm_file(model: str | Path) -> tuple[str, Path] | None:
+    """Return the network's name and the file of `timm:NAME:FILE`; None for any other name of a model.
+
+    Raises:
+        ModelFileError: if the file is left out or missing.
+    """
+    text = str(model)
+    if not text.startswith(TIMM) or Path(text).is_file():
+        return None
+    name, _, file = text.removeprefix(TIMM).partition(":")
+    shown = printable(name)[:80] or "NAME"
+    if not file:
+        raise ModelFileError(
+            f"{TIMM}{shown} names a network without its weights, and nothing is downloaded; give a file of them, as "
+            f"{TIMM}{shown}:FILE."
+        )
+    if not Path(file).exists():
+        raise ModelFileError(
+            f"There is no file {printable(file)[:200]} for the network {shown}, and nothing is downloaded; expected "
+            f"{TIMM}NAME:FILE with a file of weights on disk."
+        )
+    return name, Path(file)

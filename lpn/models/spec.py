@@ -5,17 +5,15 @@ from __future__ import annotations
 import json
 import re
 from dataclasses import asdict, dataclass, fields
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import msgspec
-import numpy as np
 
-from lpn.core.arrays import Float32Array
 from lpn.core.errors import InputError, ModelFileError
 from lpn.core.files import printable
 from lpn.core.formats import UPGRADE
 from lpn.core.views import VIEWS, View
-from lpn.models.contract import Contract, ForwardPass
+from lpn.models.contract import Contract
 from lpn.models.partition import WEIGHTINGS, Partition, Weighting
 
 BACKBONES = ("resnet18", "resnet50", "vgg16", "vgg16_bn")
@@ -29,12 +27,11 @@ SLOPES: dict[Activation, float] = {"none": 1.0, "relu": 0.0, "leaky_relu": 0.1}
 _ALLOWED: dict[str, tuple[Any, ...]] = {
     "backbone": BACKBONES,
     "last_layer": ("layer3", "layer4"),
-    "shared": (True, False),
-    "layout": ("university", "cvusa", "strips"),
-    "pooling": ("average", "safa"),
-    "polar": (True, False),
+    "layout": get_args(Layout),
+    "pooling": get_args(Pooling),
     "weighting": WEIGHTINGS,
-    "activation": ("none", "relu", "leaky_relu"),
+    "activation": get_args(Activation),
+    **dict.fromkeys(("shared", "polar"), (True, False)),
 }
 
 # The names of timm's networks begin with this. They are our backbones, not the paper's.
@@ -179,26 +176,6 @@ class ModelSpec:
             partitions={view: self.partition(view) for view in self.views},
             polar=("satellite",) if self.polar else (),
         )
-
-    def forward_pass(
-        self, parts: Float32Array, features: Float32Array, attention: Float32Array | None = None
-    ) -> ForwardPass:
-        """Return a network's outputs in the terms of the contract.
-
-        Args:
-            parts: (B, n, D).
-            features: the last feature map, (B, C, h, w).
-            attention: SAFA's cell weights, (B, n, M, h, w). Each part is then the sum over the cells of a map of its own, with
-                the channels of its M weighted maps.
-        """
-        if attention is not None:
-            weighted = attention[:, :, :, None] * features[:, None, None]
-            by_part = weighted.reshape(*attention.shape[:2], -1, *features.shape[2:])
-            return ForwardPass(parts, by_part, (attention != 0).any(axis=2).astype(np.float32))
-        if self.activation == "none":
-            return ForwardPass(parts, features)
-        below = np.float32(SLOPES[self.activation])
-        return ForwardPass(parts, features, slopes=np.where(parts > 0, np.float32(1), below))
 
     def to_json(self) -> str:
         """Return one line of JSON for `from_json`."""

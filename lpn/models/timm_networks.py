@@ -1,4 +1,4 @@
-"""Networks of `timm`, built without weights: by name, or from the shapes of a checkpoint's entries.
+"""Networks of timm, built without weights: by name, or from the shapes of a checkpoint's entries.
 
 timm imports torchvision for augmentations and data sets, of which nothing is needed here. Torchvision's compiled operators fit
 one build of torch only, and beside another one it cannot be imported. Then timm is imported with empty stand-ins for the
@@ -10,13 +10,12 @@ from __future__ import annotations
 import copy
 import difflib
 import enum
-import functools
 import importlib
 import sys
 import types
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from typing import Any, Literal, cast
+from typing import Any, cast
 
 import torch
 from torch import Tensor, nn
@@ -73,17 +72,6 @@ def import_timm() -> Any:
         raise InputError(broken_package(error)) from error
 
 
-class _InterpolationMode(enum.Enum):
-    """The names of which timm makes a table when it is imported."""
-
-    NEAREST = "nearest"
-    BILINEAR = "bilinear"
-    BICUBIC = "bicubic"
-    BOX = "box"
-    HAMMING = "hamming"
-    LANCZOS = "lanczos"
-
-
 class _StandIn(types.ModuleType):
     """A module of torchvision in which every name is an empty class."""
 
@@ -91,7 +79,8 @@ class _StandIn(types.ModuleType):
         if name.startswith("__"):
             raise AttributeError(name)
         if name == "InterpolationMode":
-            return _InterpolationMode
+            # timm makes a table of these names when it is imported.
+            return enum.Enum(name, "NEAREST BILINEAR BICUBIC BOX HAMMING LANCZOS")
         made = type(name, (nn.Module,), {})
         setattr(self, name, made)
         return made
@@ -146,10 +135,6 @@ def vision_transformer(
     cells_only: bool = False,
     layer_scale: bool = False,
     last_norm: bool = True,
-    norm_before: bool = False,
-    epsilon: float = 1e-6,
-    activation: str = "gelu",
-    attention_pool: bool = False,
 ) -> nn.Module:
     """Build a ViT without a classifier, on the meta device.
 
@@ -161,20 +146,10 @@ def vision_transformer(
         cells_only: the class token and registers have no position.
         layer_scale: each half of a block has a scale by channel.
         last_norm: tokens are normalised at the end.
-        norm_before: tokens are normalised before the first block, too (CLIP).
-        epsilon: of the LayerNorms.
-        activation: of the hidden layers by timm's name; "swiglu" for a gated hidden layer of packed weights.
-        attention_pool: the network has a pooling by attention (SigLIP).
     """
     import_timm()
-    from timm.layers.mlp import SwiGLUPacked
-    from timm.layers.norm import LayerNorm
     from timm.models.vision_transformer import VisionTransformer
 
-    hidden_layer: dict[str, Any] = {"act_layer": activation}
-    if activation == "swiglu":
-        hidden_layer = {"act_layer": nn.SiLU, "mlp_layer": SwiGLUPacked}
-    pool: Literal["token", "avg", "map"] = "token" if class_token else "avg"
     with torch.device("meta"):
         return cast(
             nn.Module,
@@ -192,65 +167,10 @@ def vision_transformer(
                 no_embed_class=cells_only,
                 init_values=1.0 if layer_scale else None,
                 fc_norm=not last_norm,
-                pre_norm=norm_before,
-                norm_layer=functools.partial(LayerNorm, eps=epsilon),
                 num_classes=0,
-                global_pool="map" if attention_pool else pool,
-                **hidden_layer,
+                global_pool="token" if class_token else "avg",
             ),
         )
-
-
-def dinov3_transformer(
-    width: int,
-    depth: int,
-    hidden: int,
-    size: tuple[int, int],
-    patch: int,
-    heads: int,
-    *,
-    gated: bool = False,
-    qkv_bias: bool = True,
-    registers: int = 4,
-    epsilon: float = 1e-5,
-    base: float = 100.0,
-) -> nn.Module:
-    """Build a DINOv3 without a classifier; `forward_features` gives all tokens after the last norm, as `vision_transformer` does.
-
-    Args:
-        hidden: width of the hidden layer of each block.
-        gated: whether the hidden layer has a gate (SwiGLU) with weights of its own.
-        base: of the periods of its rotary positions.
-    """
-    import_timm()
-    from timm.layers.norm import LayerNorm
-    from timm.models.eva import Eva
-
-    # Its periods and its biases of keys are in no file, so it is not built on the meta device.
-    return cast(
-        nn.Module,
-        Eva(
-            img_size=size,
-            patch_size=patch,
-            embed_dim=width,
-            depth=depth,
-            num_heads=heads,
-            mlp_ratio=(hidden + 0.5) / width,
-            qkv_bias=qkv_bias,
-            swiglu_mlp=gated,
-            swiglu_align_to=1 if gated else 0,
-            init_values=1.0,
-            rope_type="dinov3",
-            rope_temperature=base,
-            rope_rotate_half=True,
-            use_rot_pos_emb=True,
-            use_abs_pos_emb=False,
-            num_reg_tokens=registers,
-            use_fc_norm=False,
-            norm_layer=functools.partial(LayerNorm, eps=epsilon),
-            num_classes=0,
-        ),
-    )
 
 
 def rotary_transformer(width: int, depth: int, size: tuple[int, int]) -> tuple[nn.Module, Any]:
@@ -301,23 +221,17 @@ class TimmMap(nn.Module):
     Args:
         name: one of timm's, such as "convnext_tiny".
         size: (height, width) of the pictures. Networks with positions take no other size, unless timm resamples them.
-        resampling: see `named_network`.
-
-    Attributes:
-        norm_behind: the LayerNorm that the whole network has behind its mean over the cells, as the name of its entries and its
-            epsilon; None without one.
+        network: one that is built and keeps the layers behind its map; None to build it without them.
 
     Raises:
         InputError: if timm is missing, has no network of that name, or that network gives no map of such pictures.
     """
 
-    def __init__(self, name: str, size: tuple[int, int], resampling: bool = True) -> None:
+    def __init__(self, name: str, size: tuple[int, int], network: nn.Module | None = None) -> None:
         super().__init__()
-        self.network = named_network(name, size, resampling)
-        self.norm_behind = _norm_behind(self.network)
-        for behind in _BEHIND:
-            if hasattr(self.network, behind):
-                setattr(self.network, behind, nn.Identity())
+        self.network = named_network(name, size) if network is None else network
+        if network is None:
+            self.without_head()
         self.channels = int(cast(Any, self.network).num_features)
         self.prefix = int(getattr(self.network, "num_prefix_tokens", 0))
         self.channels_last = str(getattr(self.network, "output_fmt", "")).endswith("NHWC")
@@ -332,34 +246,50 @@ class TimmMap(nn.Module):
                 f"timm's {name} gives an array of {' x '.join(map(str, shape[1:]))} for a picture of {size[0]} x {size[1]} "
                 "pixels, which is no map of cells; choose another network, such as convnext_tiny."
             )
+        rows, columns = shape[1:3] if self.channels_last else shape[-2:]
+        patch = self.patch
+        self.grid = (rows, columns) if patch is None else (size[0] // patch[0], size[1] // patch[1])
+
+    def without_head(self) -> TimmMap:
+        """Return this network without the layers behind its last map or tokens."""
+        for behind in _BEHIND:
+            if hasattr(self.network, behind):
+                setattr(self.network, behind, nn.Identity())
+        return self
 
     def forward(self, images: Tensor) -> Tensor:
-        features = cast(Tensor, self.network.forward_features(images))  # type: ignore[operator]
+        return self.as_map(cast(Tensor, self.network.forward_features(images)), images)  # type: ignore[operator]
+
+    def as_map(self, features: Tensor, images: Tensor) -> Tensor:
+        """Return what the network gives for pictures as a map (B, C, h, w)."""
         if self.patch is None:
             return features.permute(0, 3, 1, 2) if self.channels_last else features
         cells = features[:, self.prefix :].transpose(1, 2)
         return cells.reshape(*cells.shape[:2], images.shape[2] // self.patch[0], images.shape[3] // self.patch[1])
 
     def with_own_names(self, state: Mapping[str, Tensor]) -> dict[str, Tensor]:
-        """Return weights of timm under this network's names, with positions resampled to its size.
-
-        Files of other origin are renamed as far as timm knows how; otherwise they are returned as they are.
-        """
-        module = sys.modules[type(self.network).__module__]
-        try:
-            renamed = module.checkpoint_filter_fn(dict(state), self.network)
-        except Exception:  # a filter of timm raises anything on names that it does not expect
-            renamed = state
-        return {f"network.{key}": value for key, value in renamed.items()}
+        """Return weights of timm under this network's names, with positions resampled to its size; see `renamed`."""
+        return {f"network.{key}": value for key, value in renamed(self.network, state).items()}
 
 
-def _norm_behind(network: Any) -> tuple[str, float] | None:
-    named = {
-        "fc_norm": getattr(network, "fc_norm", None),
-        "head.norm": getattr(getattr(network, "head", None), "norm", None),
-    }
-    norms = ((name, norm) for name, norm in named.items() if isinstance(norm, nn.LayerNorm) and norm.weight is not None)
-    return next(((name, norm.eps) for name, norm in norms), None)
+def renamed(network: nn.Module, state: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    """Return weights of a network under timm's names, with positions resampled to its size.
+
+    Files of other origin, such as those of torch.hub, are renamed as far as timm knows how; otherwise they stay as they are.
+    """
+    module = sys.modules[type(network).__module__]
+    try:
+        return dict(module.checkpoint_filter_fn(dict(state), network))
+    except Exception:  # a filter of timm raises anything on names that it does not expect
+        return dict(state)
+
+
+def norm_behind(network: Any) -> nn.LayerNorm | None:
+    """Return the LayerNorm that a network has behind its mean over the cells."""
+    for norm in (getattr(network, "fc_norm", None), getattr(getattr(network, "head", None), "norm", None)):
+        if isinstance(norm, nn.LayerNorm) and norm.weight is not None and norm.bias is not None:
+            return norm
+    return None
 
 
 def _features_shape(network: nn.Module, name: str, size: tuple[int, int]) -> tuple[int, ...]:
@@ -410,11 +340,11 @@ def trained_size(name: str) -> tuple[int, int]:
     return (224, 224) if configuration is None else tuple(configuration.input_size[1:])
 
 
-def named_network(name: str, size: tuple[int, int], resampling: bool = True) -> nn.Module:
+def named_network(name: str, size: tuple[int, int], own_size: bool = False) -> nn.Module:
     """Build a network of timm with its pooling and without a classifier; (B, 3, H, W) -> (B, C).
 
     Args:
-        resampling: whether a vision transformer resamples its positions for a picture of another size.
+        own_size: build its positions for that size, in place of resampling them for each picture.
 
     Raises:
         InputError: if timm has no such network, or it takes no pictures of that size.
@@ -422,15 +352,14 @@ def named_network(name: str, size: tuple[int, int], resampling: bool = True) -> 
     timm = import_timm()
     if "." in name or not timm.is_model(name):
         raise _unknown(name)
-    options: dict[str, Any] = {"num_classes": 0}
     # Networks with positions are made for a size; vision transformers resample their positions for another one.
-    if has_fixed_size(name):
-        options["img_size"] = size
-    try:
+    options: dict[str, Any] = {"img_size": size} if own_size or has_fixed_size(name) else {}
+    attempts: list[dict[str, Any]] = [{**options, "dynamic_img_size": not own_size}, options, {}]
+    for attempt in attempts:
         try:
-            sizes = {"dynamic_img_size": resampling}
-            return cast(nn.Module, timm.create_model(name, pretrained=False, **options, **sizes))
-        except TypeError:
-            return cast(nn.Module, timm.create_model(name, pretrained=False, **options))
-    except Exception as error:  # networks refuse sizes in many ways
-        raise _refused(name, size, error) from error
+            return cast(nn.Module, timm.create_model(name, pretrained=False, num_classes=0, **attempt))
+        except TypeError:  # of an option that the network does not take
+            continue
+        except Exception as error:  # networks refuse sizes in many ways
+            raise _refused(name, size, error) from error
+    raise _refused(name, size, TypeError("it takes no options of a size"))

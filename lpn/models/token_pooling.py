@@ -18,9 +18,12 @@ import re
 from dataclasses import dataclass
 from typing import Literal, cast
 
+import numpy as np
+
+from lpn.core.arrays import Float32Array
 from lpn.core.errors import InputError
 from lpn.core.files import printable
-from lpn.models.contract import AccountLevel
+from lpn.models.contract import AccountLevel, ForwardPass, part_names
 from lpn.models.partition import Partition
 
 PoolingName = Literal["mean", "gem", "cls", "cls+mean", "rings"]
@@ -87,7 +90,7 @@ class TokenPooling:
     @property
     def part_names(self) -> list[str]:
         """A short name for each part."""
-        return ["1 class token"] if self.partition is None else self.partition.names()
+        return ["1 class token"] if self.partition is None else part_names(self.partition)
 
     @property
     def level(self) -> AccountLevel:
@@ -106,3 +109,31 @@ class TokenPooling:
     def embedding(self, channels: int) -> int:
         """Return the numbers of a part of tokens with this many channels."""
         return 2 * channels if self.name == "cls+mean" else channels
+
+
+def pooled(pooling: TokenPooling, features: Float32Array, first: Float32Array | None) -> ForwardPass:
+    """Pool the tokens of cells; the weights of the cells in the parts are those of the pooling's partition.
+
+    Args:
+        features: (B, C, h, w).
+        first: the class token (B, C); None without one.
+    """
+    partition = pooling.partition
+    if partition is None:
+        return ForwardPass(np.asarray(first)[:, None])
+    shares = partition.weights(*features.shape[2:])
+    if pooling.name == "gem":
+        powers = np.maximum(features, np.float32(EPSILON)) ** np.float32(pooling.power)
+        means = np.einsum("nhw,bchw->bnc", shares, powers)
+        scale = means ** np.float32(1 / pooling.power - 1)
+        return ForwardPass(means * scale, powers * scale[:, 0, :, None, None])
+    parts = np.einsum("nhw,bchw->bnc", shares, features)
+    if pooling.name != "cls+mean":
+        return ForwardPass(parts, features)
+    nothing = np.zeros_like(features)
+    token = np.asarray(first)[:, None]
+    return ForwardPass(
+        np.concatenate([token, parts], 2),
+        np.concatenate([nothing, features], 1),
+        constants=np.concatenate([token, np.zeros_like(token)], 2),
+    )

@@ -57,9 +57,3 @@ def stated_normalisation(pictures: Mapping[str, Any], default: tuple[Triple, Tri
         mean, std = (tuple(map(float, cast("list[float]", one))) for one in found)
         return cast("tuple[Triple, Triple]", (mean, std))
     return default
-
-
-def stated_number(configuration: Mapping[str, Any], key: str, default: float) -> float:
-    """Return a number above 0 that a configuration says, else the default."""
-    value = configuration.get(key)
-    return float(value) if isinstance(value, int | float) and value > 0 else default

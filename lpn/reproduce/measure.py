@@ -21,7 +21,7 @@ from lpn.explain.centre import VIEWS, centre_box, centre_shares
 from lpn.models import checkpoints
 from lpn.models.backbones import CHANNELS
 from lpn.models.base import Model
-from lpn.models.network import LPN
+from lpn.models.lpn import LPN
 from lpn.models.spec import ModelSpec
 from lpn.reproduce.record import TableRecord
 from lpn.reproduce.sources import TASKS, Source

@@ -36,8 +36,8 @@ PoolingOption = Annotated[
     str | None,
     ADVANCED,
     tyro.conf.arg(
-        help="Pooling of tokens, of a vision transformer, timm:NAME:FILE, or an .onnx of tokens: mean, gem, cls, cls+mean, or "
-        "rings:N; see docs/models.md."
+        help="Pooling of tokens, of timm:NAME:FILE, a folder of transformers, or an .onnx of tokens: mean, gem, cls, cls+mean, "
+        "or rings:N; see docs/models.md."
     ),
 ]
 ProviderOption = Annotated[

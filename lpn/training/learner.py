@@ -11,7 +11,7 @@ from torch import Tensor
 
 from lpn.core.views import branch_of
 from lpn.models import checkpoints
-from lpn.models.network import LPN
+from lpn.models.lpn import LPN
 from lpn.training.loader import TrainingBatch
 from lpn.training.losses import TrainingStep, loss_terms, open_loss
 from lpn.training.optimizer import MixedPrecision, average_weights, build_optimizer, loss_factor, rate_factor

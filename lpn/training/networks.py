@@ -9,7 +9,7 @@ from torch import nn
 
 from lpn.core.views import View
 from lpn.models.backbones import CHANNELS
-from lpn.models.network import LPN
+from lpn.models.lpn import LPN
 from lpn.models.spec import ModelSpec, is_timm
 from lpn.training.recipe import Recipe
 

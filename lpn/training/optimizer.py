@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
-from lpn.models.network import LPN
+from lpn.models.lpn import LPN
 from lpn.training.recipe import Recipe
 
 

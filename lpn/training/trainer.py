@@ -23,7 +23,7 @@ from lpn.core.views import views_of
 from lpn.datasets import Dataset
 from lpn.flight.maps import Map
 from lpn.models import checkpoints
-from lpn.models.network import LPN
+from lpn.models.lpn import LPN
 from lpn.models.pretrained_weights import AUTO, find_weights
 from lpn.models.shipped import model_file
 from lpn.training.learner import Learner

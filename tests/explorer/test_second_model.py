@@ -23,6 +23,7 @@ from lpn.core.errors import DataError, InputError, ModelFileError, PictureError
 from lpn.datasets import open_dataset
 from lpn.descriptors.transforms import Change
 from lpn.descriptors.weather import Weather
+from lpn.models import timm_networks
 from lpn.sources import ModelOptions
 from lpn.tasks.changes import changed
 from lpn.tasks.opening import lazy_task
@@ -30,7 +31,6 @@ from tests.explorer.conftest import TASK, answered
 from tools.fixtures import small_worlds
 from tools.fixtures.published_models import small_vector
 from tools.fixtures.small_contracts import RegionModel
-from tools.fixtures.small_vits import SMALL_VITS
 from tools.fixtures.waiting import wait_until
 
 PATIENCE = 120.0
@@ -156,7 +156,7 @@ def test_the_kinds_of_both_models_may_be_named(
     wait_until(lambda: second.workspace is not None)
     assert second.workspace is not None
     assert second.workspace.contract.method == "DAC"
-    with pytest.raises(ModelFileError, match="--kind dac or --kind camp, of a second model with --beside-kind"):
+    with pytest.raises(ModelFileError, match=r"is not a checkpoint of a known model: .* Name its method with --kind"):
         Explore(source=str(data), model=model_file, beside=(weights,)).run()
     with pytest.raises(InputError, match="--kind needs --model"):
         Explore(source=str(tmp_path), kind="camp").run()
@@ -179,7 +179,10 @@ def test_tokens_of_one_file_are_pooled_in_two_ways_beside_a_model(
 ) -> None:
     opened: list[Workspace] = []
     monkeypatch.setattr(explorer.app, "serve", lambda open_workspace, *_: opened.append(open_workspace()))
-    weights = SMALL_VITS["DINOv2 of torch.hub"].write(tmp_path, (24, 24))
+    network = timm_networks.named_network("test_vit", (32, 32), own_size=True)
+    torch.save(network.state_dict(), tmp_path / "weights.pth")
+    (tmp_path / "opts.yaml").write_text("h: 32\nw: 32\n")
+    weights = Path(f"timm:test_vit:{tmp_path / 'weights.pth'}")
     both = ("rings:3", "mean")
     Explore(source=str(data), model=model_file, beside=(weights, weights), beside_pooling=both).run()
     Explore(source=str(data), model=weights, pooling="gem").run()
@@ -188,7 +191,7 @@ def test_tokens_of_one_file_are_pooled_in_two_ways_beside_a_model(
     wait_until(lambda: first.workspace is not None)
     assert first.workspace is not None
     assert (first.workspace.contract.n_parts, first.workspace.contract.level) == (3, "exact")
-    assert opened[1].contract.method == "DINOv2 ViT/4, gem"
+    assert opened[1].contract.method == "test_vit, gem"
     refused: dict[str, Explore | FailuresCommand] = {
         "Found 1 pooling for 2 models of --beside": Explore(
             source=str(tmp_path), model=model_file, beside=(weights, weights), beside_pooling=("mean",)

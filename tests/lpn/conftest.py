@@ -9,7 +9,7 @@ import torch
 
 from lpn.models.checkpoints import save
 from lpn.models.export import export
-from lpn.models.network import LPN
+from lpn.models.lpn import LPN
 from lpn.models.spec import ModelSpec
 from tests.conftest import MakeOnce
 

@@ -21,9 +21,9 @@ from lpn.core.errors import DataError, ModelFileError
 from lpn.datasets.geo import read_positions
 from lpn.datasets.integrity import DAMAGED, picture_error
 from lpn.models.checkpoints import load_torch
-from lpn.models.network import LPN
+from lpn.models.lpn import LPN
 from lpn.models.onnx_engine import Engine
-from lpn.models.published_checkpoints import read_options
+from lpn.models.options import read_options
 from tools.fixtures import small_worlds
 
 

@@ -28,7 +28,7 @@ from lpn.descriptors.transforms import Change
 from lpn.models.base import normalise
 from lpn.models.checkpoints import TorchModel, load_torch, save
 from lpn.models.export import export
-from lpn.models.network import LPN
+from lpn.models.lpn import LPN
 from lpn.models.onnx_engine import Engine
 from lpn.models.quantize import quantize
 from lpn.models.spec import ModelSpec

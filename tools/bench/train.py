@@ -34,7 +34,7 @@ from lpn.core.arrays import UInt8Array
 from lpn.core.consoles import Console
 from lpn.core.views import View
 from lpn.datasets import open_dataset
-from lpn.models.network import LPN
+from lpn.models.lpn import LPN
 from lpn.training.recipe import Recipe
 from lpn.training.recipes import RECIPES
 from lpn.training.trainer import Trainer

@@ -1,10 +1,11 @@
-"""Adapters for published models of other methods: FSRA, MCCG, SDPL, Sample4Geo, DAC, CAMP, Game4Loc, and DenseUAV's baseline.
+"""Published models of other methods than LPN, and networks whose tokens are pooled by name.
 
-Each recognises its checkpoint by the names of its entries (`recognise`), and describes pictures as the released test code does,
-with an account of every part (`lpn.models.contract`). This face needs no torch; `load` does, and timm where a network comes from
-there.
+A method is one file in `methods`, or in another package that names it by an entry point of the group `lpn.adapters`: it states
+the entries that it needs (`registry.Adapter`), and builds branches with an account of every part (`lpn.models.contract`) that
+describe pictures as the released test code does. This face needs no torch; the rest does, and timm where a network is timm's.
 """
 
-from lpn.models.adapters.recognise import KINDS, Kind
+# The name of a method, such as "dac"; `registry.adapters` has them.
+Kind = str
 
-__all__ = ["KINDS", "Kind"]
+__all__ = ["Kind"]

@@ -1,10 +1,10 @@
-"""The entries of a published checkpoint as an adapter reads them: by prefix, with their shapes checked."""
+"""The entries of a published checkpoint as an adapter reads them: by prefix, with their shapes checked, and reads noted."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import torch
@@ -13,11 +13,9 @@ from torch import Tensor, nn
 from lpn.core.errors import ModelFileError
 
 _EPSILON = 1e-5
+_BLOCK = re.compile(r"(?:.*\.)?(?:blocks|layers|stages)\.\d+(?=\.)")
 # Entries that layers have; one of them alone is no layer.
 _OF_LAYER = ("weight", "bias", "running_mean", "running_var", "gamma")
-
-
-_BLOCK = re.compile(r"(?:.*\.)?(?:blocks|layers|stages)\.\d+(?=\.)")
 
 
 @dataclass(frozen=True)
@@ -28,50 +26,52 @@ class Entries:
         name: of the file, for messages.
         state: the tensors.
         options: of `opts.yaml`; empty without one.
+        names: those of the file by the names of `state`, where they differ.
         prefix: what was cut off the names of `state`, for messages.
-        read: identities of the tensors that were read, in common with the entries that these are part of.
+        read: the file's names of the tensors that were read, in common with the entries that these are part of.
     """
 
     name: str
     state: Mapping[str, Tensor]
     options: Mapping[str, Any] = field(default_factory=dict)
+    names: Mapping[str, str] = field(default_factory=dict)
     prefix: str = ""
-    read: set[int] = field(default_factory=set)
+    read: set[str] = field(default_factory=set)
+
+    def file_name(self, key: str) -> str:
+        """Return the name of an entry in the file."""
+        return self.names.get(key, self.prefix + key)
+
+    def has(self, prefix: str) -> bool:
+        """Return whether some name begins with a prefix."""
+        return any(key.startswith(prefix) for key in self.state)
 
     def under(self, prefix: str) -> Entries:
         """Return the entries whose names begin with a prefix, without it."""
         cut = {key[len(prefix) :]: value for key, value in self.state.items() if key.startswith(prefix)}
-        return Entries(self.name, cut, self.options, self.prefix + prefix, self.read)
+        names = {key: self.file_name(prefix + key) for key in cut}
+        return replace(self, state=cut, names=names, prefix=self.prefix + prefix)
 
     def renamed(self, patterns: Mapping[str, str]) -> Entries:
         """Return the entries under other names: the first pattern that matches a name's begin replaces it."""
-        renamed: dict[str, Tensor] = {}
+        state, names = {}, {}
         for key, value in self.state.items():
-            for pattern, replacement in patterns.items():
-                changed, count = re.subn(f"^{pattern}", replacement, key)
-                if count:
-                    key = changed
-                    break
-            renamed[key] = value
-        return Entries(self.name, renamed, self.options, self.prefix, self.read)
+            found = ((pattern, to) for pattern, to in patterns.items() if re.match(pattern, key))
+            pattern, replacement = next(found, (r"\Z", ""))
+            changed = re.sub(f"^{pattern}", replacement, key) if pattern != r"\Z" else key
+            state[changed], names[changed] = value, self.file_name(key)
+        return replace(self, state=state, names=names)
 
-    def count(self, pattern: str) -> int:
-        """Return how many numbers 0, 1, ... in a row complete a pattern such as `blocks.{}.norm1.weight`.
+    def with_tensor(self, key: str, tensor: Tensor) -> Entries:
+        """Return the entries with another tensor under one name."""
+        return replace(self, state={**self.state, key: tensor})
+
+    def count(self, pattern: str, first: int = 0) -> int:
+        """Return how many numbers from `first` in a row complete a pattern such as `blocks.{}.norm1.weight`.
 
         Raises:
             ModelFileError: if further numbers are there behind one that is missing.
         """
-        return self._counted(pattern, 0)
-
-    def count_heads(self, name: str) -> int:
-        """Count the heads `name`1, `name`2, ...
-
-        Raises:
-            ModelFileError: if further heads are there behind one that is missing.
-        """
-        return self._counted(f"{name}{{}}.add_block.0.weight", 1)
-
-    def _counted(self, pattern: str, first: int) -> int:
         number = first
         while pattern.format(number) in self.state:
             number += 1
@@ -81,23 +81,25 @@ class Entries:
             self.shape(pattern.format(number), 1)
         return number - first
 
-    def left_over(self) -> list[str]:
-        """Return the names of the entries that nothing has read.
+    def count_heads(self, name: str) -> int:
+        """Count the heads `name`1, `name`2, ...; see `count`."""
+        return self.count(f"{name}{{}}.add_block.0.weight", 1)
+
+    def left_over(self, unused: str) -> list[str]:
+        """Return the file's names of the entries that nothing has read, but for those that a pattern matches.
 
         Raises:
             ModelFileError: if a layer or a block was read in part, such as its weight without its bias.
         """
-        # The tensors of `state` live since before anything was read, so no freed tensor can have had an identity of theirs.
-        read = {key for key, value in self.state.items() if id(value) in self.read}
-        layers = {_layer(key) for key in read}
-        unread = [key for key in self.state if key not in read]
+        layers = {_layer(key) for key in self.read}
+        unread = [key for key in map(self.file_name, self.state) if key not in self.read]
         for key in unread:
             if key.rpartition(".")[2] in _OF_LAYER and _layer(key) in layers:
                 raise ModelFileError(
-                    f"{self.name} has {self.prefix}{key}, and others of its kind are missing; the file is incomplete or of a "
-                    "changed model, so give a whole checkpoint."
+                    f"{self.name} has {key}, and others of its kind are missing; the file is incomplete or of a changed model, "
+                    "so give a whole checkpoint."
                 )
-        return unread
+        return [key for key in unread if not re.search(rf"num_batches_tracked$|{unused}", key)]
 
     def shape(self, key: str, sides: int) -> tuple[int, ...]:
         """Return the shape of an entry.
@@ -126,7 +128,7 @@ class Entries:
             raise ModelFileError(
                 f"In {self.name}, {self.prefix}{key} has shape {tuple(self.state[key].shape)}; expected {shape}."
             )
-        self.read.add(id(self.state[key]))
+        self.read.add(self.file_name(key))
         value = self.state[key].to(torch.float32)
         # The sum is a cheap test: it is finite only if all entries are.
         if not bool(value.sum().isfinite()) and not bool(value.isfinite().all()):
@@ -141,46 +143,29 @@ class Entries:
         Raises:
             ModelFileError: as for `tensor`.
         """
-        wanted = {key: value for key, value in network.state_dict().items() if not key.endswith("num_batches_tracked")}
+        own = network.state_dict()
+        counters = {key: torch.zeros((), dtype=torch.int64) for key in own if key.endswith("num_batches_tracked")}
         # Parameters that take a tensor as it is must own it: branches of one file may share tensors.
-        tensors = {key: self.tensor(key, tuple(value.shape)) for key, value in wanted.items()}
-        counters = {
-            key: torch.zeros((), dtype=torch.int64)
-            for key in network.state_dict()
-            if key.endswith("num_batches_tracked")
-        }
+        tensors = {key: self.tensor(key, tuple(value.shape)) for key, value in own.items() if key not in counters}
         network.load_state_dict(tensors | counters, assign=True)
 
-    def head(self, prefix: str, channels: int) -> tuple[Tensor, Tensor]:
-        """Return a head's Linear and BatchNorm1d at test time as one affine map: A (D, C) and c (D,).
+    def linear(self, prefix: str, channels: int) -> tuple[Tensor, Tensor]:
+        """Return a head that is one linear layer: A (D, C) and c (D,)."""
+        size = self.shape(f"{prefix}.weight", 2)[0]
+        return self.tensor(f"{prefix}.weight", (size, channels)), self.tensor(f"{prefix}.bias", (size,))
 
-        Raises:
-            ModelFileError: as for `tensor`.
-        """
+    def head(self, prefix: str, channels: int) -> tuple[Tensor, Tensor]:
+        """Return a head's Linear and BatchNorm1d at test time as one affine map: A (D, C) and c (D,)."""
         weight, bias = self.linear(f"{prefix}.add_block.0", channels)
-        size = len(bias)
         gamma, beta, mean, variance = (
-            self.tensor(f"{prefix}.add_block.1.{key}", (size,))
+            self.tensor(f"{prefix}.add_block.1.{key}", (len(bias),))
             for key in ("weight", "bias", "running_mean", "running_var")
         )
         scale = gamma / torch.sqrt(variance + _EPSILON)
         return scale[:, None] * weight, scale * (bias - mean) + beta
 
-    def linear(self, prefix: str, channels: int) -> tuple[Tensor, Tensor]:
-        """Return a head that is one linear layer: A (D, C) and c (D,).
-
-        Raises:
-            ModelFileError: as for `tensor`.
-        """
-        size = self.shape(f"{prefix}.weight", 2)[0]
-        return self.tensor(f"{prefix}.weight", (size, channels)), self.tensor(f"{prefix}.bias", (size,))
-
     def heads(self, prefixes: list[str], channels: int) -> tuple[Tensor, Tensor]:
-        """Return the heads of several parts: A (n, D, C) and c (n, D).
-
-        Raises:
-            ModelFileError: as for `tensor`, and if their sizes differ.
-        """
+        """Return the heads of several parts, all of one size: A (n, D, C) and c (n, D)."""
         pairs = [self.head(prefix, channels) for prefix in prefixes]
         sizes = [len(bias) for _, bias in pairs]
         if len(set(sizes)) > 1:

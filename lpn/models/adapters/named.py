@@ -1,4 +1,4 @@
-"""Networks of timm by their name: their tokens or their map, and the one vector that they pool it to."""
+"""Networks of timm by name: as tokens, as a map, or as the vector that the network pools."""
 
 from __future__ import annotations
 
@@ -43,8 +43,8 @@ class Whole(PartBranch):
         return Account(self.network(images).unsqueeze(1))
 
 
-def named_map(name: str, entries: Entries, size: tuple[int, int]) -> tuple[TimmMap, tuple[int, int]]:
-    """Return a network of timm up to its last map or tokens, and the map's (h, w).
+def filled_map(name: str, entries: Entries, size: tuple[int, int]) -> TimmMap:
+    """Return a network of timm up to its last map or tokens, with the weights of a file.
 
     Raises:
         InputError: if timm has no such network, or it gives no map of pictures of that size.
@@ -52,13 +52,11 @@ def named_map(name: str, entries: Entries, size: tuple[int, int]) -> tuple[TimmM
     """
     network = TimmMap(name, size)
     _fill(network.network, name, entries)
-    with torch.inference_mode():
-        height, width = network.eval()(torch.zeros(1, 3, *size)).shape[2:]
-    return network, (height, width)
+    return network
 
 
-def named_vector(name: str, entries: Entries, size: tuple[int, int]) -> PartBranch:
-    """Return a network of timm with the pooling that it has without a classifier.
+def named_vector(name: str, entries: Entries, size: tuple[int, int]) -> tuple[PartBranch, int]:
+    """Return a network of timm with the pooling that it has without a classifier, and the numbers of its vector.
 
     The network's vector for a picture of noise is compared with the mean of its cells, with and without the LayerNorm after the
     pooling. If one of the two equals the vector, the branch has cells; otherwise it has none.
@@ -69,28 +67,29 @@ def named_vector(name: str, entries: Entries, size: tuple[int, int]) -> PartBran
     """
     whole = timm_networks.named_network(name, size)
     _fill(whole, name, entries)
-    try:
-        mapped, grid = named_map(name, entries, size)
-    except InputError:
-        return Whole(whole)
     noise = torch.randn(1, 3, *size, generator=torch.Generator().manual_seed(_SEED))
     with torch.inference_mode():
-        vector, pooled = whole.eval()(noise), mapped(noise).mean((2, 3))
-        for norm in (None, _norm_behind(whole)):
-            candidate = pooled if norm is None else norm(pooled)
+        vector = whole.eval()(noise)
+        try:
+            mapped = TimmMap(name, size, network=whole)
+        except InputError:
+            return Whole(whole), vector.shape[1]
+        features = mapped(noise)
+        grid = (features.shape[2], features.shape[3])
+        held = _held_norm(whole)
+        for norm in (None, held):
+            candidate = features.mean((2, 3)) if norm is None else norm(features.mean((2, 3)))
             if candidate.shape == vector.shape and bool((candidate - vector).abs().max() < _SAME * vector.abs().max()):
                 uneven = size[0] % grid[0] or size[0] // grid[0] * grid[1] != size[1]
                 fixed = mapped.patch is not None or bool(uneven) or timm_networks.has_fixed_size(name)
-                return MeanVector(mapped, norm, grid, size[0] // grid[0], fixed)
-    return Whole(whole)
+                return MeanVector(mapped.without_head(), norm, grid, size[0] // grid[0], fixed), vector.shape[1]
+    return Whole(whole), vector.shape[1]
 
 
 def matching(names: Mapping[str, tuple[str, tuple[int, ...]]], entries: Entries) -> str | None:
-    """Return the first name whose entry is there with its shape; None without one."""
-    return next(
-        (name for name, (key, shape) in names.items() if key in entries.state and entries.state[key].shape == shape),
-        None,
-    )
+    """Return the first name whose marker entry has the given shape, or None."""
+    markers = ((name, entries.state.get(key), shape) for name, (key, shape) in names.items())
+    return next((name for name, tensor, shape in markers if tensor is not None and tensor.shape == shape), None)
 
 
 def _fill(network: nn.Module, name: str, entries: Entries) -> None:
@@ -100,9 +99,7 @@ def _fill(network: nn.Module, name: str, entries: Entries) -> None:
         raise ModelFileError(f"As timm's {name}: {error}") from error
 
 
-def _norm_behind(network: Any) -> HeldNorm | None:
+def _held_norm(network: Any) -> HeldNorm | None:
     """Return the LayerNorm that a network has behind its pooling."""
-    for norm in (getattr(network, "fc_norm", None), getattr(getattr(network, "head", None), "norm", None)):
-        if isinstance(norm, nn.LayerNorm) and norm.weight is not None and norm.bias is not None:
-            return HeldNorm(norm.weight.detach(), norm.bias.detach(), norm.eps)
-    return None
+    found = timm_networks.norm_behind(network)
+    return None if found is None else HeldNorm(found.weight.detach(), found.bias.detach(), found.eps)

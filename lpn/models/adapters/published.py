@@ -14,9 +14,9 @@ from lpn.core.views import View
 from lpn.models.adapters.entries import Entries
 from lpn.models.adapters.network import PartBranch
 from lpn.models.contract import AccountLevel, Contract, Role
+from lpn.models.options import picture_size
 
 PAIR: tuple[View, ...] = ("satellite", "drone")
-_TRIPLE: tuple[View, ...] = ("satellite", "street", "drone")
 # Entries that the published code keeps and does not use for descriptors.
 _UNUSED = re.compile(
     r".*(\bclassifier\.\d+\.|num_batches_tracked$)|(bn|gem\d+|model\.fc|transformer\.fc|convnext\.(head|model\.fc))\."
@@ -89,12 +89,12 @@ def by_view(
     held: str = "",
 ) -> PublishedParts:
     """Build a model whose satellite and drone share `model_1`; `model_2`, where there is one, describes the street."""
-    three = has(entries, "model_2.")
-    check_views(entries, 3 if three else 2)
+    three = entries.has("model_2.")
+    check_option(entries, "views", 3 if three else 2)
     made = [branch(own) for own in numbered(entries)]
-    branches: dict[View | Role, PartBranch] = dict.fromkeys(_TRIPLE if three else PAIR, made[0])
+    branches: dict[View | Role, PartBranch] = {"satellite": made[0], "drone": made[0]}
     if three:
-        branches["street"] = made[-1]
+        branches = {"satellite": made[0], "street": made[-1], "drone": made[0]}
     parts = [f"{number + 1} {name}" for number, name in enumerate(names)]
     return published(branches, method, backbone, size, level, held, parts)
 
@@ -107,7 +107,7 @@ def distinct(entries: Entries, *prefixes: str) -> list[Entries]:
 
 def numbered(entries: Entries) -> list[Entries]:
     """Return the entries of `model_1`, and those of `model_2` where they are there and describe otherwise."""
-    return distinct(entries, "model_1.", *(["model_2."] if has(entries, "model_2.") else []))
+    return distinct(entries, "model_1.", *(["model_2."] if entries.has("model_2.") else []))
 
 
 def by_role(made: Sequence[PartBranch]) -> dict[View | Role, PartBranch]:
@@ -116,7 +116,7 @@ def by_role(made: Sequence[PartBranch]) -> dict[View | Role, PartBranch]:
 
 
 def count_regions(entries: Entries) -> int:
-    """Return the number of regions by the heads beside that of the class token.
+    """Return the number of FSRA's regions by the heads beside that of the class token.
 
     With one block the released code describes by the class token alone, so its region's head may be there or not.
     """
@@ -128,22 +128,22 @@ def count_regions(entries: Entries) -> int:
 
 def region_names(count: int) -> list[str]:
     """Return a short name for each region of tokens, in the order of falling heat."""
-    middle = ["region"] * max(count - 2, 0)
-    return ["hottest", *middle, "coolest"][:count]
+    return ["hottest", *["region"] * max(count - 2, 0), "coolest"][:count]
 
 
 def regions_level(regions: int) -> dict[str, Any]:
+    """Return the arguments of a contract that say how exact the evidence of FSRA's regions is."""
     return {"level": "exact, with held", "held": "the regions of each picture"} if regions else {"level": "one vector"}
 
 
-def has(entries: Entries, prefix: str) -> bool:
-    return any(key.startswith(prefix) for key in entries.state)
-
-
 def equal(entries: Entries, first: str, second: str) -> bool:
-    """Return whether two branches describe alike."""
-    one, other = (entries.under(prefix).state for prefix in (first, second))
-    return all(key in other and torch.equal(value, other[key]) for key, value in one.items() if not _UNUSED.match(key))
+    """Return whether two branches describe alike; then the second one counts as read."""
+    one, other = entries.under(first), entries.under(second)
+    compared = [key for key in one.state if not _UNUSED.match(key)]
+    alike = all(key in other.state and torch.equal(one.state[key], other.state[key]) for key in compared)
+    if alike:
+        entries.read.update(other.file_name(key) for key in compared)
+    return alike
 
 
 def size_of(entries: Entries, default: tuple[int, int], step: int = 1) -> tuple[int, int]:
@@ -152,42 +152,14 @@ def size_of(entries: Entries, default: tuple[int, int], step: int = 1) -> tuple[
     Raises:
         ModelFileError: if it is no multiple of `step`, or huge.
     """
-    size = (int(entries.options.get("h", default[0])), int(entries.options.get("w", default[1])))
-    if any(side % step or side > 4096 for side in size):
-        raise ModelFileError(
-            f"The opts.yaml beside {entries.name} says {size[0]} x {size[1]} pixels; expected multiples of {step} up to 4096."
-        )
-    return size
-
-
-def fixed_size(entries: Entries, trained: tuple[int, int]) -> tuple[int, int]:
-    """Return the size that the weights are for.
-
-    Raises:
-        ModelFileError: if the options give another one.
-    """
-    size = size_of(entries, trained)
-    if size != trained:
-        raise ModelFileError(
-            f"The opts.yaml beside {entries.name} says {size[0]} x {size[1]} pixels, and its weights are for {trained[0]} x "
-            f"{trained[1]}; correct or remove it."
-        )
-    return size
-
-
-def check_views(entries: Entries, held: int) -> None:
-    stated = entries.options.get("views", held)
-    if stated != held:
-        raise ModelFileError(
-            f"{entries.name} describes {held} views by the networks that it holds, but the opts.yaml beside it says "
-            f"views: {stated}; correct or remove it."
-        )
+    return picture_size(entries.options, entries.name, default, step=step)
 
 
 def check_option(entries: Entries, option: str, held: int) -> None:
+    """Refuse an option that contradicts the number that the entries tell (ModelFileError)."""
     stated = entries.options.get(option, held)
     if stated != held:
+        what = "networks describe as many views" if option == "views" else "of these heads"
         raise ModelFileError(
-            f"{entries.name} has {held} of these heads, but the opts.yaml beside it says {option}: {stated}; correct or "
-            "remove it."
+            f"{entries.name} has {held} {what}, but the opts.yaml beside it says {option}: {stated}; correct or remove it."
         )

@@ -12,7 +12,7 @@ from lpn.core.errors import InputError, PictureError
 from lpn.datasets import open_dataset
 from lpn.descriptors.transforms import UNCHANGED, Change
 from lpn.models.checkpoints import TorchModel
-from lpn.models.network import LPN
+from lpn.models.lpn import LPN
 from lpn.models.spec import ModelSpec
 from lpn.tasks.changes import turned
 from lpn.tasks.opening import lazy_task

@@ -22,7 +22,7 @@ from lpn.datasets import open_dataset
 from lpn.models.base import Model
 from lpn.models.checkpoints import TorchModel, save
 from lpn.models.export import export
-from lpn.models.network import LPN
+from lpn.models.lpn import LPN
 from lpn.models.onnx_engine import Engine
 from lpn.models.spec import ModelSpec
 from lpn.retrieval import DescribedPicture, scoring

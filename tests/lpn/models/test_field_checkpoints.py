@@ -323,9 +323,6 @@ FIELD: dict[str, FieldFile] = {
     "zipped": FieldFile(zipped, "is not a PyTorch file: it begins with 'PK\\x03\\x04"),
     "pth.tar": FieldFile(saved(lambda state: {"epoch": 3, "state_dict": state}, "checkpoint.pth.tar")),
     "tuple option": FieldFile(options("h: 64\noptimizer_betas: !!python/tuple\n- 0.9\n- 0.999\nw: 64\n")),
-    "options of a class": FieldFile(
-        options("!!python/object/new:detectron.utils.collections.AttrDict\ndictitems:\n  h: 64\n  w: 64\nstate: {}\n")
-    ),
     "options of Namespace": FieldFile(options("!!python/object:argparse.Namespace\nh: 64\nlr: 0.01\nw: 64\n")),
     "path of Windows": FieldFile(
         saved(lambda state: {"model": state, "out": _Calls(pathlib.WindowsPath, "runs")}),
@@ -462,7 +459,7 @@ FIELD: dict[str, FieldFile] = {
     ),
     "another method": FieldFile(
         saved(lambda _: {"temp": torch.ones(1), "xvlm.vision_encoder.norm.weight": torch.ones(4)}, "net_209.pth"),
-        "is not a checkpoint of a known model: it holds temp, xvlm.vision_encoder.norm.weight; none of the known models",
+        "is not a checkpoint of a known model: it holds temp, xvlm.vision_encoder.norm.weight. Name its method with --kind",
     ),
     "archive named .tar": FieldFile(
         archive(("run/net_119.pth",), "models.tar"), "is not a PyTorch file: it begins with 'PK"

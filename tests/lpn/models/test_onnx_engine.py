@@ -12,7 +12,7 @@ from lpn.core.errors import InputError, ModelFileError
 from lpn.core.images import normalise
 from lpn.models.checkpoints import TorchModel, load_torch, save
 from lpn.models.export import WeightType, export
-from lpn.models.network import LPN
+from lpn.models.lpn import LPN
 from lpn.models.onnx_engine import Engine
 from lpn.models.spec import ModelSpec
 from lpn.retrieval import describe_picture

@@ -1,8 +1,7 @@
-"""ONNX files that return tokens, pooled by name: opened, exported, quantized, and refused."""
+"""ONNX files that return tokens, pooled by name, and what ONNX Runtime refuses in the words of a person."""
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 from typing import Any
 
@@ -13,29 +12,21 @@ from onnx import TensorProto, helper, numpy_helper
 
 import lpn
 from lpn.core.errors import InputError, ModelFileError
-from lpn.datasets import open_dataset
 from lpn.models.export import export
-from lpn.models.onnx_tokens import pooled_file
+from lpn.models.onnx_engine import open_session
 from lpn.models.partition import Partition
-from lpn.models.quantize import quantize
-from lpn.models.token_pooling import TokenPooling
 from lpn.models.trace import Trace
-from tools.fixtures import seeded, small_worlds
+from tools.fixtures import seeded
 
 PATCH, CHANNELS, SIZE = 8, 6, (32, 24)
 GRID = (SIZE[0] // PATCH, SIZE[1] // PATCH)
 
 
-def token_file(file: Path, size: tuple[Any, Any] = SIZE, front: int = 1, opset: int = 17, **properties: str) -> Path:
+def token_file(file: Path, size: tuple[Any, Any] = SIZE, front: int = 1, opset: int = 17, **further: int) -> Path:
     """Write a graph that returns the patches of pictures as tokens behind `front` copies of the first two, doubled."""
     weight = np.random.default_rng(5).standard_normal((CHANNELS, 3, PATCH, PATCH)).astype(np.float32) / 14
-    constants = {
-        "w": weight,
-        "shape": np.array([0, CHANNELS, -1]),
-        "b": np.array([0]),
-        "e": np.array([front]),
-        "a": np.array([1]),
-    }
+    constants = {"w": weight, "shape": np.array([0, CHANNELS, -1])}
+    constants |= {"b": np.array([0]), "e": np.array([front]), "a": np.array([1])}
     nodes = [
         helper.make_node("Conv", ["pixel_values", "w"], ["map"], kernel_shape=[PATCH] * 2, strides=[PATCH] * 2),
         helper.make_node("Reshape", ["map", "shape"], ["flat"]),
@@ -47,13 +38,9 @@ def token_file(file: Path, size: tuple[Any, Any] = SIZE, front: int = 1, opset: 
     outputs = [helper.make_tensor_value_info("last_hidden_state", TensorProto.FLOAT, ["batch", None, CHANNELS])]
     pictures = helper.make_tensor_value_info("pixel_values", TensorProto.FLOAT, ["batch", 3, *size])
     given = [numpy_helper.from_array(value, name) for name, value in constants.items()]
-    proto = helper.make_model(
-        helper.make_graph(nodes, "tokens", [pictures], outputs, given),
-        opset_imports=[helper.make_opsetid("", opset)],
-        ir_version=8,
-    )
-    helper.set_model_props(proto, properties)
-    onnx.save_model(proto, file)
+    graph = helper.make_graph(nodes, "tokens", [pictures], outputs, given)
+    opsets = [helper.make_opsetid("", opset)]
+    onnx.save_model(helper.make_model(graph, opset_imports=opsets, ir_version=further.get("ir", 8)), file)
     return file
 
 
@@ -79,84 +66,31 @@ def test_tokens_are_pooled_and_the_account_adds_up(front: int, tmp_path: Path) -
     }
     for pooling, parts in expected.items():
         model = lpn.load(file, pooling=pooling)
-        assert np.abs(model.part_embeddings(pictures, "drone") - parts).max() < 2e-6
+        for one in (model, model.for_parallel_inference()):
+            assert np.abs(one.part_embeddings(pictures, "drone") - parts).max() < 2e-6
         if pooling == "cls":
-            assert model.contract.claim == "one vector"
+            assert (model.contract.claim, model.map_size("drone")) == ("one vector", (1, 1))
             continue
         assert model.contract.level == ("exact" if pooling in ("mean", "rings:3") else "exact, with held")
         trace = Trace.from_pass(model, model.run(pictures[:1], "drone"), "drone")
-        assert trace.size == GRID
+        assert trace.size == model.map_size("drone") == GRID
         assert trace.errors().max() < 1e-5
+    fingerprints = {lpn.load(file, pooling=pooling).fingerprint for pooling in expected}
+    assert len(fingerprints) == len(expected)
 
 
-def test_an_export_and_its_eight_bits_keep_the_account(tmp_path: Path) -> None:
-    export(token_file(tmp_path / "tokens.onnx"), tmp_path / "rings.onnx", pooling="rings:2")
-    dataset = open_dataset(small_worlds.make_dataset(tmp_path / "places", train=2, test=2))
-    quantize(tmp_path / "rings.onnx", dataset, tmp_path / "int8.onnx", pictures=6)
-    for name in ("rings.onnx", "int8.onnx"):
-        model = lpn.load(tmp_path / name)
-        assert model.contract.title == "tokens, rings:2, 32 x 24"
-        trace = Trace.from_pass(model, model.run(seeded.pictures(51, 1, *SIZE), "drone"), "drone")
-        assert trace.errors().max() < 1e-5
-    assert model.precision == "int8"
-
-
-def test_an_export_in_fewer_bits_keeps_the_account(tmp_path: Path) -> None:
-    file, pictures = token_file(tmp_path / "tokens.onnx"), seeded.pictures(53, 1, *SIZE)
-    expected = lpn.load(file, pooling="rings:2").part_embeddings(pictures, "drone")
-    for storage in ("float16", "int8"):
-        export(file, tmp_path / "small.onnx", storage, pooling="rings:2")
-        model = lpn.load(tmp_path / "small.onnx")
-        assert 0 < np.abs(model.part_embeddings(pictures, "drone") - expected).max() < 2e-2
-        assert Trace.from_pass(model, model.run(pictures, "drone"), "drone").errors().max() < 1e-5
-
-
-def test_the_cache_keeps_the_pooled_copies_that_were_used_last(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("LPN_CACHE", str(tmp_path / "cache"))
-    file = token_file(tmp_path / "tokens.onnx")
-    copies = [pooled_file(file, TokenPooling("gem", power)) for power in range(2, 10)]
-    for used, copy in enumerate(copies):
-        os.utime(copy, (used, used))
-    assert pooled_file(file, TokenPooling("gem", 2)) == copies[0]
-    added = pooled_file(file, TokenPooling("gem", 10))
-    assert set(copies[0].parent.iterdir()) == {*copies, added} - {copies[1]}
-
-
-def test_a_pooled_copy_that_another_process_removes_is_written_again(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(
+    ("size", "options", "told"), [(("h", "w"), "", True), (("h", "w"), "h: 32\nw: 24\n", False), (SIZE, "", False)]
+)
+def test_the_size_is_the_graphs_else_that_of_the_options_else_assumed_and_said(
+    size: tuple[Any, Any], options: str, told: bool, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    monkeypatch.setenv("LPN_CACHE", str(tmp_path / "cache"))
-    file, utime = token_file(tmp_path / "tokens.onnx"), os.utime
-    copy = pooled_file(file, TokenPooling("mean"))
-    graph = copy.read_bytes()
-
-    def removed(path: Path, times: None = None) -> None:
-        Path(path).unlink()
-        utime(path, times)
-
-    monkeypatch.setattr(os, "utime", removed)
-    assert pooled_file(file, TokenPooling("mean")).read_bytes() == graph
-
-
-def test_a_cache_that_cannot_be_written_still_gives_its_copies(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("LPN_CACHE", str(tmp_path / "cache"))
-    file = token_file(tmp_path / "tokens.onnx")
-    copy = pooled_file(file, TokenPooling("mean"))
-
-    def refused(*_: object, **__: object) -> None:
-        raise PermissionError
-
-    for function in ("utime", "open"):
-        monkeypatch.setattr(os, function, refused)
-    assert pooled_file(file, TokenPooling("mean")) == copy
-
-
-def test_a_graph_of_any_size_takes_that_of_the_options(tmp_path: Path) -> None:
-    file = token_file(tmp_path / "tokens.onnx", size=("height", "width"))
-    assert lpn.load(file, pooling="mean").input_size == (224, 224)
-    (tmp_path / "opts.yaml").write_text("h: 32\nw: 24\n")
-    model, pictures = lpn.load(file, pooling="mean"), seeded.pictures(52, 1, *SIZE)
-    assert np.abs(model.part_embeddings(pictures, "drone")[0, 0] - tokens_of(pictures)[0, 1:].mean(0)).max() < 2e-6
+    file = token_file(tmp_path / "tokens.onnx", size)
+    if options:
+        (tmp_path / "opts.yaml").write_text(options)
+    model = lpn.load(file, pooling="mean")
+    assert model.input_size == ((224, 224) if told else SIZE)
+    assert ("so 224 x 224 pixels are assumed" in caplog.text) == told
 
 
 def test_what_does_not_fit_is_one_sentence(tmp_path: Path, model_file: Path) -> None:
@@ -167,27 +101,32 @@ def test_what_does_not_fit_is_one_sentence(tmp_path: Path, model_file: Path) -> 
         lpn.load(model_file, pooling="mean")
     with pytest.raises(InputError, match="has no class token for the pooling cls"):
         lpn.load(token_file(tmp_path / "bare.onnx", front=0), pooling="cls")
-    with pytest.raises(ModelFileError, match=r"opset 11; export it again with opset 13"):
-        lpn.load(token_file(tmp_path / "old.onnx", opset=11), pooling="mean")
     with pytest.raises(
         ModelFileError, match=r"returns last_hidden_state .* whose number fits a map of the picture's 36 x 24"
     ):
         lpn.load(token_file(tmp_path / "odd.onnx", size=(36, 24)), pooling="mean")
     with pytest.raises(InputError, match="is exported already"):
         export(file, tmp_path / "out.onnx")
-    with pytest.raises(InputError, match=r"tokens\.onnx is the model itself"):
-        export(file, file, pooling="mean")
 
 
-@pytest.mark.parametrize(
-    ("size", "options", "told"), [(("h", "w"), "", True), (("h", "w"), "h: 32\nw: 24\n", False), (SIZE, "", False)]
-)
-def test_a_size_that_is_assumed_is_said(
-    size: tuple[Any, Any], options: str, told: bool, tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
-    file = token_file(tmp_path / "tokens.onnx", size)
-    if options:
-        (tmp_path / "opts.yaml").write_text(options)
-    model = lpn.load(file, pooling="mean")
-    assert model.input_size == ((224, 224) if told else SIZE)
-    assert ("so 224 x 224 pixels are assumed" in caplog.text) == told
+@pytest.mark.parametrize("newer", [{"ir": 99}, {"opset": 99}])
+def test_a_file_that_is_newer_than_the_runtime_is_named_as_that(newer: dict[str, int], tmp_path: Path) -> None:
+    file = token_file(tmp_path / "newer.onnx", **newer)  # type: ignore[arg-type]
+    with pytest.raises(
+        ModelFileError, match=r"written for a newer ONNX Runtime than the installed .*99.*; upgrade"
+    ) as caught:
+        open_session(file)
+    assert "\n" not in str(caught.value)
+
+
+def test_weights_in_a_file_beside_open_and_are_named_where_they_are_missing(tmp_path: Path) -> None:
+    whole, apart = token_file(tmp_path / "whole.onnx"), tmp_path / "apart" / "model.onnx"
+    apart.parent.mkdir()
+    options = {"save_as_external_data": True, "location": "model.onnx.data"}
+    onnx.save_model(onnx.load_model(whole), apart, **options)
+    pictures = seeded.pictures(54, 1, *SIZE)
+    found, expected = (lpn.load(file, pooling="mean").part_embeddings(pictures, "drone") for file in (apart, whole))
+    np.testing.assert_array_equal(found, expected)
+    (apart.parent / "model.onnx.data").unlink()
+    with pytest.raises(ModelFileError, match=r"takes weights from model\.onnx\.data, which is missing; copy that file"):
+        lpn.load(apart, pooling="mean")

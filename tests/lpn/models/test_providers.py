@@ -18,7 +18,7 @@ from lpn.datasets import open_dataset
 from lpn.models import providers
 from lpn.models.checkpoints import save
 from lpn.models.export import export
-from lpn.models.network import LPN
+from lpn.models.lpn import LPN
 from lpn.models.onnx_engine import Engine
 from lpn.models.quantize import quantize
 from lpn.models.spec import ModelSpec

@@ -17,7 +17,7 @@ from lpn.datasets import open_dataset
 from lpn.models.checkpoints import save
 from lpn.models.contract_metadata import FORMAT
 from lpn.models.export import export
-from lpn.models.network import LPN
+from lpn.models.lpn import LPN
 from lpn.models.quantize import calibration_pictures, quantize
 from lpn.models.spec import ModelSpec
 from lpn.models.trace import Trace
@@ -156,7 +156,7 @@ def test_the_command_says_how_close_it_is(
 def transformer(path: Path) -> Path:
     """Write a graph of one block of a vision transformer, whose two parts weigh its 4 x 4 tokens by a softmax of each picture.
 
-    The nodes of the trunk have the names that the tests ask for, and those behind it none.
+    The nodes of the trunk have the names that an export marks it by, and those behind it none.
     """
     rng = np.random.default_rng(3)
     shapes = {"kernels": (8, 3, 8, 8), "qkv": (8, 24), "projection": (8, 8), "scale": (8,), "head_weight": (2, 5, 8)}
@@ -164,18 +164,18 @@ def transformer(path: Path) -> Path:
     weights |= {"head_bias": np.ones((2, 5), np.float32), "two": rng.normal(size=(2, 8)).astype(np.float32)}
     sizes = {"to_tokens": [0, 8, 16], "to_map": [0, 8, 4, 4], "to_cells": [0, 2, 4, 4], "last": [3]}
     trunk = [
-        helper.make_node("Conv", ["images", "kernels"], ["patches"], "patches", strides=[8, 8]),
-        helper.make_node("Reshape", ["patches", "to_tokens"], ["rows"], "rows"),
-        helper.make_node("Transpose", ["rows"], ["embedded"], "embedded", perm=[0, 2, 1]),
-        helper.make_node("LayerNormalization", ["embedded", "scale"], ["normed"], "normed"),
-        helper.make_node("MatMul", ["normed", "qkv"], ["triple"], "qkv"),
-        helper.make_node("Split", ["triple"], ["queries", "keys", "values"], "split", axis=2, num_outputs=3),
-        helper.make_node("Transpose", ["keys"], ["turned"], "turned", perm=[0, 2, 1]),
-        helper.make_node("MatMul", ["queries", "turned"], ["logits"], "logits"),
-        helper.make_node("Softmax", ["logits"], ["attention"], "attention", axis=2),
-        helper.make_node("MatMul", ["attention", "values"], ["mixed"], "mixed"),
-        helper.make_node("MatMul", ["mixed", "projection"], ["projected"], "projection"),
-        helper.make_node("Add", ["embedded", "projected"], ["tokens"], "residual"),
+        helper.make_node("Conv", ["images", "kernels"], ["patches"], "trunk/patches", strides=[8, 8]),
+        helper.make_node("Reshape", ["patches", "to_tokens"], ["rows"], "trunk/rows"),
+        helper.make_node("Transpose", ["rows"], ["embedded"], "trunk/embedded", perm=[0, 2, 1]),
+        helper.make_node("LayerNormalization", ["embedded", "scale"], ["normed"], "trunk/normed"),
+        helper.make_node("MatMul", ["normed", "qkv"], ["triple"], "trunk/qkv"),
+        helper.make_node("Split", ["triple"], ["queries", "keys", "values"], "trunk/split", axis=2, num_outputs=3),
+        helper.make_node("Transpose", ["keys"], ["turned"], "trunk/turned", perm=[0, 2, 1]),
+        helper.make_node("MatMul", ["queries", "turned"], ["logits"], "trunk/logits"),
+        helper.make_node("Softmax", ["logits"], ["attention"], "trunk/attention", axis=2),
+        helper.make_node("MatMul", ["attention", "values"], ["mixed"], "trunk/mixed"),
+        helper.make_node("MatMul", ["mixed", "projection"], ["projected"], "trunk/projection"),
+        helper.make_node("Add", ["embedded", "projected"], ["tokens"], "trunk/residual"),
     ]
     tail = [
         helper.make_node("Transpose", ["tokens"], ["channels"], perm=[0, 2, 1]),

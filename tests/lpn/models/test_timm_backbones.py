@@ -14,7 +14,7 @@ import lpn
 from lpn.core.errors import InputError, ModelFileError
 from lpn.models.checkpoints import load_backbone, save
 from lpn.models.export import export
-from lpn.models.network import LPN
+from lpn.models.lpn import LPN
 from lpn.models.spec import ModelSpec
 from lpn.models.timm_networks import TimmMap, import_timm
 from lpn.models.trace import Trace

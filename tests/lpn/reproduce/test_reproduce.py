@@ -23,7 +23,7 @@ from lpn.core.files import exclusive_lock
 from lpn.datasets import open_dataset
 from lpn.datasets.rendered import UNFINISHED
 from lpn.models.checkpoints import save
-from lpn.models.network import LPN
+from lpn.models.lpn import LPN
 from lpn.models.spec import ModelSpec
 from lpn.reproduce import jobs, notes, report, sources
 from lpn.reproduce.claims import verdicts

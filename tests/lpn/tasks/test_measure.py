@@ -22,7 +22,7 @@ from lpn.datasets.layouts.university import University
 from lpn.descriptors.transforms import Change
 from lpn.models.base import Model, normalise
 from lpn.models.checkpoints import save
-from lpn.models.network import LPN
+from lpn.models.lpn import LPN
 from lpn.retrieval import metrics
 from lpn.retrieval.calibration import centred as without_mean
 from lpn.tasks import query_outcomes

@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from lpn.models.network import LPN
+from lpn.models.lpn import LPN
 from lpn.models.spec import ModelSpec
 from lpn.training.learner import Learner
 from lpn.training.loader import TrainingBatch

@@ -15,7 +15,7 @@ import lpn
 from lpn.core.images import load_picture
 from lpn.datasets import open_dataset
 from lpn.models import timm_networks
-from lpn.models.adapters import sues
+from lpn.models.adapters.methods import sues
 from lpn.models.base import Model
 from lpn.models.export import export
 from lpn.models.quantize import quantize

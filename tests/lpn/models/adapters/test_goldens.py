@@ -13,10 +13,10 @@ from torch import Tensor
 
 import lpn
 from lpn.core import images
-from lpn.models.adapters.convnext import Mccg
+from lpn.models.adapters.methods.mccg import Mccg
+from lpn.models.adapters.methods.sdpl import Sdpl
 from lpn.models.adapters.model import PublishedModel
 from lpn.models.adapters.network import MeanVector
-from lpn.models.adapters.sdpl import Sdpl
 from lpn.models.base import normalise
 from lpn.models.trace import Trace
 from tools.fixtures import published_models, seeded

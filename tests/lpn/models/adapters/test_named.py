@@ -17,8 +17,8 @@ from torch import Tensor
 import lpn
 from lpn.core.errors import InputError, ModelFileError
 from lpn.models import timm_networks
-from lpn.models.adapters import denseuav, sues
 from lpn.models.adapters.entries import Entries
+from lpn.models.adapters.methods import denseuav, sues
 from lpn.models.adapters.model import PublishedModel
 from lpn.models.adapters.named import matching
 from lpn.models.backbones import Bottleneck, ResNet
@@ -108,6 +108,7 @@ def test_a_network_that_the_options_name_answers_as_timms(name: str, claim: str,
     )
     assert (model.contract.claim, model.contract.method) == (claim, "Sample4Geo")
     assert model.contract.title == f"Sample4Geo {name}, {side} x {side}"
+    assert model.contract.mean == timm_networks.normalisation(name)[0]
     with torch.inference_mode():
         check(model, pictures, made(torch.from_numpy(pictures))[:, None])
 
@@ -249,7 +250,7 @@ def test_the_baselines_of_sdpl_have_rings_of_their_own_area_or_the_whole_map(
 ) -> None:
     depths = [1, 1, 1, 1]
     made = ResNet(Bottleneck, depths, "layer4", last_stride=1 if rings else 2).eval()
-    monkeypatch.setattr("lpn.models.adapters.sdpl.DEPTHS", depths)
+    monkeypatch.setattr("lpn.models.adapters.methods.sdpl.DEPTHS", depths)
     own = seeded.entries({key: list(value.shape) for key, value in made.state_dict().items()})
     made.load_state_dict(own)
     names = [f"classifier{ring}" for ring in range(rings)] or ["classifier"]
@@ -267,6 +268,7 @@ def test_the_baselines_of_sdpl_have_rings_of_their_own_area_or_the_whole_map(
         "parts": (1, rings or 1, 512),
         "features": (1, 2048, 6, 6),
         "cells": (1, rings or 1, 6, 6),
+        "head_weight": (rings or 1, 512, 2048),
     }
     assert from_metadata(to_metadata(model.contract), "sdpl.onnx", shapes) == model.contract
     with torch.inference_mode():

@@ -13,9 +13,9 @@ from lpn.core.errors import ModelFileError
 from lpn.core.views import VIEWS
 from lpn.models.adapters.entries import Entries
 from lpn.models.adapters.network import Account, PartBranch, by_heads, on_grid, whole_mean
-from lpn.models.adapters.published import PublishedParts, has, published
-from lpn.models.adapters.token_parts import CellsAndClass
-from lpn.models.adapters.vit import dinov2, network_of_entries
+from lpn.models.adapters.published import PublishedParts, published, size_of
+from lpn.models.adapters.registry import Adapter
+from lpn.models.adapters.vit import NAMES, Tokens, dinov2
 
 # The size at which SALAD was published, steps of the optimal transport, and the least length to divide by.
 _SIZE = (322, 322)
@@ -46,16 +46,14 @@ class Salad(PartBranch):
     share in the vector. MegaLoc puts a linear layer behind it.
 
     Args:
-        trunk: gives the map (B, C, h, w) and the class token (B, C).
+        trunk: a DINOv2.
         entries: those under `aggregator.` of SALAD, or under `aggregator.agg.` of MegaLoc.
         head: A (1, D, token + l m) and c (1, D) of MegaLoc, for clusters of l numbers, m in number.
     """
 
-    def __init__(
-        self, trunk: CellsAndClass, entries: Entries, channels: int, head: tuple[Tensor, Tensor] | None = None
-    ) -> None:
+    def __init__(self, trunk: Tokens, entries: Entries, head: tuple[Tensor, Tensor] | None = None) -> None:
         super().__init__(trunk.grid, None if head is None else head[0])
-        self.trunk = trunk
+        self.trunk, channels = trunk, trunk.channels
         self.bias = None if head is None else nn.Buffer(head[1])
         self.token = _Layers(entries.under("token_features."), channels, "2", 2)
         self.values = _Layers(entries.under("cluster_features."), channels, "3", 4)
@@ -97,13 +95,13 @@ class Salad(PartBranch):
 
         Shares and token are divided by the lengths, so that the vector of token and clusters has length 1.
         """
-        features, token = self.trunk(images, True)
-        cells = features.flatten(2).transpose(1, 2)
+        tokens = self.trunk(images)
+        token, cells = tokens[:, 0], tokens[:, self.trunk.prefix :]
         values = self.values(cells)
         shares = transport(self.scores(cells).transpose(1, 2), self.dust_bin)
         lengths = torch.linalg.vector_norm(torch.matmul(shares, values), dim=2, keepdim=True).clamp(min=_LEAST)
         scale = (self.clusters + 1) ** -0.5
-        return F.normalize(self.token(cast(Tensor, token)), dim=1) * scale, values, shares / lengths * scale
+        return F.normalize(self.token(token), dim=1) * scale, values, shares / lengths * scale
 
 
 def transport(scores: Tensor, dust_bin: Tensor) -> Tensor:
@@ -122,42 +120,45 @@ def transport(scores: Tensor, dust_bin: Tensor) -> Tensor:
     return torch.exp(scores + by_cluster.unsqueeze(2) + of_cells.unsqueeze(1) - norm)[:, :-1]
 
 
-def build_salad(entries: Entries) -> PublishedParts:
+def build(entries: Entries) -> PublishedParts:
     """Build SALAD or MegaLoc on a DINOv2; it describes all views alike.
 
     Raises:
         ModelFileError: if entries are missing or have wrong shapes, or pictures have fewer cells than there are clusters.
         InputError: if timm is needed and cannot be imported.
     """
-    mega = has(entries, "aggregator.agg.")
-    trunk = entries.under("backbone." if mega else "backbone.model.")
-    network = network_of_entries(dinov2(trunk), None, _SIZE)
+    mega = entries.has("aggregator.agg.")
+    size = size_of(entries, _SIZE)
+    trunk = dinov2(entries.under("backbone." if mega else "backbone.model."), size)
     head = None
     if mega:
-        size, width = entries.shape("aggregator.linear.weight", 2)
+        out, width = entries.shape("aggregator.linear.weight", 2)
         matrix, bias = entries.linear("aggregator.linear", width)
-        head = matrix.reshape(1, size, width), bias[None]
-    own = entries.under("aggregator.agg." if mega else "aggregator.")
-    branch = Salad(network.trunk, own, network.channels, head)
+        head = matrix.reshape(1, out, width), bias[None]
+    branch = Salad(trunk, entries.under("aggregator.agg." if mega else "aggregator."), head)
     if head is not None and branch.width != head[0].shape[2]:
         raise ModelFileError(
             f"In {entries.name}, aggregator.linear.weight takes {head[0].shape[2]} numbers; expected the {branch.width} of the "
             "class token and the clusters."
         )
-    cells = network.trunk.grid[0] * network.trunk.grid[1]
+    cells = trunk.grid[0] * trunk.grid[1]
     if cells <= branch.clusters:
         raise ModelFileError(
-            f"{entries.name} has {branch.clusters} clusters, and pictures of {network.size[0]} x {network.size[1]} have {cells} "
-            "cells; set h and w in an opts.yaml beside the file to larger ones."
+            f"{entries.name} has {branch.clusters} clusters, and pictures of {size[0]} x {size[1]} have {cells} cells; set h and "
+            "w in an opts.yaml beside the file to larger ones."
         )
     return published(
         dict.fromkeys(VIEWS, branch),
         "MegaLoc" if mega else "SALAD",
-        network.title,
-        network.size,
+        f"DINOv2 {NAMES.get(trunk.channels, 'ViT')}",
+        size,
         level="exact, with held",
         held=_HELD,
         embedding=branch.width if head is None else head[0].shape[1],
         resize="bilinear",
         mirror="none",
     )
+
+
+_OWN = (r"aggregator\.(agg\.)?dust_bin$", r"aggregator\.(agg\.)?cluster_features\.")
+ADAPTERS = (Adapter("salad", (r"backbone\.(model\.)?blocks\.", *_OWN), build, r"mask_token$"),)

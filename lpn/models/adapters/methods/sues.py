@@ -14,8 +14,9 @@ from lpn.models.adapters.entries import Entries
 from lpn.models.adapters.named import matching, named_vector
 from lpn.models.adapters.network import Account, MeanVector, PartBranch, by_heads
 from lpn.models.adapters.pooled import FixedWeights, MapCells, PooledTokens
-from lpn.models.adapters.published import PAIR, PublishedParts, check_option, has, numbered, published, size_of
-from lpn.models.contract import Role
+from lpn.models.adapters.published import PAIR, PublishedParts, check_option, numbered, published, size_of
+from lpn.models.adapters.registry import Adapter
+from lpn.models.contract import Role, part_names
 from lpn.models.partition import Partition
 from lpn.models.timm_networks import TimmMap
 
@@ -70,7 +71,7 @@ class LopsidedSum(PartBranch):
         return Account(parts, features, both.cells[:count], self.bias * (scale + 1))
 
 
-def build_sues(entries: Entries) -> PublishedParts:
+def build(entries: Entries) -> PublishedParts:
     """Build a baseline of SUES-200, or its LPN: `model_1` describes the satellite and `model_2` the drone.
 
     Raises:
@@ -78,7 +79,7 @@ def build_sues(entries: Entries) -> PublishedParts:
         InputError: if timm is needed and cannot be imported.
     """
     own = entries.under("model_1.")
-    if has(own, _LPN_ENTRIES) and any(re.match(r"classifier\d", key) for key in entries.state):
+    if own.has(_LPN_ENTRIES) and any(re.match(r"classifier\d", key) for key in entries.state):
         return _lpn(entries)
     name = matching(_NETWORKS, own)
     if name is None or "classifier.add_block.0.weight" not in entries.state:
@@ -92,7 +93,7 @@ def build_sues(entries: Entries) -> PublishedParts:
     channels = entries.shape("classifier.add_block.0.weight", 2)[1]
     matrix, bias = entries.linear("classifier.add_block.0", channels)
 
-    made = [LopsidedSum(named_vector(name, branch, size), (matrix[None], bias[None])) for branch in numbered(entries)]
+    made = [LopsidedSum(named_vector(name, own, size)[0], (matrix[None], bias[None])) for own in numbered(entries)]
     cells = isinstance(made[0].vector, MeanVector)
     return published(
         {"satellite": made[0], "drone": made[-1]},
@@ -148,6 +149,16 @@ def _lpn(entries: Entries) -> PublishedParts:
         "SE-ResNet-50",
         size,
         level="exact",
-        parts=partition.names(),
+        parts=part_names(partition),
         partitions=dict.fromkeys(PAIR, partition),
     )
+
+
+ADAPTERS = (
+    Adapter(
+        "sues200",
+        (r"model_1\.", r"model_2\.", r"classifier\d?\.add_block\.0\."),
+        build,
+        r"^classifier\d*\.classifier\.|^model_\d\.(model\.)?(fc|head|classifier|last_linear)\.",
+    ),
+)

@@ -13,8 +13,10 @@ from lpn.core.errors import ModelFileError
 from lpn.models.adapters.entries import Entries
 from lpn.models.adapters.network import Account, PartBranch, by_heads, on_grid
 from lpn.models.adapters.pooled import FixedWeights, MapCells, PooledTokens
-from lpn.models.adapters.published import has
+from lpn.models.adapters.published import PublishedParts, by_role, check_option, numbered, published, size_of
+from lpn.models.adapters.registry import LPN, Adapter
 from lpn.models.backbones import Bottleneck, ResNet
+from lpn.models.contract import part_names
 from lpn.models.partition import Partition
 
 SHIFTS = (-2, 0, 2)
@@ -107,7 +109,7 @@ def build_branch(entries: Entries, heads: Entries, size: tuple[int, int]) -> tup
     Raises:
         ModelFileError: if entries are missing or have wrong shapes, or SDPL takes no pictures of that size.
     """
-    if has(entries, "shift_blocks."):
+    if entries.has("shift_blocks."):
         if size[0] != size[1] or size[0] % SIDE_STEP or size[0] < SMALLEST:
             raise ModelFileError(
                 f"The opts.yaml beside {entries.name} says {size[0]} x {size[1]} pixels; SDPL takes squares of a multiple of "
@@ -126,7 +128,7 @@ def build_branch(entries: Entries, heads: Entries, size: tuple[int, int]) -> tup
     grid = -(-size[0] // step), -(-size[1] // step)
     weights = FixedWeights(torch.from_numpy(partition.weights(*grid)).flatten(1))
     branch = PooledTokens(MapCells(trunk, grid, trunk.channels), weights, heads.heads(names, trunk.channels))
-    return branch, tuple(partition.names())
+    return branch, tuple(part_names(partition))
 
 
 class Sdpl(PartBranch):
@@ -237,3 +239,28 @@ class Sdpl(PartBranch):
 def generalised_mean(values: Tensor) -> Tensor:
     """Return the cube root of the mean cube over the last axis, of values from 1e-6."""
     return values.clamp(min=_FLOOR).pow(3).mean(-1).pow(1 / 3)
+
+
+def build(entries: Entries) -> PublishedParts:
+    """Build SDPL, or one of the two baselines of its code."""
+    check_option(entries, "views", 2)
+    size = size_of(entries, (512, 512))
+    shifted = entries.has("model_1.shift_blocks.")
+    made = [build_branch(branch, entries, size) for branch in numbered(entries)]
+    return published(
+        by_role([branch for branch, _ in made]),
+        "SDPL",
+        "ResNet-50",
+        size,
+        level="exact, with held" if shifted else "exact",
+        held="pooled values and shift weights" if shifted else "",
+        parts=made[0][1],
+    )
+
+
+# SDPL and its baselines have the entries of an LPN of two branches, and one more; of one baseline it is an option.
+_UNUSED = r"^classifier\d*\.classifier\.|^model_\d\.(bn|model\.fc)\.|^model_\d\.gem\d+\.p$"
+ADAPTERS = tuple(
+    Adapter("sdpl", (*LPN.needs, more), build, _UNUSED)
+    for more in (r"model_1\.shift_blocks\.", r"model_1\.gem\d+\.p$", "opts.yaml:dense_LPN$")
+)

@@ -11,9 +11,8 @@ import torch
 from torch import Tensor, nn
 
 from lpn.core.errors import ModelFileError
-from lpn.models.adapters import transformers
 from lpn.models.adapters.entries import Entries
-from lpn.models.adapters.named import NamedTokens, matching, named_map
+from lpn.models.adapters.named import NamedTokens, filled_map, matching
 from lpn.models.adapters.network import PartBranch
 from lpn.models.adapters.pooled import (
     TOKEN_POOLS,
@@ -33,24 +32,16 @@ from lpn.models.adapters.published import (
     regions_level,
     size_of,
 )
+from lpn.models.adapters.registry import Adapter
+from lpn.models.adapters.vit import NAMES, Tokens, trained_side
+from lpn.models.contract import part_names
 from lpn.models.partition import Partition
 
 # Backbones by timm's name, tried in this order: an entry, and its shape, that no later one has.
 _BACKBONES: dict[str, tuple[str, tuple[int, ...]]] = {
-    "deit_small_distilled_patch16_224": ("dist_token", (1, 1, 384)),
-    "legacy_seresnet50": ("layer0.conv1.weight", (64, 3, 7, 7)),
     "resnet50": ("layer3.5.conv3.weight", (1024, 256, 1, 1)),
-    "pvt_v2_b2": ("stages.2.blocks.5.attn.q.weight", (320, 320)),
     "convnext_tiny": ("stages.2.blocks.8.conv_dw.weight", (384, 1, 7, 7)),
-    "efficientnet_b2": ("conv_head.weight", (1408, 352, 1, 1)),
-    "efficientnet_b3": ("conv_head.weight", (1536, 384, 1, 1)),
-    "tf_efficientnet_b5": ("conv_head.weight", (2048, 512, 1, 1)),
-    "tf_efficientnet_b6": ("conv_head.weight", (2304, 576, 1, 1)),
-    "vgg16": ("features.28.weight", (512, 512, 3, 3)),
-    "swinv2_small_window8_256": ("layers.2.blocks.17.attn.qkv.weight", (1152, 384)),
-    "swinv2_tiny_window16_256": ("layers.2.blocks.5.attn.qkv.weight", (1152, 384)),
 }
-_TRAINED_SIDES = {"swinv2_small_window8_256": 256, "swinv2_tiny_window16_256": 256}
 # Heads by the entries that no other head has; the option `head` may have one of the endings, by the backbone.
 _GLOBAL, _RINGS, _GEM = "global_classifier.add_block.0.weight", "classifier_lpn_", "pool.gem2.p"
 _FIRST = "classifier1.add_block.0.weight"
@@ -78,8 +69,8 @@ class _Head(NamedTuple):
     blocks: int = 1
 
 
-def build_denseuav(entries: Entries) -> PublishedParts:
-    """Build a model of DenseUAV's code, on a vision transformer, or on one of its other backbones that timm has.
+def build(entries: Entries) -> PublishedParts:
+    """Build a model of DenseUAV's code, on a vision transformer, a ResNet-50, a ConvNeXt-T, or any network of timm by its name.
 
     Raises:
         ModelFileError: if entries are missing, have wrong shapes, contradict the options, or are of a backbone or a head that
@@ -98,24 +89,23 @@ def build_denseuav(entries: Entries) -> PublishedParts:
 def _backbone(entries: Entries) -> tuple[Any, str, tuple[int, int]]:
     """Return what gives tokens (B, prefix + N, C), its name, and the input size."""
     own = entries.under("backbone.backbone.")
-    if transformers.foreign_entry(own) is None and "cls_token" in own.state:
-        size = size_of(entries, transformers.trained_side(own), own.shape("patch_embed.proj.weight", 4)[2])
-        tokens = transformers.Tokens(own, size)
-        return tokens, transformers.NAMES.get(tokens.channels, "ViT"), size
-    name = matching(_BACKBONES, own)
+    stated = entries.options.get("model")
+    name = str(stated) if isinstance(stated, str) else matching(_BACKBONES, own)
+    if name is None and "cls_token" in own.state and "dist_token" not in own.state:
+        size = size_of(entries, trained_side(own), own.shape("patch_embed.proj.weight", 4)[2])
+        tokens = Tokens(own, size)
+        return tokens, NAMES.get(tokens.channels, "ViT"), size
     if name is None:
-        entry = next((f"{own.prefix}{key}" for key in own.state), "nothing")
-        stated = entries.options.get("backbone")
+        entry = next((own.file_name(key) for key in own.state), "nothing")
         raise ModelFileError(
-            f"{entries.name} is DenseUAV's, of a backbone that is not read ({f'{stated}, ' if stated else ''}found {entry}); "
-            f"expected a plain vision transformer, or one of {', '.join(_BACKBONES)}."
+            f"{entries.name} is DenseUAV's, of a backbone that its entries do not tell (found {entry}); write its network's name "
+            "in timm as `model: NAME` into an opts.yaml beside the file."
         )
-    side = _TRAINED_SIDES.get(name, 224)
-    size = size_of(entries, (side, side))
-    network, grid = named_map(name, own, size)
+    size = size_of(entries, (224, 224))
+    network = filled_map(name, own, size)
     if network.patch is not None:
-        return NamedTokens(network, grid), name, size
-    return MapCells(network, grid, network.channels), name, size
+        return NamedTokens(network, network.grid), name, size
+    return MapCells(network, network.grid, network.channels), name, size
 
 
 def _check_head(entries: Entries, head: Entries) -> None:
@@ -172,7 +162,7 @@ def _rings(entries: Entries, head: Entries, trunk: Any, rings: int) -> _Head:
     partition = Partition("rings", rings)
     weights = torch.from_numpy(partition.weights(*trunk.grid)).flatten(1)
     # Numbers are cut off the partition's names, as `by_view` adds its own.
-    parts = [name.partition(" ")[2] or "ring" for name in partition.names()]
+    parts = [name.partition(" ")[2] or "ring" for name in part_names(partition)]
     if _GLOBAL not in head.state:
         if trunk.prefix:
             raise ModelFileError(
@@ -208,3 +198,13 @@ def _check_plain(entries: Entries, trunk: Any, head: str) -> None:
             f"{entries.name} has DenseUAV's head {head} on {trunk.grid[0]} x {trunk.grid[1]} cells behind {trunk.prefix} tokens; "
             "its code takes a square of cells behind one class token."
         )
+
+
+ADAPTERS = (
+    Adapter(
+        "denseuav",
+        (r"backbone\.backbone\.", r"head\.head\."),
+        build,
+        r"^head\.head\..*classifier\w*\.classifier\.|^backbone\.backbone\.(head|fc|classifier)\.|^head\.head\.pool\.",
+    ),
+)

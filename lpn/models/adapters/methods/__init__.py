@@ -1,0 +1,1 @@
+"""One file for each published method, or for methods of one network; each has `ADAPTERS`."""

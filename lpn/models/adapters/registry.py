@@ -1,0 +1,111 @@
+"""The adapters of published models, and which of them a checkpoint is for."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass
+from functools import cache
+from importlib import import_module
+from importlib.metadata import entry_points
+from pkgutil import iter_modules
+
+from torch import Tensor
+
+from lpn.core.errors import InputError, ModelFileError
+from lpn.core.files import first_few, printable
+from lpn.models.adapters import methods
+from lpn.models.adapters.entries import Entries
+from lpn.models.adapters.published import PublishedParts
+
+GROUP = "lpn.adapters"
+# Prefixes of all names after training with DataParallel, torch.compile, or a class that holds the network as `model` or `net`.
+_WRAPPERS = ("module.", "_orig_mod.", "model.", "net.", "network.")
+_SHOWN = 4
+
+
+@dataclass(frozen=True)
+class Adapter:
+    """What reads the checkpoints of one method.
+
+    Attributes:
+        kind: its name for `--kind`; several adapters may have one.
+        needs: patterns of names, each of which some entry matches from its begin. An option of opts.yaml is an entry
+            `opts.yaml:NAME`.
+        build: the model from all entries.
+        unused: a pattern of entries that the released code has for training alone.
+    """
+
+    kind: str
+    needs: tuple[str, ...]
+    build: Callable[[Entries], PublishedParts]
+    unused: str = r"(?!)"
+
+    def fits(self, names: Collection[str]) -> bool:
+        """Return whether all entries that it needs are there."""
+        return all(any(re.match(pattern, name) for name in names) for pattern in self.needs)
+
+
+def _lpn(entries: Entries) -> PublishedParts:
+    raise AssertionError(f"{entries.name} is opened by lpn.models.checkpoints")
+
+
+_HEAD = r"classifier\d*\.add_block\."
+LPN = Adapter("lpn", (r"model_\d\.model\.", f"{_HEAD}0.weight", f"{_HEAD}1.weight", f"{_HEAD}1.running_mean"), _lpn)
+
+
+@cache
+def adapters() -> tuple[Adapter, ...]:
+    """Return the adapters of this package and of others, that of LPN first."""
+    modules = [import_module(f"{methods.__name__}.{module.name}") for module in iter_modules(methods.__path__)]
+    others = [adapter for point in entry_points(group=GROUP) for adapter in point.load()]
+    return (LPN, *(adapter for module in modules for adapter in module.ADAPTERS), *others)
+
+
+def choose(
+    kind: str | None, state: Mapping[str, Tensor], options: Collection[str], name: str
+) -> tuple[Adapter, dict[str, Tensor]]:
+    """Return the adapter of a state dict, and its entries without a prefix that training put before all names.
+
+    The adapter with the most entries that it needs wins.
+
+    Args:
+        kind: the method that a user named; None to recognise it.
+        options: the names of those beside the file.
+
+    Raises:
+        ModelFileError: if no adapter fits, or two alike.
+        InputError: if there is no such kind.
+    """
+    known = [adapter for adapter in adapters() if kind in (None, adapter.kind)]
+    if not known:
+        kinds = dict.fromkeys(adapter.kind for adapter in adapters())
+        raise InputError(
+            f"There is no kind of model {printable(str(kind))[:60]!r}; expected one of {', '.join(kinds)}."
+        )
+    stated = [f"opts.yaml:{option}" for option in options]
+    inner = dict(state)
+    while True:
+        fitting = [adapter for adapter in known if adapter.fits([*inner, *stated])]
+        most = max((len(adapter.needs) for adapter in fitting), default=0)
+        best = {adapter.kind: adapter for adapter in fitting if len(adapter.needs) == most}
+        if len(best) == 1:
+            return next(iter(best.values())), inner
+        if best:
+            raise ModelFileError(
+                f"{name} has the entries of {' and of '.join(best)}, and nothing decides between them; say which with --kind, of "
+                "a second model with --beside-kind."
+            )
+        prefix = next((prefix for prefix in _WRAPPERS if inner and all(key.startswith(prefix) for key in inner)), None)
+        if prefix is None:
+            break
+        inner = {key.removeprefix(prefix): value for key, value in inner.items()}
+    if kind is not None:
+        # The names of training may be missing; the builder names an entry that it lacks.
+        return known[0], inner
+    entries = first_few([printable(key)[:80] for key in inner], _SHOWN) or "nothing"
+    raise ModelFileError(
+        f"{name} is not a checkpoint of a known model: it holds {entries}. Name its method with --kind "
+        f"({', '.join(dict.fromkeys(adapter.kind for adapter in known))}); a network of timm opens as timm:NAME:FILE, one of "
+        "transformers as its folder, and the weights of a backbone go to lpn train --init."
+    )

@@ -1,0 +1,223 @@
+"""Which adapter reads a checkpoint, what it refuses, and which entries it names as not read."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Collection
+from importlib.metadata import EntryPoint
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from safetensors.torch import save_file
+
+import lpn
+from lpn.core.errors import InputError, ModelFileError
+from lpn.models import timm_networks
+from lpn.models.adapters import registry
+from lpn.models.adapters.entries import Entries
+from lpn.models.adapters.methods import sdpl
+from lpn.models.base import Model
+from tools.fixtures import published_models, seeded, small_worlds
+from tools.fixtures.published_models import State, small_denseuav, small_fsra, small_mccg, small_vector, small_vit
+
+HEAD = ("0.weight", "1.weight", "1.running_mean")
+
+
+def chosen(names: Collection[str], options: Collection[str] = (), kind: str | None = None) -> str:
+    return registry.choose(kind, dict.fromkeys(names, torch.zeros(1)), options, "net.pth")[0].kind
+
+
+def heads(*names: str, layers: Collection[str] = HEAD) -> list[str]:
+    return [f"{name}.add_block.{layer}" for name in names for layer in layers]
+
+
+@pytest.mark.parametrize(
+    ("names", "kind"),
+    [
+        (published_models.shapes_of("fsra_vits_b3"), "fsra"),
+        (published_models.shapes_of("mccg_tiny"), "mccg"),
+        (published_models.shapes_of("sdpl_resnet50_512"), "sdpl"),
+        (published_models.shapes_of("sample4geo_base_384"), "sample4geo"),
+        (published_models.shapes_of("sample4geo_tiny_256"), "sample4geo"),
+        (published_models.shapes_of("dac_base_384"), "dac"),
+        (published_models.shapes_of("game4loc_vitb_384"), "game4loc"),
+        (published_models.shapes_of("denseuav_vits_224"), "denseuav"),
+        (small_vector("camp"), "camp"),
+        (small_vector("mean"), "mean"),
+        (small_vector("dmnil"), "dmnil"),
+        (small_worlds.make_network().state_dict(), "lpn"),
+        (["backbone.model.blocks.0.norm1.bias", "aggregator.dust_bin", "aggregator.cluster_features.0.bias"], "salad"),
+        (
+            ["backbone.blocks.0.norm1.bias", "aggregator.agg.dust_bin", "aggregator.agg.cluster_features.0.bias"],
+            "salad",
+        ),
+        (["model_1.conv1.weight", "model_2.conv1.weight", *heads("classifier", layers=["0.weight"])], "sues200"),
+        (["model_1.model.conv1.weight", "model_2.model.conv1.weight", *heads("classifier0")], "lpn"),
+        (["model_1.model.conv1.weight", "model_1.gem0.p", *heads("classifier0")], "sdpl"),
+        (["logit_scale", "model.layers.0.blocks.0.attn.qkv.weight"], "sample4geo"),
+        (["logit_scale", "model1.conv1.weight", "model2.conv1.weight"], "game4loc"),
+    ],
+)
+def test_each_method_is_told_by_its_entries(names: Collection[str], kind: str) -> None:
+    assert chosen(names) == kind
+    # Prefixes that training puts before all names do not matter.
+    assert chosen([f"_orig_mod.module.{name}" for name in names]) == kind
+
+
+def test_an_option_counts_as_an_entry() -> None:
+    assert chosen(["model_1.model.conv1.weight", *heads("classifier")], ["dense_LPN"]) == "sdpl"
+
+
+def test_two_that_fit_alike_are_asked_for(tmp_path: Path) -> None:
+    both = {**small_vector("camp"), **small_vector("dac")}
+    with pytest.raises(ModelFileError, match=r"the entries of dac and of camp, and nothing decides .* with --kind"):
+        _opened(both, tmp_path)
+    assert lpn.load(tmp_path / "net_119.pth", "cpu", kind="dac").contract.method == "DAC"
+
+
+def test_what_fits_none_and_a_kind_that_is_none_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(ModelFileError, match=r"holds encoder\.0, .* and 1 more\. Name its method with --kind \(lpn, "):
+        chosen([f"encoder.{number}" for number in range(5)])
+    with pytest.raises(ModelFileError, match="it holds nothing"):
+        chosen([])
+    with pytest.raises(InputError, match="no kind of model 'vit'; expected one of lpn, "):
+        chosen(small_fsra(2), kind="vit")
+    _opened(small_fsra(2), tmp_path)
+    with pytest.raises(ModelFileError, match=r"lacks model_1\."):
+        lpn.load(tmp_path / "net_119.pth", "cpu", kind="camp")
+    (tmp_path / "lpn.onnx").touch()
+    with pytest.raises(InputError, match="leave --kind out"):
+        lpn.load(tmp_path / "lpn.onnx", kind="fsra")
+
+
+def test_a_method_of_another_package_is_one_file_and_an_entry_point(monkeypatch: pytest.MonkeyPatch) -> None:
+    adapter = registry.Adapter("rings", (r"encoder\.0", r"encoder\.1"), sdpl.build)
+    monkeypatch.setitem(sys.modules, "own_rings", type(sys)("own_rings"))
+    monkeypatch.setattr(sys.modules["own_rings"], "ADAPTERS", (adapter,), raising=False)
+    point = EntryPoint("rings", "own_rings:ADAPTERS", registry.GROUP)
+    monkeypatch.setattr(registry, "entry_points", lambda group: [point] if group == registry.GROUP else [])
+    registry.adapters.cache_clear()
+    assert chosen(["encoder.0", "encoder.1"]) == "rings"
+    registry.adapters.cache_clear()
+
+
+def test_a_prefix_of_training_and_the_container_of_a_checkpoint_do_not_matter(tmp_path: Path) -> None:
+    state, (height, width) = small_mccg(2), (64, 64)
+    (tmp_path / "opts.yaml").write_text(f"h: {height}\nw: {width}\n")
+    forms: dict[str, Any] = {
+        "module.": {f"module.{key}": value for key, value in state.items()},
+        "lightning": {"epoch": 3, "state_dict": {f"model.{key}": value for key, value in state.items()}},
+        "own": {"epoch": 3, "net": state, "optimizer": {"lr": 0.1}},
+        "nested": {"model": {"state_dict": state}},
+    }
+    torch.save(state, tmp_path / "net.pth")
+    pictures = seeded.pictures(3, 1, height, width)
+    expected = lpn.load(tmp_path / "net.pth", "cpu").part_embeddings(pictures, "drone")
+    files = []
+    for name, content in forms.items():
+        files.append(tmp_path / f"{name}.pth")
+        torch.save(content, files[-1])
+    for name, metadata in (("plain", None), ("hub", {"format": "pt"})):
+        files.append(tmp_path / f"{name}.safetensors")
+        save_file(state, files[-1], metadata)
+    for file in files:
+        np.testing.assert_array_equal(lpn.load(file, "cpu").part_embeddings(pictures, "drone"), expected)
+
+
+def test_a_bare_network_of_timm_is_read_as_the_kind_that_is_named(tmp_path: Path) -> None:
+    network = timm_networks.convnext((1, 1, 1, 1), (4, 8, 12, 16)).to_empty(device="cpu")
+    for prefix in ("", "_orig_mod.", "net.module."):
+        state = {f"{prefix}{key}": torch.ones_like(value) for key, value in network.state_dict().items()}
+        torch.save(state, tmp_path / "bare.pth")
+        assert lpn.load(tmp_path / "bare.pth", "cpu", kind="sample4geo").embedding == 16
+
+
+def test_timm_is_imported_where_torchvision_is_missing_and_no_stand_in_stays(monkeypatch: pytest.MonkeyPatch) -> None:
+    timm_networks.import_timm()
+    assert not any(type(module).__name__ == "_StandIn" for module in list(sys.modules.values()))
+    for name in [name for name in sys.modules if name.partition(".")[0] == "timm"]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, "timm", None)
+    with pytest.raises(
+        InputError, match=r"comes from timm, which is not installed; pip install 'lpn-explorer\[models\]'"
+    ):
+        timm_networks.rotary_transformer(512, 12, (64, 64))
+
+
+def _opened(state: State, folder: Path) -> Model:
+    torch.save(state, folder / "net_119.pth")
+    return lpn.load(folder / "net_119.pth", "cpu")
+
+
+def _two_blocks() -> State:
+    """Return a checkpoint of DenseUAV whose block stands twice."""
+    state = small_denseuav(0)
+    return state | {
+        key.replace("blocks.0.", "blocks.1."): value.clone() for key, value in state.items() if "blocks.0." in key
+    }
+
+
+@pytest.mark.parametrize(
+    ("state", "lost", "message"),
+    [
+        (
+            small_mccg(2),
+            "model_1.classifier_mcb1.add_block.0.weight",
+            r"lacks model_1\.classifier_mcb1\.add_block\.0\.weight",
+        ),
+        (small_denseuav(2), "head.head.classifier_heat1.add_block.0.weight", r"lacks head\.head\.classifier_heat1\."),
+        (_two_blocks(), "backbone.backbone.blocks.0.norm1.weight", r"lacks backbone\.backbone\.blocks\.0\.norm1"),
+        (_two_blocks(), "backbone.backbone.blocks.0.attn.qkv.bias", r"has .*blocks\.1\.attn\.qkv\.bias, and others"),
+    ],
+)
+def test_a_lost_entry_makes_no_smaller_model(state: State, lost: str, message: str, tmp_path: Path) -> None:
+    _opened(state, tmp_path)
+    with pytest.raises(ModelFileError, match=message):
+        _opened({key: value for key, value in state.items() if key != lost}, tmp_path)
+
+
+@pytest.mark.parametrize(
+    "lost",
+    ["model_1.shift_blocks.0.weight", "model_2.model.layer4.2.bn3.running_var", "classifier9.add_block.1.weight"],
+)
+def test_a_network_at_its_full_size_without_one_entry_is_no_other_one(lost: str) -> None:
+    # Entries without memory of their own.
+    state = {k: torch.zeros(()).expand(v) for k, v in published_models.shapes_of("sdpl_resnet50_512").items()}
+    for entry in ({}, {lost: torch.zeros(3, 3, 3)}):
+        changed = {name: value for name, value in state.items() if name != lost} | entry
+        with pytest.raises(ModelFileError, match=lost.replace(".", r"\.")):
+            sdpl.build(Entries("net.pth", changed))
+
+
+STATES = {
+    "CAMP": small_vector("camp"),
+    "DAC": small_vector("dac"),
+    "MEAN": small_vector("mean"),
+    "DMNIL": small_vector("dmnil"),
+    "MCCG": small_mccg(2),
+    "FSRA": small_fsra(2),
+    "DenseUAV": small_denseuav(2),
+    "Sample4Geo": small_vit("model."),
+    "LPN": small_worlds.make_network().state_dict(),
+}
+
+
+@pytest.mark.parametrize("method", STATES)
+@pytest.mark.parametrize("entry", ["model_1.proj.0.weight", "model_1.head.fusion.weight", "model_1.bn.weight"])
+def test_entries_that_are_not_read_are_named(
+    method: str, entry: str, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """The released code's entries of training alone are no news, and those of a method that is built on it are."""
+    _opened(STATES[method], tmp_path)
+    assert "released code does not have" not in caplog.text
+    _opened(STATES[method] | {entry: torch.zeros(2, 2)}, tmp_path)
+    assert f"has entries that {method}'s released code does not have, 1 in number ({entry})" in caplog.text
+
+
+def test_the_buffers_of_an_older_timm_are_not_named(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    names = ("attn_mask", "attn.relative_position_index", "attn.relative_coords_table")
+    _opened(small_vit("model.") | {f"model.layers.0.blocks.1.{name}": torch.zeros(2, 2) for name in names}, tmp_path)
+    assert "released code does not have" not in caplog.text
