@@ -12,7 +12,7 @@ from lpn.flight.locate.belief import Belief
 from lpn.flight.locate.located import LocatedFlight, LocatedFrame
 from lpn.flight.locate.surveyed import SurveyedErrors
 from lpn.flight.locate.tag_errors import tag_errors
-from lpn.flight.maps.tag_placed import placing_sentence
+from lpn.flight.maps.place import placing_sentence
 
 # The stages whose answers are accepted, in the words for everybody and in the field's.
 PLACED = {"registration": ("by their details", "by registration"), "sequence": ("by their neighbours", "by sequence")}

@@ -13,6 +13,7 @@ from contextlib import contextmanager
 from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any
+from xml.sax.saxutils import escape
 
 from lpn.core.errors import DataError
 from lpn.core.files import first_few, printable
@@ -91,6 +92,7 @@ def rasterio() -> Any:
         os.environ.setdefault(name, value)
     import rasterio
     import rasterio.shutil
+    import rasterio.vrt
     import rasterio.warp
 
     # GDAL's messages would add to ours.
@@ -107,11 +109,8 @@ def failures(*others: type[Exception]) -> tuple[type[Exception], ...]:
     return rasterio().errors.RasterioError, CPLE_BaseError, UnicodeDecodeError, *others
 
 
-def open_raster(path: Path, overviews: Path | None = None) -> Any:
+def open_raster(path: Path) -> Any:
     """Open a raster file of a user for reading.
-
-    Args:
-        overviews: a TIFF of the file's overviews that lies elsewhere.
 
     Raises:
         DataError: if it is missing, has another format than is read here, or refers to other files.
@@ -128,11 +127,11 @@ def open_raster(path: Path, overviews: Path | None = None) -> Any:
             if names
             else f"{file_name} holds no raster; expected a GeoTIFF, a picture, or an .mbtiles of pictures."
         )
-    return file if overviews is None else _with_overviews(file, overviews)
+    return file
 
 
 @contextmanager
-def _quietly() -> Iterator[None]:
+def quietly() -> Iterator[None]:
     """Open files without rasterio's warning that one has no georeference."""
     library = rasterio()
     with _opening, warnings.catch_warnings(), library.Env():
@@ -150,7 +149,7 @@ def _checked(path: Path) -> Any:
     for beside in named(path.parent, names):
         if beside.name != path.name:
             _check_beside(beside)
-    with _quietly():
+    with quietly():
         try:
             # From the root on it is a path, and no address or other name that GDAL knows.
             file = library.io.DatasetReader(str(path.absolute()), driver=_DRIVERS)
@@ -225,40 +224,65 @@ def _check_beside(path: Path) -> None:
     _checked(path).close()
 
 
-def _with_overviews(file: Any, overviews: Path) -> Any:
-    """Return an open raster with the overviews of another file, as a VRT in memory."""
-    library = rasterio()
-    if not overviews.is_file():
-        raise DataError(f"There is no file {printable(str(overviews))}; write the map again with lpn map.")
-    _check_beside(overviews)
-    with _quietly(), file, library.MemoryFile(ext=".vrt") as made:
-        made.write(vrt_of(file))
-        with library.open(made.name, "r+", driver="VRT") as vrt:
-            vrt.update_tags(ns="OVERVIEWS", OVERVIEW_FILE=str(overviews.absolute()))
-        return library.io.DatasetReader(made.name, driver="VRT")
+def in_memory(xml: bytes) -> Any:
+    """Return a VRT as a file in memory, which lives as long as what is returned."""
+    made = rasterio().MemoryFile(ext=".vrt")
+    made.write(xml)
+    return made
+
+
+def open_vrt(name: str) -> Any:
+    """Open a VRT of ours by its name in memory."""
+    with quietly():
+        return rasterio().io.DatasetReader(name, driver="VRT")
+
+
+def vrt_name(path: str, driver: str) -> str:
+    """Return the name by which a VRT opens a file by one driver; GDAL itself would try all of them.
+
+    Raises:
+        DataError: if a VRT cannot hold the path.
+    """
+    if "?" in path:
+        raise DataError(
+            f"{printable(path)} has a question mark in its path, and GDAL reads maps by paths without; rename it."
+        )
+    return f"vrt://{path}?if={driver}"
 
 
 def vrt_of(file: Any) -> bytes:
-    """Return a VRT of an open raster that opens it by its own driver; GDAL's own VRT would try all drivers.
+    """Return a VRT of an open raster that opens it by its own driver.
 
     Raises:
         DataError: if a VRT cannot hold the raster's path.
     """
     library = rasterio()
-    if "?" in file.name:
-        raise DataError(
-            f"{printable(file.name)} has a question mark in its path, and GDAL reads a large map by paths without; rename it."
-        )
+    name = escape(vrt_name(file.name, file.driver)).encode()
     with library.Env(), library.MemoryFile(ext=".vrt") as made:
         library.shutil.copy(file, made.name, driver="VRT")
-        source = rb'<SourceFilename relativeToVRT="0">vrt://\1?if=%b<' % file.driver.encode()
-        return re.sub(rb"<SourceFilename[^>]*>([^<]*)<", source, made.read())
+        source = b'<SourceFilename relativeToVRT="0" shared="0">%s<' % name
+        return re.sub(rb"<SourceFilename[^>]*>[^<]*<", lambda _: source, made.read())
+
+
+def with_overviews(xml: bytes, overviews: Path) -> bytes:
+    """Return a VRT with the overviews of another file.
+
+    Raises:
+        DataError: if that file is missing, or is none of overviews.
+    """
+    if not overviews.is_file():
+        raise DataError(f"There is no file {printable(str(overviews))}; write the map again with lpn map.")
+    _check_beside(overviews)
+    named = (
+        f'<Metadata domain="OVERVIEWS"><MDI key="OVERVIEW_FILE">{escape(str(overviews.absolute()))}</MDI></Metadata>'
+    )
+    return xml.replace(b"</VRTDataset>", named.encode() + b"</VRTDataset>")
 
 
 def build_overviews(path: Path, driver: str = "GTiff", method: str = "average") -> None:
     """Write the overviews of a file that we wrote, by one of rasterio's methods of resampling."""
     library = rasterio()
-    with _quietly():
+    with quietly():
         opened_file = library.open(path, "r+", driver=driver)
     with library.Env(COMPRESS_OVERVIEW="DEFLATE", BIGTIFF_OVERVIEW="IF_SAFER"), opened_file as file:
         side = max(file.width, file.height)

@@ -278,8 +278,9 @@ def test_a_large_sheet_is_read_by_the_driver_that_opened_it(tmp_path: Path) -> N
     options = MapOptions(crs="EPSG:32632")
     for whole in (build_map([path], tmp_path / "map", options), open_map(tmp_path / "map")):
         raster = whole.sheets[0].raster
-        assert raster.read((0, 1000, side, 1), (side, 1))[0][0, :, 0].tobytes() == pixels[1000 * side : 1001 * side]
-        reduced = raster.read((0, 1000, side, 1000), (side // 4, 250))[0][:, :, 0]
+        row = raster.cut(np.array([[1.0, 0, 0], [0, 1, 1000]]), (side, 1), 1)[0]
+        assert row[0, :, 0].tobytes() == pixels[1000 * side : 1001 * side]
+        reduced = raster.cut(np.array([[4.0, 0, 0], [0, 4, 1000]]), (side // 4, 250), 4)[0][:, :, 0]
         assert {file.name for file in raster.files()} == {"town.bil", "town.hdr", "01.ovr"}
         assert np.abs(reduced - smooth(side, side)[1002:2000:4, 2::4, 0].astype(float)).max() < 12
         whole.close()
@@ -411,7 +412,6 @@ def test_a_large_sheet_with_a_question_mark_in_its_path_is_refused(tmp_path: Pat
     path = write_geotiff(tmp_path / "a?if=VRT.tif", smooth(700, 3000), tiled=True, blockxsize=256, blockysize=256)
     with pytest.raises(DataError, match="has a question mark in its path"):
         build_map([path], tmp_path / "map")
-    open_map(path).close()
 
 
 @pytest.mark.parametrize("change", ["a sheet", "overviews"])
@@ -442,8 +442,8 @@ def test_no_coordinate_reference_system_is_asked_of_a_server_or_read_from_a_file
         assert main(["map", str(path), "--crs", crs, "--out", str(tmp_path / "map")]) == 2
         plain.with_suffix(".prj").write_text(crs)
         assert main(["map", str(plain), "--out", str(tmp_path / "map")]) == 2
-        build_map([path], tmp_path / "whole").close()
-        manifest = tmp_path / "whole" / "map.json"
+        if not (manifest := tmp_path / "whole" / "map.json").exists():
+            build_map([path], tmp_path / "whole").close()
         known = json.loads(manifest.read_text())
         known["sheets"][0]["crs"] = crs
         manifest.write_text(json.dumps(known))
