@@ -24,12 +24,14 @@ import re
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
+from dataclasses import asdict
 from functools import partial
 from importlib import import_module
 from itertools import chain, repeat
 from typing import Any, Literal, TypeVar, cast, get_args
 from urllib.parse import unquote, urlsplit
 
+import msgspec
 import numpy as np
 import numpy.typing as npt
 
@@ -211,9 +213,6 @@ class MilvusIndex(Index):
         """See `Index.count`."""
         return self._call(lambda client: self._counted(client, "", "Strong"))
 
-    def expect_windows(self, sizes: Sequence[float], overlap: float) -> None:
-        """A collection keeps none: Milvus writes its description only once."""
-
     def close(self) -> None:
         """See `Index.close`."""
         self._disconnect()
@@ -251,7 +250,7 @@ class MilvusIndex(Index):
         def make(client: Any) -> None:
             types = self._milvus.DataType
             if not client.has_collection(self._name, timeout=_CALL):
-                description = json.dumps({"format": FORMAT, **vars(kind), "structure": structure})
+                description = json.dumps({"format": FORMAT, **asdict(kind), "structure": structure})
                 schema = client.create_schema(auto_id=False, enable_dynamic_field=False, description=description)
                 schema.add_field("id", types.VARCHAR, is_primary=True, max_length=32)
                 schema.add_field("name", types.VARCHAR, max_length=_NAME_BYTES)
@@ -443,17 +442,17 @@ def _read(description: str, address: str) -> tuple[DescriptorKind, Structure]:
             raise StoreError(newer_version(address, values["format"], FORMAT))
         if values["format"] != FORMAT or values["structure"] not in get_args(Structure):
             raise ValueError("another format")
-        return DescriptorKind(str(values["fingerprint"]), int(values["n_parts"]), int(values["embedding"])), values[
-            "structure"
-        ]
-    except (ValueError, KeyError, TypeError) as error:
+        known = {name: values.get(name) for name in ("fingerprint", "n_parts", "embedding", "windows")}
+        return msgspec.convert(known, DescriptorKind), values["structure"]
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise StoreError(
             f"{address} is a collection that lpn index did not make ({FORMAT}); choose another name."
         ) from error
 
 
 def _describe(kind: DescriptorKind) -> str:
-    return f"{kind.n_parts} x {kind.embedding} numbers of model {kind.fingerprint}"
+    windows = "" if kind.windows is None else f" of windows of {kind.windows}"
+    return f"{kind.n_parts} x {kind.embedding} numbers of model {kind.fingerprint}{windows}"
 
 
 def _now(consistency: _Level = "Strong") -> dict[str, Any]:

@@ -39,7 +39,7 @@ from lpn.flight.maps.raster import Raster, Treatment, is_jpeg
 from lpn.flight.maps.sheet import Sheet
 from lpn.flight.maps.sources import MapOptions, files_of, open_sheet, parse_crs
 from lpn.flight.maps.tiles import is_tile_set, open_tiles
-from lpn.flight.maps.vrt import Source
+from lpn.flight.maps.vrt import RasterSource
 
 NAME = "map.json"
 FORMAT = "lpn-map/1"
@@ -368,7 +368,7 @@ def _opened(folder: Path, record: SheetRecord) -> Sheet:
             "again with lpn map."
         )
     overviews = None if record.overviews is None else folder / record.overviews
-    source = open_tiles(path, overviews)[0] if record.kind == "tiles" else Source.of_file(path, overviews)
+    source = open_tiles(path, overviews)[0] if record.kind == "tiles" else RasterSource.of_file(path, overviews)
     raster = Raster(source, record.treatment, keep_borders=True)
     if (raster.width, raster.height) != (record.width, record.height):
         raise DataError(

@@ -309,6 +309,17 @@ class Map:
                     facts.append([file.name, stat.st_size, stat.st_mtime_ns])
         return hashlib.sha256(json.dumps(facts).encode()).hexdigest()
 
+    def identity(self) -> str:
+        """Return a digest of the sheets' places, names, and sizes, which a copy of the map has, too."""
+        facts: list[Any] = [self.frame.latitude, self.frame.longitude]
+        for sheet in self.sheets:
+            file = sheet.raster.path
+            size = file.stat().st_size if file.is_file() else None
+            facts.append(
+                [sheet.name, sheet.raster.width, sheet.raster.height, size, np.round(sheet.bounds, 2).tolist()]
+            )
+        return hashlib.sha256(json.dumps(facts).encode()).hexdigest()[:16]
+
     def close(self) -> None:
         """Close the files of all sheets."""
         for sheet in self.sheets:

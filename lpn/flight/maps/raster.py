@@ -22,7 +22,7 @@ from lpn.core.errors import DataError, InputError
 from lpn.core.files import printable
 from lpn.flight.maps import _gdal, vrt
 from lpn.flight.maps.borders import BorderColour, border_region, find_borders, overview_size
-from lpn.flight.maps.vrt import Source, source_xml
+from lpn.flight.maps.vrt import RasterSource, source_xml
 
 # Percentiles of a band that become 0 and 255.
 _PERCENTILES = (2.0, 98.0)
@@ -75,7 +75,7 @@ class Raster:
 
     def __init__(
         self,
-        source: Source,
+        source: RasterSource,
         treatment: Treatment | None = None,
         bands: Sequence[int] | None = None,
         keep_borders: bool = False,
@@ -301,7 +301,7 @@ class Raster:
             return min(_LOSSY_OPAQUE, float(self._overview(file, (self.treatment.alpha,)).max()) / 2 or 1.0)
 
     @cached_property
-    def _cut_out(self) -> Source:
+    def _cut_out(self) -> RasterSource:
         """The mask of the border at the size of the overview: 0 where there is no data, else 255."""
         with self._opened() as file:
             values = self._overview(file, self.treatment.bands)
@@ -309,7 +309,9 @@ class Raster:
         for colour in self.treatment.border:
             border |= border_region(values, colour, self._deep)
         # Pixels at the edge are mixed with the border's colour.
-        return Source.of_mask(np.where(cv2.dilate(border, np.ones((3, 3), np.uint8)) > 0, 0, 255).astype(np.uint8))
+        return RasterSource.of_mask(
+            np.where(cv2.dilate(border, np.ones((3, 3), np.uint8)) > 0, 0, 255).astype(np.uint8)
+        )
 
 
 def is_jpeg(file: Any) -> bool:

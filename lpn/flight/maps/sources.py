@@ -19,7 +19,7 @@ from lpn.flight.maps.corners import LISTS, corners_of, read_list
 from lpn.flight.maps.raster import Raster, Treatment
 from lpn.flight.maps.sheet import Sheet
 from lpn.flight.maps.tiles import is_tile_set, open_tiles, tiles_near
-from lpn.flight.maps.vrt import Source
+from lpn.flight.maps.vrt import RasterSource
 
 # Largest error, in pixels, of the affine transform that stands for ground control points.
 _CONTROL_ERROR = 2.0
@@ -101,7 +101,7 @@ def open_sheet(
         source, _, crs, matrix = open_tiles(path, overviews)
     else:
         crs, matrix = georeference(path, options)
-        source = Source.of_file(copy or path, overviews)
+        source = RasterSource.of_file(copy or path, overviews)
     raster = Raster(source, treatment, options.bands, options.keep_borders, printable(path.name))
     return Sheet(path.name, raster, crs, matrix)
 

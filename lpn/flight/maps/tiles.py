@@ -20,7 +20,7 @@ from lpn.core.arrays import Float64Array
 from lpn.core.errors import DataError
 from lpn.core.files import printable
 from lpn.flight.maps import _gdal, vrt
-from lpn.flight.maps.vrt import Source, source_xml
+from lpn.flight.maps.vrt import RasterSource, source_xml
 
 # Half the side of the square that Web Mercator (EPSG:3857) shows, in its own metres.
 _HALF = math.pi * 6_378_137.0
@@ -55,7 +55,7 @@ def tiles_near(folder: Path) -> Path | None:
     return next((path for path in inside if is_tile_set(path)), None)
 
 
-def open_tiles(folder: Path, overviews: Path | None = None) -> tuple[Source, bytes, Any, Float64Array]:
+def open_tiles(folder: Path, overviews: Path | None = None) -> tuple[RasterSource, bytes, Any, Float64Array]:
     """Return the deepest zoom of a folder of tiles as a source of RGB and alpha; missing tiles have no data.
 
     Args:
@@ -111,7 +111,9 @@ def open_tiles(folder: Path, overviews: Path | None = None) -> tuple[Source, byt
     xml = vrt.rgba_xml(size, bands)
     memory = _gdal.in_memory(xml if overviews is None else _gdal.with_overviews(xml, overviews))
     used = sorted([file for file, *_ in pictures.values()] + ([] if overviews is None else [overviews]))
-    source = Source(folder, memory.name, lambda: _gdal.open_vrt(memory.name), lambda: used, notes, overviews, memory)
+    source = RasterSource(
+        folder, memory.name, lambda: _gdal.open_vrt(memory.name), lambda: used, notes, overviews, memory
+    )
     pixel = 2 * _HALF / (side << zoom)
     matrix = np.array([[pixel, 0, west * side * pixel - _HALF], [0, -pixel, _HALF - north * side * pixel]])
     return source, xml, _gdal.rasterio().crs.CRS.from_epsg(3857), matrix

@@ -20,7 +20,7 @@ SOME = "<LUT>0:0,1e-6:255</LUT>"
 
 
 @dataclass(frozen=True, eq=False)
-class Source:
+class RasterSource:
     """A raster as GDAL opens it.
 
     Attributes:
@@ -42,7 +42,7 @@ class Source:
     memory: Any = None
 
     @classmethod
-    def of_file(cls, path: Path, overviews: Path | None = None) -> Source:
+    def of_file(cls, path: Path, overviews: Path | None = None) -> RasterSource:
         """Return the source of a user's raster file; its overviews may lie in another file.
 
         Raises:
@@ -61,7 +61,7 @@ class Source:
         return cls(path, memory.name, lambda: _gdal.open_vrt(memory.name), files, overviews=overviews, memory=memory)
 
     @classmethod
-    def of_mask(cls, mask: UInt8Array) -> Source:
+    def of_mask(cls, mask: UInt8Array) -> RasterSource:
         """Return the source of a mask, (height, width), of one band."""
         library = _gdal.rasterio()
         memory = library.MemoryFile(ext=".tif")
@@ -82,7 +82,7 @@ def source_xml(
     """Return the XML of a band's source.
 
     Args:
-        name: of the source, see `Source`.
+        name: of the source, see `RasterSource`.
         band: its number, from 1.
         size: columns and rows of the source.
         box: where it lies in the band: first column and row, columns and rows.

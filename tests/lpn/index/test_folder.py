@@ -7,6 +7,7 @@ import resource
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ import pytest
 
 from lpn.core.errors import StoreError
 from lpn.doctor.verify import verify
-from lpn.index import DegreeBox, ExactIndex, create_index, folder, open_index, segments
+from lpn.index import DegreeBox, ExactIndex, WindowsRecord, create_index, folder, open_index, segments
 from lpn.index.base import covers, overlaps, within
 from tests.lpn.index.test_index import KIND, Tiles
 
@@ -253,15 +254,18 @@ def test_a_box_reads_the_positions_of_segments_on_its_border_alone(
                 tiles.check(index.search(query, None, 200, box), query, None, 200, box)
 
 
-def test_the_windows_to_come_are_in_the_checksum(tmp_path: Path) -> None:
-    with create_index(tmp_path / "index", KIND) as index:
-        manifest = tmp_path / "index" / "index.json"
-        index.expect_windows([60.0, 40.0], 0.5)
-        index.expect_windows([60.0], 0.25)
-        index.expect_windows([60.0], 0.5)
-        assert index.expected_windows == {40.0: [0.5], 60.0: [0.25, 0.5]}
-    kept = manifest.read_text()
-    manifest.write_text(kept.replace("0.25", "0.75"))
+def test_the_windows_that_an_index_is_made_for_are_in_its_manifest_and_checksum(tmp_path: Path) -> None:
+    kind = replace(KIND, windows=WindowsRecord("town", (40.0, 60.0), 0.25, 8, 1000))
+    create_index(tmp_path / "index", kind).close()
+    with create_index(tmp_path / "index", kind) as index:
+        assert index.kind == kind
+    for other in (KIND, replace(kind, windows=WindowsRecord("town", (40.0, 60.0), 0.5, 8, 1000))):
+        with pytest.raises(
+            StoreError, match=r"windows of 40, 60 m with an overlap of 0.25 at 8 headings, of the map town"
+        ):
+            create_index(tmp_path / "index", other)
+    manifest = tmp_path / "index" / "index.json"
+    manifest.write_text(manifest.read_text().replace("0.25", "0.75"))
     with pytest.raises(StoreError, match="is damaged"):
         open_index(tmp_path / "index")
 
