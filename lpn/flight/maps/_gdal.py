@@ -6,11 +6,10 @@ import logging
 import os
 import re
 import threading
-import time
 import warnings
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from functools import cache, lru_cache
+from functools import cache
 from pathlib import Path
 from typing import Any
 from xml.sax.saxutils import escape
@@ -57,31 +56,29 @@ _OTHERS: tuple[tuple[tuple[str, ...], bytes, str, str], ...] = (
     ((".vrt",), b"<VRTDataset", "a VRT, which names other files", "give those files, or make one with gdal_translate"),
     ((".wms",), b"<GDAL_WMS", "the address of a map server (WMS)", "save its map as GeoTIFF, such as with QGIS"),
     ((), b"<WCS_GDAL", "the address of a map server (WCS)", "save its map as GeoTIFF, such as with QGIS"),
-    ((".ntf", ".nitf"), b"NITF", "a NITF file", "convert it to GeoTIFF, such as with gdal_translate"),
-    ((".nc", ".h5", ".hdf"), b"\x89HDF", "a netCDF or HDF file", "export the right raster of it as GeoTIFF"),
     ((), b"version https://git-lfs", "a Git LFS pointer, not the file itself", "fetch it with git lfs pull"),
     ((), b"<!DOCTYPE html", "a page of HTML, as a failed download leaves it", "download the file again"),
     ((), b"<html", "a page of HTML, as a failed download leaves it", "download the file again"),
-    ((".ecw",), b"", "an ECW file, whose reader is not free", "convert it to GeoTIFF, such as with QGIS"),
-    ((".sid",), b"msid", "a MrSID file, whose reader is not free", "convert it to GeoTIFF, such as with QGIS"),
-    ((".pdf",), b"%PDF", "a PDF", "export the map as GeoTIFF"),
-    ((".zip", ".7z", ".rar", ".gz", ".tgz", ".tar"), b"", "an archive", "unpack it first"),
-    ((".pmtiles",), b"PMTiles", "a PMTiles archive", "convert it to .mbtiles, such as with pmtiles convert"),
-    ((".sqlitedb",), b"", "a set of tiles that is no .mbtiles", "export it as .mbtiles"),
-    ((".las", ".laz", ".copc", ".ply", ".e57"), b"LASF", "a point cloud", "give the orthophoto"),
-    ((".obj", ".fbx", ".glb", ".gltf", ".b3dm", ".osgb"), b"glTF", "a textured model", "give the orthophoto"),
-    ((".qgz", ".qgs", ".psx", ".p4d", ".aprx"), b"", "a project", "export the map as GeoTIFF"),
-    ((".shp", ".geojson", ".gpx", ".dxf", ".dwg"), b"", "a file of lines and points", "give a raster"),
-    ((".kml", ".kmz"), b"", "a file of Google Earth", "give its picture with --corners, or export the map as GeoTIFF"),
-    ((".tpk", ".tpkx", ".bundle"), b"", "a tile package of ArcGIS", "export the map as GeoTIFF"),
     (
-        (".mp4", ".mov", ".m4v", ".mkv", ".avi", ".srt"),
-        b"",
-        "a video or its subtitles",
-        "make a flight of it with lpn flight",
+        (".ecw", ".sid", ".ntf", ".nitf"),
+        b"NITF",
+        "in a format that is not read here",
+        "convert it to GeoTIFF, such as with QGIS",
     ),
+    ((".nc", ".h5", ".hdf"), b"\x89HDF", "a netCDF or HDF file", "export the right raster of it as GeoTIFF"),
+    ((".kml", ".kmz"), b"", "a file of Google Earth", "give its picture with --corners, or export the map as GeoTIFF"),
+    (
+        (".pmtiles", ".sqlitedb", ".tpk", ".tpkx"),
+        b"PMTiles",
+        "a set of tiles that is no .mbtiles",
+        "export it as .mbtiles",
+    ),
+    ((".zip", ".7z", ".rar", ".gz", ".tgz", ".tar"), b"PK\x03\x04", "an archive", "unpack it first"),
+    ((".las", ".laz", ".copc", ".ply", ".e57"), b"LASF", "a point cloud", "give the orthophoto"),
+    ((".pdf", ".qgz", ".qgs", ".psx", ".p4d", ".aprx"), b"%PDF", "a document or project", "export the map as GeoTIFF"),
+    ((".shp", ".geojson", ".gpx", ".dxf", ".dwg"), b"", "a file of lines and points", "give a raster"),
+    ((".mp4", ".mov", ".m4v", ".mkv", ".avi", ".srt"), b"", "a video", "make a flight of it with lpn flight"),
     ((".pth", ".pt", ".ckpt", ".safetensors", ".onnx"), b"", "a file of a model", "give it with --model"),
-    ((), b"PK\x03\x04", "a zip archive", "unpack it first"),
 )
 
 
@@ -145,7 +142,7 @@ def _checked(path: Path) -> Any:
     file_name = printable(str(path))
     if not path.is_file():
         raise DataError(f"There is no file {file_name}; check the path.")
-    names = {name.lower() for name in (*(f"{path.name}{end}" for end in _BESIDE), f"{path.stem}.aux")}
+    names = [name.lower() for name in (*(f"{path.name}{end}" for end in _BESIDE), f"{path.stem}.aux")]
     for beside in named(path.parent, names):
         if beside.name != path.name:
             _check_beside(beside)
@@ -167,23 +164,10 @@ def _checked(path: Path) -> Any:
     return file
 
 
-def named(folder: Path, names: Iterable[str]) -> list[Path]:
+def named(folder: Path, names: Sequence[str]) -> list[Path]:
     """Return the entries of a folder with these names (in lower case) in any case, in the order of the names."""
-    stat = folder.stat()
-    changed = max(stat.st_mtime_ns, stat.st_ctime_ns)
-    # Several changes may have one time.
-    listing = _listing if time.time_ns() - changed > 2_000_000_000 else _listing.__wrapped__
-    by_name = listing(folder, changed)
-    return [path for name in names for path in by_name.get(name, ())]
-
-
-@lru_cache(maxsize=8)
-def _listing(folder: Path, _changed: int) -> dict[str, list[Path]]:
-    """Return the entries of a folder by their names in lower case; the time of change, in nanoseconds, is a key of the cache."""
-    by_name: dict[str, list[Path]] = {}
-    for path in folder.iterdir():
-        by_name.setdefault(path.name.lower(), []).append(path)
-    return by_name
+    found = [path for path in folder.iterdir() if path.name.lower() in names]
+    return sorted(found, key=lambda path: names.index(path.name.lower()))
 
 
 def _flaw(file: Any, path: Path) -> str | None:

@@ -8,10 +8,8 @@ import os
 import sqlite3
 import subprocess
 import sys
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 from xml.sax.saxutils import escape
 
@@ -350,35 +348,6 @@ def test_a_file_of_imagine_takes_pixels_from_its_own_folder_alone(tmp_path: Path
                 open_map(path)
         else:
             open_map(path).close()
-
-
-def test_a_folder_of_many_files_is_listed_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from lpn.flight.maps import _gdal
-
-    paths = [write_geotiff(tmp_path / f"{i}.tif", smooth(60, 60)) for i in range(3)]
-    (tmp_path / "0.TIF.Ovr").write_text("")
-    later = time.time_ns() + 60_000_000_000
-    monkeypatch.setattr(_gdal, "time", SimpleNamespace(time_ns=lambda: later))
-    listed: list[Path] = []
-    iterdir = Path.iterdir
-
-    def noted(folder: Path) -> Iterator[Path]:
-        listed.append(folder)
-        return iterdir(folder)
-
-    monkeypatch.setattr(Path, "iterdir", noted)
-    with pytest.raises(DataError, match=r"0\.TIF\.Ovr holds neither"):
-        open_map(paths[0])
-    for path in paths[1:]:
-        open_map(path).close()
-    assert listed == [tmp_path]
-    # A folder that changed is listed anew, at once where the clock cannot tell the changes apart.
-    (tmp_path / "0.TIF.Ovr").unlink()
-    open_map(paths[0]).close()
-    assert listed == [tmp_path] * 2
-    later = time.time_ns()
-    open_map(paths[0]).close()
-    assert len(listed) > 2
 
 
 @pytest.mark.parametrize("copied", [False, True])
