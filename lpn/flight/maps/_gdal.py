@@ -73,12 +73,13 @@ _OTHERS: tuple[tuple[tuple[str, ...], bytes, str, str], ...] = (
         "a set of tiles that is no .mbtiles",
         "export it as .mbtiles",
     ),
-    ((".zip", ".7z", ".rar", ".gz", ".tgz", ".tar"), b"PK\x03\x04", "an archive", "unpack it first"),
+    ((".zip", ".7z", ".rar", ".gz", ".tgz", ".tar"), b"", "an archive", "unpack it first"),
     ((".las", ".laz", ".copc", ".ply", ".e57"), b"LASF", "a point cloud", "give the orthophoto"),
     ((".pdf", ".qgz", ".qgs", ".psx", ".p4d", ".aprx"), b"%PDF", "a document or project", "export the map as GeoTIFF"),
     ((".shp", ".geojson", ".gpx", ".dxf", ".dwg"), b"", "a file of lines and points", "give a raster"),
     ((".mp4", ".mov", ".m4v", ".mkv", ".avi", ".srt"), b"", "a video", "make a flight of it with lpn flight"),
     ((".pth", ".pt", ".ckpt", ".safetensors", ".onnx"), b"", "a file of a model", "give it with --model"),
+    ((), b"PK\x03\x04", "an archive", "unpack it first"),
 )
 
 
