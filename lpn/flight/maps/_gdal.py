@@ -291,7 +291,7 @@ def opened(path: Path) -> Iterator[Any]:
 
 def check_work(file: Any, path: Path) -> None:
     """Refuse a raster if reading all pixels of its coarsest overview would take too long."""
-    minutes = file.width * file.height / max(file.overviews(1), default=1) ** 2 / PIXELS_PER_MINUTE
+    minutes = file.width * file.height / max([1, *file.overviews(1)]) ** 2 / PIXELS_PER_MINUTE
     if minutes > _MOST_MINUTES:
         raise DataError(
             f"{printable(str(path))} has {file.width} x {file.height} pixels, and a first look at it would take "

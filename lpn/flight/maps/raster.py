@@ -93,7 +93,14 @@ class Raster:
             if treatment is not None:
                 self.treatment, self.notes = treatment, []
             chosen = self.treatment.bands
-            if not chosen or not all(1 <= number <= file.count for number in (*chosen, self.treatment.alpha or 1)):
+            stretch = self.treatment.stretch
+            if stretch is not None and not (len(stretch) == len(chosen) and all(low < high for low, high in stretch)):
+                raise DataError(
+                    f"The treatment of {self._name} in the map is damaged; write the map again with lpn map."
+                )
+            if len(chosen) not in (1, 3) or not all(
+                1 <= number <= file.count for number in (*chosen, self.treatment.alpha or 1)
+            ):
                 raise DataError(
                     f"{self._name} has {file.count} bands, fewer than before; write the map again with lpn map."
                 )
