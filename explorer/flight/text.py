@@ -14,7 +14,7 @@ from lpn.flight.locate.errors import CONFIRMED_SHARE, RIGHT_CALIBRATION
 from lpn.flight.locate.located import LocatedFlight, LocatedFrame, short_reason
 from lpn.flight.locate.summary import is_unchecked, radii_on_map
 from lpn.flight.maps.named_window import describe_offset
-from lpn.flight.maps.tag_placed import placing_sentence
+from lpn.flight.maps.place import placing_sentence
 
 # Each track: its name, and how it places a photo.
 TRACKS = {

@@ -93,7 +93,7 @@ class IndexCommand:
         from lpn.flight.maps import open_map
         from lpn.index import create_index
         from lpn.index.base import DescriptorKind, check_box
-        from lpn.index.from_map import index_windows, window_describer
+        from lpn.index.from_map import index_windows, window_describer, windows_record
 
         if self.descriptors is not None or self.data is not None or self.model is None:
             raise InputError(
@@ -105,15 +105,14 @@ class IndexCommand:
             raise InputError(f"Windows cannot be described at {self.turns} headings; expected 1 to 360 as --turns.")
         box = check_box(self.box)
         describe, sizes = window_describer(model, basemap), self.size or pyramid_sizes(basemap, [])
-        if not basemap.count_pyramid(sizes, self.overlap):
+        record = windows_record(basemap, sizes, self.overlap, self.turns)
+        if not record.count:
             raise InputError(
                 f"No window of {min(sizes):.0f} m or more fits on the map {printable(basemap.name)}; give smaller ones as --size."
             )
-        kind = DescriptorKind(model.fingerprint, model.n_parts, model.embedding)
+        kind = DescriptorKind(model.fingerprint, model.n_parts, model.embedding, record)
         with create_index(self.out, kind, self.engine, structure=self.structure) as index:
-            added = index_windows(
-                index, basemap, describe, sizes, self.overlap, replace=self.replace, turns=self.turns, box=box
-            )
+            added = index_windows(index, basemap, describe, replace=self.replace, box=box)
             print(f"{printable(_displayed(self.out))} holds {index.count()} windows, {added} of them added now.")
 
     def resume_hint(self) -> str:

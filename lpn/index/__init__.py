@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Literal, get_args
 
 from lpn.core.errors import InputError, StoreError
-from lpn.index.base import DegreeBox, DescriptorKind, Index, SearchResult, check_count
+from lpn.index.base import DegreeBox, DescriptorKind, Index, SearchResult, WindowsRecord, check_count
 from lpn.index.exact import ExactIndex
 from lpn.index.faiss import Codes, FaissIndex
 from lpn.index.folder import MANIFEST, IndexManifest
@@ -140,6 +140,7 @@ __all__ = [
     "MilvusIndex",
     "SearchResult",
     "Structure",
+    "WindowsRecord",
     "check_effort",
     "create_index",
     "open_index",

@@ -36,17 +36,42 @@ _ROWS = 256
 
 
 @dataclass(frozen=True)
+class WindowsRecord:
+    """The windows of a map that an index is made for.
+
+    Attributes:
+        map: `Map.identity` of the map.
+        sizes: their sides in metres, ascending.
+        overlap: share of a side that a neighbour covers, too.
+        turns: headings at which each window is described, evenly from 0 on.
+        count: windows of the whole map, each counted once for all its turns.
+    """
+
+    map: str
+    sizes: tuple[float, ...]
+    overlap: float
+    turns: int
+    count: int
+
+    def __str__(self) -> str:
+        sizes = ", ".join(f"{size:g}" for size in self.sizes)
+        return f"{sizes} m with an overlap of {self.overlap:g} at {self.turns} headings, of the map {self.map}"
+
+
+@dataclass(frozen=True)
 class DescriptorKind:
     """The kind of descriptors that an index holds.
 
     Attributes:
         fingerprint: fingerprint of the model; descriptors of different models cannot be compared.
         n_parts, embedding: n and D.
+        windows: what it holds, if that is windows of a map.
     """
 
     fingerprint: str
     n_parts: int
     embedding: int
+    windows: WindowsRecord | None = None
 
     @property
     def numbers(self) -> int:
@@ -192,22 +217,6 @@ class Index(ABC):
     @abstractmethod
     def close(self) -> None:
         """Release files, threads, and connections."""
-
-    @property
-    def expected_windows(self) -> dict[float, list[float]]:
-        """Return the overlaps of the windows of a map that `expect_windows` announced, newest last, by their side in metres."""
-        return {}
-
-    @abstractmethod
-    def expect_windows(self, sizes: Sequence[float], overlap: float) -> None:
-        """Keep which windows of a map will be added, so that a partial index is known as one.
-
-        Args:
-            sizes, overlap: see `Map.pyramid`; of a size that was announced with another overlap, this one is the newest.
-
-        Raises:
-            StoreError: when they cannot be written.
-        """
 
     def check_model(self, fingerprint: str) -> None:
         """Raise StoreError unless the descriptors are of this model."""

@@ -34,7 +34,17 @@ from lpn.core.files import (
     write_atomic,
 )
 from lpn.core.formats import decode_json
-from lpn.index.base import DegreeBox, DescriptorKind, Index, SearchResult, best, no_such_tile, scores_of, within
+from lpn.index.base import (
+    DegreeBox,
+    DescriptorKind,
+    Index,
+    SearchResult,
+    WindowsRecord,
+    best,
+    no_such_tile,
+    scores_of,
+    within,
+)
 from lpn.index.parts import FILES, Part, identity_of, readable, sum_of, write_part
 
 FORMAT = "lpn-index/2"
@@ -87,8 +97,7 @@ class IndexManifest(msgspec.Struct, frozen=True, kw_only=True):
         next: number of the next part to be written.
         parts: oldest first.
         codes: file of the engine, if it has one.
-        windows: sides in metres and overlaps of a map's windows, see `Index.expect_windows`, the newest overlap of a side last;
-            empty for other tiles.
+        windows: of a map, see `DescriptorKind`; None for other tiles.
         checksum: CRC-32 of all other values.
     """
 
@@ -101,13 +110,13 @@ class IndexManifest(msgspec.Struct, frozen=True, kw_only=True):
     next: int = 1
     parts: tuple[PartEntry, ...] = ()
     codes: EngineFile | None = None
-    windows: tuple[tuple[float, float], ...] = ()
+    windows: WindowsRecord | None = None
     checksum: int | None = None
 
     @property
     def kind(self) -> DescriptorKind:
         """The kind of descriptors."""
-        return DescriptorKind(self.fingerprint, self.n_parts, self.embedding)
+        return DescriptorKind(self.fingerprint, self.n_parts, self.embedding, self.windows)
 
     @property
     def tiles(self) -> int:
@@ -286,25 +295,6 @@ class FolderIndex(Index):
     def _add(self, names: list[str], vectors: Float32Array, places: Float64Array) -> None:
         """Add tiles; atomic, even if the process is killed."""
         self._change(lambda: self._with_engine_file(self._write(names, vectors, places)))
-
-    @property
-    def expected_windows(self) -> dict[float, list[float]]:
-        """See `Index.expected_windows`."""
-        overlaps: dict[float, list[float]] = {}
-        for size, overlap in self._current().manifest.windows:
-            overlaps.setdefault(size, []).append(overlap)
-        return overlaps
-
-    def expect_windows(self, sizes: Sequence[float], overlap: float) -> None:
-        """See `Index.expect_windows`; an index that expects them already is not written."""
-        new = dict.fromkeys((float(size), float(overlap)) for size in sizes)
-
-        def announced(manifest: IndexManifest) -> IndexManifest:
-            older = [pair for pair in manifest.windows if pair not in new]
-            return replace(manifest, windows=tuple(sorted([*older, *new], key=lambda pair: pair[0])))
-
-        if announced(manifest := self._current().manifest) != manifest:
-            self._change(lambda: announced(self._state.manifest))
 
     def tiles(self) -> tuple[list[str], Float32Array, Float64Array]:
         """See `Index.tiles`; the descriptors of a single part stay on disk."""
@@ -486,7 +476,7 @@ def _alive(part: Part, newer: Sequence[Part]) -> BoolArray:
 
 def _check_same_kind(folder: Path, existing: IndexManifest, wanted: IndexManifest) -> IndexManifest:
     kind = "{0.n_parts} x {0.embedding} numbers of model {0.fingerprint}"
-    for text in ("the engine {0.engine}", kind, "settings {0.settings}"):
+    for text in ("the engine {0.engine}", kind, "settings {0.settings}", "windows of {0.windows}"):
         present, new = text.format(existing), text.format(wanted)
         if present != new:
             raise StoreError(

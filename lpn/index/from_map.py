@@ -15,7 +15,7 @@ from lpn.core.progress import report_progress
 from lpn.descriptors.parallel_inference import describe_each
 from lpn.flight.maps import Map, NamedWindow, Window
 from lpn.flight.maps.named_window import WindowCut
-from lpn.index.base import DegreeBox, Index, within
+from lpn.index.base import DegreeBox, Index, WindowsRecord, within
 from lpn.models.base import Model
 
 # Returns the descriptors (B, n, D) of windows.
@@ -25,29 +25,35 @@ DescribeWindows = Callable[[Sequence[Window]], Float32Array]
 BLOCK = 1024
 
 
+def windows_record(basemap: Map, sizes: Sequence[float], overlap: float = 0.5, turns: int = 1) -> WindowsRecord:
+    """Return what an index of a map's windows holds, which it is made with.
+
+    Args:
+        sizes, overlap: see `Map.pyramid`.
+        turns: headings at which each window is described, evenly spaced from north on. With 8 a photo of unknown heading
+            needs one description in place of eight, see `lpn.flight.locate.index_windows`.
+    """
+    ascending = tuple(sorted(float(size) for size in sizes))
+    return WindowsRecord(basemap.identity(), ascending, overlap, turns, basemap.count_pyramid(ascending, overlap))
+
+
 def index_windows(
     index: Index,
     basemap: Map,
     describe: DescribeWindows,
-    sizes: Sequence[float],
-    overlap: float = 0.5,
     block: int = BLOCK,
     replace: bool = False,
-    turns: int = 1,
     box: DegreeBox | None = None,
 ) -> int:
-    """Describe the windows of a map that an index lacks, and add them under their names, with positions.
+    """Describe the windows of a map that an index was made for and lacks, and add them under their names, with positions.
 
     It reports its progress, in which windows outside a box count as done. A killed run resumes, as windows whose names are in
     the index are left out.
 
     Args:
         describe: see `window_describer`.
-        sizes, overlap: see `Map.pyramid`.
         block: windows that are described and added together.
         replace: describe all windows, also those that the index holds.
-        turns: headings at which each window is described, evenly spaced from north on. With 8 a photo of unknown heading
-            needs one description in place of eight, see `lpn.flight.locate.index_windows`.
         box: describe the windows whose centres lie in it only, so that several machines share a map.
 
     Returns:
@@ -57,11 +63,12 @@ def index_windows(
         PictureError: if a file of the map is damaged where a window lies.
         StoreError: if the index cannot be written.
     """
-    index.expect_windows(sizes, overlap)
-    total = basemap.count_pyramid(sizes, overlap) * turns
+    record = index.kind.windows
+    assert record is not None
+    turns, total = record.turns, record.count * record.turns
     done = added = 0
     report_progress("Describing windows", 0, total)
-    for windows in basemap.pyramid_blocks(sizes, overlap):
+    for windows in basemap.pyramid_blocks(record.sizes, record.overlap):
         if box is not None:
             inside = within(basemap.frame.degrees([(window.x, window.y) for window in windows]), box)
             done += turns * (len(windows) - int(inside.sum()))
@@ -79,8 +86,7 @@ def index_windows(
                 chosen = [named[i] for i in missing.tolist()]
                 degrees = np.array([(one.latitude, one.longitude) for one in chosen])
                 # The windows of the names, which are rounded, so that they are cut alike later.
-                places = basemap.frame.xy(*degrees.T).tolist()
-                rounded = [Window(x, y, one.size, one.heading) for (x, y), one in zip(places, chosen, strict=True)]
+                rounded = NamedWindow.all_on(chosen, basemap.frame)
                 index.add([one.name for one in chosen], describe(rounded), degrees)
             added += len(missing)
             done += len(some)

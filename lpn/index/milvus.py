@@ -20,11 +20,13 @@ import re
 import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from dataclasses import asdict
 from functools import partial
 from importlib import import_module
 from typing import Any, Literal, TypeVar, cast, get_args
 from urllib.parse import unquote, urlsplit
 
+import msgspec
 import numpy as np
 import numpy.typing as npt
 
@@ -187,9 +189,6 @@ class MilvusIndex(Index):
         )
         return int(rows[0]["count(*)"])
 
-    def expect_windows(self, sizes: Sequence[float], overlap: float) -> None:
-        """A collection keeps none: Milvus writes its description only once."""
-
     def close(self) -> None:
         """See `Index.close`."""
         client, self._client = self._client, None
@@ -221,7 +220,7 @@ class MilvusIndex(Index):
         """Create the collection, with the description that identifies it, and then its index if it is missing."""
         types = self._milvus.DataType
         if not client.has_collection(self._name, timeout=_CALL):
-            description = json.dumps({"format": FORMAT, **vars(kind), "structure": structure})
+            description = json.dumps({"format": FORMAT, **asdict(kind), "structure": structure})
             schema = client.create_schema(auto_id=False, enable_dynamic_field=False, description=description)
             schema.add_field("id", types.VARCHAR, is_primary=True, max_length=32)
             schema.add_field("name", types.VARCHAR, max_length=4 * ID_LENGTH)
@@ -325,17 +324,17 @@ def _read(description: str, address: str) -> tuple[DescriptorKind, Structure]:
             raise StoreError(newer_version(address, values["format"], FORMAT))
         if values["format"] != FORMAT or values["structure"] not in get_args(Structure):
             raise ValueError("another format")
-        return DescriptorKind(str(values["fingerprint"]), int(values["n_parts"]), int(values["embedding"])), values[
-            "structure"
-        ]
-    except (ValueError, KeyError, TypeError) as error:
+        known = {name: values.get(name) for name in ("fingerprint", "n_parts", "embedding", "windows")}
+        return msgspec.convert(known, DescriptorKind), values["structure"]
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise StoreError(
             f"{address} is a collection that lpn index did not make ({FORMAT}); choose another name."
         ) from error
 
 
 def _describe(kind: DescriptorKind) -> str:
-    return f"{kind.n_parts} x {kind.embedding} numbers of model {kind.fingerprint}"
+    windows = "" if kind.windows is None else f" of windows of {kind.windows}"
+    return f"{kind.n_parts} x {kind.embedding} numbers of model {kind.fingerprint}{windows}"
 
 
 def _level(consistency: str) -> dict[str, Any]:

@@ -131,9 +131,7 @@ def flown(model_file: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[P
     town = write_map(folder / "town.tif", land()[::2, ::2])
     (folder / "monday").mkdir()
     write_flight(small_flight(folder / "monday", town), folder / "monday")
-    model = ("--model", model_file)
-    _run("describe", *model, "--map", folder / "town.tif", "--size", 50, 70, "--out", folder / "store")
-    _run("index", "--descriptors", folder / "store", "--out", folder / "windows")
+    _run("index", "--model", model_file, "--map", folder / "town.tif", "--size", 50, 70, "--out", folder / "windows")
     return folder / "windows", folder / "town.tif", folder / "monday"
 
 

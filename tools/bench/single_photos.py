@@ -2,7 +2,7 @@
 
 F is a photo, or a folder that is searched for photos. Each is registered as a visitor's own picture is, of which nothing is known
 but its pixels: its metadata are left out, and the whole map is searched. It prints a line a photo and a table. `--every 3` takes
-every third photo of each folder, and `--write` adds the counts to MAP/map.json, where the explorer reads them.
+every third photo of each folder.
 """
 
 from __future__ import annotations
@@ -22,8 +22,6 @@ from lpn.flight.locate.ground import MapFeatures
 from lpn.flight.locate.matchers import open_matchers
 from lpn.flight.locate.own_photo import register_own_photo
 from lpn.flight.maps import Map, open_map
-from lpn.flight.maps.folder import add_trials
-from lpn.flight.maps.trials import SinglePhotoTrials
 
 _ENDS = {".jpg", ".jpeg", ".png", ".webp"}
 
@@ -48,19 +46,17 @@ def accepted(basemap: Map, features: Sequence[MapFeatures], file: Path) -> tuple
 
 
 def main() -> None:
-    """Register all photos, and print or write the counts."""
+    """Register all photos, and print the counts."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("map", type=Path)
     parser.add_argument("--here", type=Path, nargs="+", required=True)
     parser.add_argument("--elsewhere", type=Path, nargs="+", required=True)
     parser.add_argument("--every", type=int, default=1)
-    parser.add_argument("--write", action="store_true")
     options = parser.parse_args()
     basemap = open_map(options.map)
     matchers = open_matchers()
     features = [MapFeatures(basemap, matcher) for matcher in matchers]
     table = Table("photos of", "place", "accepted", "of", "median s")
-    counts: dict[bool, tuple[int, int]] = {}
     for here, sources in ((True, options.here), (False, options.elsewhere)):
         rows: dict[str, list[tuple[bool, float]]] = {}
         for name, file in photos_of(sources, options.every):
@@ -76,10 +72,7 @@ def main() -> None:
                 name, "the map's" if here else "another", str(sum(yes for yes, _ in tries)), str(len(tries)),
                 f"{statistics.median(seconds for _, seconds in tries):.1f}",
             )  # fmt: skip
-        counts[here] = sum(map(len, rows.values())), sum(yes for tries in rows.values() for yes, _ in tries)
     Console(width=100, file=sys.stdout).print(table)
-    if options.write:
-        add_trials(options.map, SinglePhotoTrials(*counts[True], *counts[False], [one.name for one in matchers]))
 
 
 if __name__ == "__main__":

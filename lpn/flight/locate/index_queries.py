@@ -9,25 +9,21 @@ from pathlib import Path
 
 import numpy as np
 
-from lpn.core.arrays import BoolArray, Float32Array, Float64Array
+from lpn.core.arrays import BoolArray, Float32Array, Float64Array, Int64Array
 from lpn.core.files import printable
-from lpn.core.progress import report_progress
 from lpn.core.views import views_of
 from lpn.datasets import Picture
 from lpn.datasets.geo import Position
-from lpn.descriptors.parallel_inference import describe_each
 from lpn.flight.files import Flight, Frame
-from lpn.flight.files.cut import CUT, FrameReader, TurnedFrame, cut_size
-from lpn.flight.locate.retrieval import tried_headings
-from lpn.flight.maps import Map, NamedWindow
+from lpn.flight.files.cut import TurnedFrame
+from lpn.flight.locate.index_windows import recorded_windows
+from lpn.flight.locate.retrieval import describe_frames, frame_views, owners_of
+from lpn.flight.maps import Map
 from lpn.index import Index
 from lpn.index.queries import IndexQueries, fitting_tasks, view_pair
-from lpn.models.base import Model, normalise
+from lpn.models.base import Model
 
 log = logging.getLogger(__name__)
-
-# Searches by drawn descriptors that show how large windows are, and tiles that each returns.
-_PROBES, _PROBED = 2, 100
 
 
 def flight_queries(
@@ -49,39 +45,24 @@ def flight_queries(
         root: folder of the flight, where a person's notes are kept.
 
     Raises:
-        InputError: if the model's branches have roles, and it has one view.
+        InputError: if the model's branches have roles, and it has one view, or the index was made for other tiles than windows
+            of the map.
         StoreError: if the index holds descriptors of another model.
     """
     name = fitting_tasks(model, [view_pair(model)], index)[0]
-    held, pixels = _some_windows(index), max(model.input_size)
-    sizes, turned_windows = sorted({one.size for one in held}), any(one.heading for one in held)
-    cuts: list[TurnedFrame] = []
-    owners: list[int] = []
-    for i, frame in enumerate(flight.frames):
-        headings = tried_headings(frame, (0.0,) if turned_windows else None)
-        turned = [TurnedFrame(frame, heading, _share(frame, sizes), pixels) for heading in headings]
-        cuts += turned
-        owners += [i] * len(turned)
-    view, model = views_of(name)[0], model.for_task(*views_of(name))
-    described = np.zeros((len(cuts), model.n_parts, model.embedding), np.float32)
-    good, done = np.zeros(len(cuts), bool), 0
-    unreadable: set[int] = set()
-    reader = FrameReader(pixels)
-
-    def prepared(cut: TurnedFrame) -> Float32Array:
-        return model.prepare(reader(cut.frame.file, cut.heading, cut.share), view)
-
-    for batch in describe_each(model, cuts, prepared, view):
-        described[batch.items], good[batch.items] = batch.descriptors, True
-        for j, error in batch.broken:
-            if owners[j] not in unreadable:
-                log.warning("%s", error)
-            unreadable.add(owners[j])
-        done += len(batch.items) + len(batch.broken)
-        report_progress("Describing frames", done, len(cuts))
-    chosen = [
-        _best(index, described, [j for j, owner in enumerate(owners) if owner == i], good)
-        for i in range(len(flight.frames))
+    record, pixels = recorded_windows(index, basemap), max(model.input_size)
+    turns = [360 / record.turns * k for k in range(record.turns)]
+    views = [frame_views(frame, record.sizes, turns) for frame in flight.frames]
+    described, broken = describe_frames(model.for_task(*views_of(name)), flight.frames, views, views_of(name)[0])
+    owners = owners_of(views)
+    for i in np.unique(owners[list(broken)]) if broken else ():
+        log.warning("%s", next(error for j, error in broken.items() if owners[j] == i))
+    good = ~np.isin(np.arange(len(owners)), list(broken))
+    chosen = [_best(index, described, np.flatnonzero(owners == i), good) for i in range(len(flight.frames))]
+    starts = np.searchsorted(owners, np.arange(len(views)))
+    cuts = [
+        TurnedFrame(frame, one.headings[j - start], one.share, pixels)
+        for frame, one, j, start in zip(flight.frames, views, chosen, starts.tolist(), strict=True)
     ]
     spots = np.where(good[chosen][:, None], _tags(flight.frames, basemap), math.nan)
     return IndexQueries(
@@ -89,7 +70,8 @@ def flight_queries(
         data_name=printable(f"{flight.name} over {basemap.name}"),
         root=root,
         pictures=[
-            _picture(flight.frames[i], i, cuts[j], owners.count(i), root, i in unreadable) for i, j in enumerate(chosen)
+            _picture(i, cut, one.described, root, not good[j])
+            for i, (cut, one, j) in enumerate(zip(cuts, views, chosen, strict=True))
         ],
         descriptors=described[chosen],
         places=[_place(frame) for frame in flight.frames],
@@ -97,27 +79,12 @@ def flight_queries(
     )
 
 
-def _some_windows(index: Index) -> list[NamedWindow]:
-    """Return some windows that an index holds, which tell its sizes and headings, by searches for drawn descriptors."""
-    shape = _PROBES, index.kind.n_parts, index.kind.embedding
-    drawn = normalise(np.random.default_rng(0).standard_normal(shape).astype(np.float32))
-    names = (name for one in drawn for name in index.search(one, None, _PROBED).ids)
-    return [window for name in names if (window := NamedWindow.parse(name)) is not None]
-
-
-def _share(frame: Frame, sizes: Sequence[float]) -> float:
-    """Return the share of a frame's width that its square shows."""
-    share, cut = CUT * min(1.0, frame.height / frame.width), cut_size(frame)
-    if cut is None or not sizes:
-        return share
-    return share * min(sizes, key=lambda size: abs(math.log(size / cut))) / cut
-
-
-def _best(index: Index, described: Float32Array, turns: Sequence[int], good: BoolArray) -> int:
+def _best(index: Index, described: Float32Array, turns: Int64Array, good: BoolArray) -> int:
     """Return which of a frame's turns has the nearest window; the first if none can be read."""
     if len(turns) == 1 or not good[turns[0]]:
-        return turns[0]
-    return max(turns, key=lambda turn: float(index.search(described[turn], None, 1).scores[0]))
+        return int(turns[0])
+    scores = [index.search(described[turn], None, 1).scores[0] for turn in turns]
+    return int(turns[int(np.argmax(scores))])
 
 
 def _tags(frames: Sequence[Frame], basemap: Map) -> Float64Array:
@@ -129,7 +96,8 @@ def _tags(frames: Sequence[Frame], basemap: Map) -> Float64Array:
     return basemap.frame.xy(latitude, longitude)
 
 
-def _picture(frame: Frame, label: int, cut: TurnedFrame, turns: int, root: Path, unreadable: bool) -> Picture:
+def _picture(label: int, cut: TurnedFrame, turns: int, root: Path, unreadable: bool) -> Picture:
+    frame = cut.frame
     file = frame.file if frame.file.is_relative_to(root) else root / frame.name
     note = f"heading {cut.heading:.0f}°, best of {turns}" if turns > 1 else ""
     note = "cannot be read" if unreadable else note

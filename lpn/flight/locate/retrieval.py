@@ -8,6 +8,7 @@ of all sizes; where its heading is unknown or not certain, it is described at se
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -256,51 +257,26 @@ def retrieve(
         )
     turns = [0.0] if indexed is None else indexed.turns
     side = max(model.input_size)
-    levels = np.full(len(flight.frames), np.nan)
-    cut_shares = np.zeros(len(flight.frames))
-    jobs: list[tuple[int, float, float]] = []
-    headings: list[list[float]] = []
-    for i, frame in enumerate(flight.frames):
-        cut = cut_size(frame)
-        share = CUT * min(1.0, frame.height / frame.width)
-        if cut is not None:
-            levels[i] = min(chosen, key=lambda size: abs(np.log(size / cut)))
-            share *= levels[i] / cut
-        cut_shares[i] = share
-        headings.append(tried_headings(frame, turns if len(turns) > 1 else None))
-        described_at = headings[-1][: None if heading_is_certain(frame) or len(turns) == 1 else 1 - len(turns)]
-        jobs += [(i, heading, share) for heading in described_at]
-
-    reader = FrameReader(side)
-
-    def of_frame(job: int) -> Float32Array:
-        i, heading, share = jobs[job]
-        return model.prepare(reader(flight.frames[i].file, heading, share), query)
-
+    views = [frame_views(frame, chosen, turns) for frame in flight.frames]
+    levels, cut_shares = np.array([one.level for one in views]), np.array([one.share for one in views])
+    headings = [one.headings for one in views]
     notes = _size_notes(flight.frames, levels)
     tiles = None if shipped is None or indexed is not None else shipped.windows(windows, side)
     if indexed is None and tiles is None:
         tiles = described_windows(model, basemap, windows)
-    rows = tuple(_frame_row(flight.frames[i], heading, share) for i, heading, share in jobs)
-    manifest = Manifest.for_model(model, query, UNCHANGED, rows)
     broken: dict[int, PictureError] = {}
-
-    def fill(partial: PartialStore) -> None:
-        fill_store(model, partial, of_frame, query, "Describing frames", broken)
-
     if shipped is not None and (ready := shipped.frames(flight, headings, cut_shares)) is not None:
         queries = ready
     else:
-        with in_cache():
-            queries = np.array(write_store(_cached(side, manifest), manifest, fill, whole=False).float32)
+        queries, broken = describe_frames(model, flight.frames, views, query)
     if indexed is not None:
-        near = indexed.near(queries)
-        windows, tiles, overlap = near.windows, near.descriptors.reshape(-1, *near.descriptors.shape[2:]), near.overlap
-        notes += near.notes
+        windows, vectors, told = indexed.near(queries)
+        tiles, overlap = vectors.reshape(-1, *vectors.shape[2:]), indexed.overlap
+        notes += told
     assert tiles is not None
-    bad = {jobs[j][0]: str(error) for j, error in broken.items()}
-    good = np.array([job[0] not in bad for job in jobs], bool)
-    owner = np.array([job[0] for job in jobs], np.int64)
+    owner = owners_of(views)
+    bad = {int(owner[j]): str(error) for j, error in broken.items()}
+    good = ~np.isin(owner, list(bad))
     means: dict[View, Float32Array] = {}
     whitening = None
     if centre:
@@ -340,6 +316,66 @@ def retrieve(
         overlap,
         turned.reshape(len(turns) - 1, *upright.shape) if len(turns) > 1 else None,
     )
+
+
+@dataclass(frozen=True)
+class FrameViews:
+    """The squares of a frame that are described.
+
+    Attributes:
+        level: the size of windows that the frame is cut for; NaN if its width on the ground is unknown.
+        share: of its width that the squares show, see `lpn.flight.files.cut.cut_square`.
+        headings: degrees at which it is compared.
+        described: the number of them, from the first on, at which it is described; turned windows stand for the others.
+    """
+
+    level: float
+    share: float
+    headings: list[float]
+    described: int
+
+
+def frame_views(frame: Frame, sizes: Sequence[float], turns: Sequence[float]) -> FrameViews:
+    """Return the squares of a frame that are compared with windows of some sizes, which are described at some turns."""
+    level, share, cut = math.nan, CUT * min(1.0, frame.height / frame.width), cut_size(frame)
+    if cut is not None:
+        level = min(sizes, key=lambda size: abs(math.log(size / cut)))
+        share *= level / cut
+    headings = tried_headings(frame, turns if len(turns) > 1 else None)
+    return FrameViews(level, share, headings, len(headings) - (0 if heading_is_certain(frame) else len(turns) - 1))
+
+
+def owners_of(views: Sequence[FrameViews]) -> Int64Array:
+    """Return the frame of each description, (J,)."""
+    return np.repeat(np.arange(len(views)), [one.described for one in views])
+
+
+def describe_frames(
+    model: Model, frames: Sequence[Frame], views: Sequence[FrameViews], view: View
+) -> tuple[Float32Array, dict[int, PictureError]]:
+    """Describe frames, from the user's cache where they were described before.
+
+    Returns:
+        Descriptors, (J, n, D), of each frame at its described headings, and the errors of those that cannot be read, by their
+        position.
+    """
+    side = max(model.input_size)
+    jobs = [(frames[i], one.share, heading) for i, one in enumerate(views) for heading in one.headings[: one.described]]
+    reader = FrameReader(side)
+
+    def of_frame(job: int) -> Float32Array:
+        frame, share, heading = jobs[job]
+        return model.prepare(reader(frame.file, heading, share), view)
+
+    rows = tuple(_frame_row(frame, heading, share) for frame, share, heading in jobs)
+    manifest = Manifest.for_model(model, view, UNCHANGED, rows)
+    broken: dict[int, PictureError] = {}
+
+    def fill(partial: PartialStore) -> None:
+        fill_store(model, partial, of_frame, view, "Describing frames", broken)
+
+    with in_cache():
+        return np.array(write_store(_cached(side, manifest), manifest, fill, whole=False).float32), broken
 
 
 def described_windows(model: Model, basemap: Map, windows: list[Window]) -> Float32Array:

@@ -6,13 +6,13 @@ import logging
 import os
 import re
 import threading
-import time
 import warnings
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from functools import cache, lru_cache
+from functools import cache
 from pathlib import Path
 from typing import Any
+from xml.sax.saxutils import escape
 
 from lpn.core.errors import DataError
 from lpn.core.files import first_few, printable
@@ -56,31 +56,30 @@ _OTHERS: tuple[tuple[tuple[str, ...], bytes, str, str], ...] = (
     ((".vrt",), b"<VRTDataset", "a VRT, which names other files", "give those files, or make one with gdal_translate"),
     ((".wms",), b"<GDAL_WMS", "the address of a map server (WMS)", "save its map as GeoTIFF, such as with QGIS"),
     ((), b"<WCS_GDAL", "the address of a map server (WCS)", "save its map as GeoTIFF, such as with QGIS"),
-    ((".ntf", ".nitf"), b"NITF", "a NITF file", "convert it to GeoTIFF, such as with gdal_translate"),
-    ((".nc", ".h5", ".hdf"), b"\x89HDF", "a netCDF or HDF file", "export the right raster of it as GeoTIFF"),
     ((), b"version https://git-lfs", "a Git LFS pointer, not the file itself", "fetch it with git lfs pull"),
     ((), b"<!DOCTYPE html", "a page of HTML, as a failed download leaves it", "download the file again"),
     ((), b"<html", "a page of HTML, as a failed download leaves it", "download the file again"),
-    ((".ecw",), b"", "an ECW file, whose reader is not free", "convert it to GeoTIFF, such as with QGIS"),
-    ((".sid",), b"msid", "a MrSID file, whose reader is not free", "convert it to GeoTIFF, such as with QGIS"),
-    ((".pdf",), b"%PDF", "a PDF", "export the map as GeoTIFF"),
-    ((".zip", ".7z", ".rar", ".gz", ".tgz", ".tar"), b"", "an archive", "unpack it first"),
-    ((".pmtiles",), b"PMTiles", "a PMTiles archive", "convert it to .mbtiles, such as with pmtiles convert"),
-    ((".sqlitedb",), b"", "a set of tiles that is no .mbtiles", "export it as .mbtiles"),
-    ((".las", ".laz", ".copc", ".ply", ".e57"), b"LASF", "a point cloud", "give the orthophoto"),
-    ((".obj", ".fbx", ".glb", ".gltf", ".b3dm", ".osgb"), b"glTF", "a textured model", "give the orthophoto"),
-    ((".qgz", ".qgs", ".psx", ".p4d", ".aprx"), b"", "a project", "export the map as GeoTIFF"),
-    ((".shp", ".geojson", ".gpx", ".dxf", ".dwg"), b"", "a file of lines and points", "give a raster"),
-    ((".kml", ".kmz"), b"", "a file of Google Earth", "give its picture with --corners, or export the map as GeoTIFF"),
-    ((".tpk", ".tpkx", ".bundle"), b"", "a tile package of ArcGIS", "export the map as GeoTIFF"),
     (
-        (".mp4", ".mov", ".m4v", ".mkv", ".avi", ".srt"),
-        b"",
-        "a video or its subtitles",
-        "make a flight of it with lpn flight",
+        (".ecw", ".sid", ".ntf", ".nitf"),
+        b"NITF",
+        "in a format that is not read here",
+        "convert it to GeoTIFF, such as with QGIS",
     ),
+    ((".nc", ".h5", ".hdf"), b"\x89HDF", "a netCDF or HDF file", "export the right raster of it as GeoTIFF"),
+    ((".kml", ".kmz"), b"", "a file of Google Earth", "give its picture with --corners, or export the map as GeoTIFF"),
+    (
+        (".pmtiles", ".sqlitedb", ".tpk", ".tpkx"),
+        b"PMTiles",
+        "a set of tiles that is no .mbtiles",
+        "export it as .mbtiles",
+    ),
+    ((".zip", ".7z", ".rar", ".gz", ".tgz", ".tar"), b"", "an archive", "unpack it first"),
+    ((".las", ".laz", ".copc", ".ply", ".e57"), b"LASF", "a point cloud", "give the orthophoto"),
+    ((".pdf", ".qgz", ".qgs", ".psx", ".p4d", ".aprx"), b"%PDF", "a document or project", "export the map as GeoTIFF"),
+    ((".shp", ".geojson", ".gpx", ".dxf", ".dwg"), b"", "a file of lines and points", "give a raster"),
+    ((".mp4", ".mov", ".m4v", ".mkv", ".avi", ".srt"), b"", "a video", "make a flight of it with lpn flight"),
     ((".pth", ".pt", ".ckpt", ".safetensors", ".onnx"), b"", "a file of a model", "give it with --model"),
-    ((), b"PK\x03\x04", "a zip archive", "unpack it first"),
+    ((), b"PK\x03\x04", "an archive", "unpack it first"),
 )
 
 
@@ -91,6 +90,7 @@ def rasterio() -> Any:
         os.environ.setdefault(name, value)
     import rasterio
     import rasterio.shutil
+    import rasterio.vrt
     import rasterio.warp
 
     # GDAL's messages would add to ours.
@@ -107,11 +107,8 @@ def failures(*others: type[Exception]) -> tuple[type[Exception], ...]:
     return rasterio().errors.RasterioError, CPLE_BaseError, UnicodeDecodeError, *others
 
 
-def open_raster(path: Path, overviews: Path | None = None) -> Any:
+def open_raster(path: Path) -> Any:
     """Open a raster file of a user for reading.
-
-    Args:
-        overviews: a TIFF of the file's overviews that lies elsewhere.
 
     Raises:
         DataError: if it is missing, has another format than is read here, or refers to other files.
@@ -128,11 +125,11 @@ def open_raster(path: Path, overviews: Path | None = None) -> Any:
             if names
             else f"{file_name} holds no raster; expected a GeoTIFF, a picture, or an .mbtiles of pictures."
         )
-    return file if overviews is None else _with_overviews(file, overviews)
+    return file
 
 
 @contextmanager
-def _quietly() -> Iterator[None]:
+def quietly() -> Iterator[None]:
     """Open files without rasterio's warning that one has no georeference."""
     library = rasterio()
     with _opening, warnings.catch_warnings(), library.Env():
@@ -146,11 +143,11 @@ def _checked(path: Path) -> Any:
     file_name = printable(str(path))
     if not path.is_file():
         raise DataError(f"There is no file {file_name}; check the path.")
-    names = {name.lower() for name in (*(f"{path.name}{end}" for end in _BESIDE), f"{path.stem}.aux")}
+    names = [name.lower() for name in (*(f"{path.name}{end}" for end in _BESIDE), f"{path.stem}.aux")]
     for beside in named(path.parent, names):
         if beside.name != path.name:
             _check_beside(beside)
-    with _quietly():
+    with quietly():
         try:
             # From the root on it is a path, and no address or other name that GDAL knows.
             file = library.io.DatasetReader(str(path.absolute()), driver=_DRIVERS)
@@ -168,23 +165,10 @@ def _checked(path: Path) -> Any:
     return file
 
 
-def named(folder: Path, names: Iterable[str]) -> list[Path]:
+def named(folder: Path, names: Sequence[str]) -> list[Path]:
     """Return the entries of a folder with these names (in lower case) in any case, in the order of the names."""
-    stat = folder.stat()
-    changed = max(stat.st_mtime_ns, stat.st_ctime_ns)
-    # Several changes may have one time.
-    listing = _listing if time.time_ns() - changed > 2_000_000_000 else _listing.__wrapped__
-    by_name = listing(folder, changed)
-    return [path for name in names for path in by_name.get(name, ())]
-
-
-@lru_cache(maxsize=8)
-def _listing(folder: Path, _changed: int) -> dict[str, list[Path]]:
-    """Return the entries of a folder by their names in lower case; the time of change, in nanoseconds, is a key of the cache."""
-    by_name: dict[str, list[Path]] = {}
-    for path in folder.iterdir():
-        by_name.setdefault(path.name.lower(), []).append(path)
-    return by_name
+    found = [path for path in folder.iterdir() if path.name.lower() in names]
+    return sorted(found, key=lambda path: names.index(path.name.lower()))
 
 
 def _flaw(file: Any, path: Path) -> str | None:
@@ -225,40 +209,65 @@ def _check_beside(path: Path) -> None:
     _checked(path).close()
 
 
-def _with_overviews(file: Any, overviews: Path) -> Any:
-    """Return an open raster with the overviews of another file, as a VRT in memory."""
-    library = rasterio()
-    if not overviews.is_file():
-        raise DataError(f"There is no file {printable(str(overviews))}; write the map again with lpn map.")
-    _check_beside(overviews)
-    with _quietly(), file, library.MemoryFile(ext=".vrt") as made:
-        made.write(vrt_of(file))
-        with library.open(made.name, "r+", driver="VRT") as vrt:
-            vrt.update_tags(ns="OVERVIEWS", OVERVIEW_FILE=str(overviews.absolute()))
-        return library.io.DatasetReader(made.name, driver="VRT")
+def in_memory(xml: bytes) -> Any:
+    """Return a VRT as a file in memory, which lives as long as what is returned."""
+    made = rasterio().MemoryFile(ext=".vrt")
+    made.write(xml)
+    return made
+
+
+def open_vrt(name: str) -> Any:
+    """Open a VRT of ours by its name in memory."""
+    with quietly():
+        return rasterio().io.DatasetReader(name, driver="VRT")
+
+
+def vrt_name(path: str, driver: str) -> str:
+    """Return the name by which a VRT opens a file by one driver; GDAL itself would try all of them.
+
+    Raises:
+        DataError: if a VRT cannot hold the path.
+    """
+    if "?" in path:
+        raise DataError(
+            f"{printable(path)} has a question mark in its path, and GDAL reads maps by paths without; rename it."
+        )
+    return f"vrt://{path}?if={driver}"
 
 
 def vrt_of(file: Any) -> bytes:
-    """Return a VRT of an open raster that opens it by its own driver; GDAL's own VRT would try all drivers.
+    """Return a VRT of an open raster that opens it by its own driver.
 
     Raises:
         DataError: if a VRT cannot hold the raster's path.
     """
     library = rasterio()
-    if "?" in file.name:
-        raise DataError(
-            f"{printable(file.name)} has a question mark in its path, and GDAL reads a large map by paths without; rename it."
-        )
+    name = escape(vrt_name(file.name, file.driver)).encode()
     with library.Env(), library.MemoryFile(ext=".vrt") as made:
         library.shutil.copy(file, made.name, driver="VRT")
-        source = rb'<SourceFilename relativeToVRT="0">vrt://\1?if=%b<' % file.driver.encode()
-        return re.sub(rb"<SourceFilename[^>]*>([^<]*)<", source, made.read())
+        source = b'<SourceFilename relativeToVRT="0" shared="0">%s<' % name
+        return re.sub(rb"<SourceFilename[^>]*>[^<]*<", lambda _: source, made.read())
+
+
+def with_overviews(xml: bytes, overviews: Path) -> bytes:
+    """Return a VRT with the overviews of another file.
+
+    Raises:
+        DataError: if that file is missing, or is none of overviews.
+    """
+    if not overviews.is_file():
+        raise DataError(f"There is no file {printable(str(overviews))}; write the map again with lpn map.")
+    _check_beside(overviews)
+    named = (
+        f'<Metadata domain="OVERVIEWS"><MDI key="OVERVIEW_FILE">{escape(str(overviews.absolute()))}</MDI></Metadata>'
+    )
+    return xml.replace(b"</VRTDataset>", named.encode() + b"</VRTDataset>")
 
 
 def build_overviews(path: Path, driver: str = "GTiff", method: str = "average") -> None:
     """Write the overviews of a file that we wrote, by one of rasterio's methods of resampling."""
     library = rasterio()
-    with _quietly():
+    with quietly():
         opened_file = library.open(path, "r+", driver=driver)
     with library.Env(COMPRESS_OVERVIEW="DEFLATE", BIGTIFF_OVERVIEW="IF_SAFER"), opened_file as file:
         side = max(file.width, file.height)
@@ -282,7 +291,7 @@ def opened(path: Path) -> Iterator[Any]:
 
 def check_work(file: Any, path: Path) -> None:
     """Refuse a raster if reading all pixels of its coarsest overview would take too long."""
-    minutes = file.width * file.height / max(file.overviews(1), default=1) ** 2 / PIXELS_PER_MINUTE
+    minutes = file.width * file.height / max([1, *file.overviews(1)]) ** 2 / PIXELS_PER_MINUTE
     if minutes > _MOST_MINUTES:
         raise DataError(
             f"{printable(str(path))} has {file.width} x {file.height} pixels, and a first look at it would take "

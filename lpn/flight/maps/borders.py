@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Literal
 
 import cv2
@@ -10,10 +9,9 @@ import numpy as np
 
 from lpn.core.arrays import AnyArray, BoolArray
 
-PixelBox = tuple[int, int, int, int]
 BorderColour = Literal["white", "black"]
 
-# JPEG changes black and white by up to so much, but most pixels of a border by no more than the second number.
+# JPEG changes black and white by up to _NOISE, but most pixels of a border by no more than _CORE_NOISE.
 _NOISE, _CORE_NOISE, _CORE_SHARE = 16, 2, 0.8
 # Longest side of the overview on which borders and stretches are decided.
 _OVERVIEW = 1024
@@ -32,69 +30,13 @@ def find_borders(values: AnyArray, deep: bool) -> dict[BorderColour, BoolArray]:
         The regions of the colours that have one, (height, width).
     """
     colours: tuple[BorderColour, ...] = ("black",) if deep else ("white", "black")
-    regions = {colour: _region(values, colour, deep) for colour in colours}
+    regions = {colour: border_region(values, colour, deep) for colour in colours}
     return {colour: region for colour, region in regions.items() if region.any()}
 
 
-def border_note(colour: BorderColour, name: str, region: BoolArray) -> str:
-    """Return the sentence about a border of a file."""
-    return f"The {colour} border of {name} ({region.mean():.0%} of it) is taken as no data."
-
-
-def overview_size(width: int, height: int) -> tuple[int, int]:
-    """Return width and height of the overview on which borders and stretches are decided."""
-    factor = max(1.0, max(width, height) / _OVERVIEW)
-    return max(1, round(width / factor)), max(1, round(height / factor))
-
-
-class Borders:
-    """The borders of a raster, known on an overview of it.
-
-    Args:
-        values: the overview, (bands, height, width).
-        colours: of the borders.
-        size: width and height of the raster.
-        deep: see `find_borders`.
-    """
-
-    def __init__(self, values: AnyArray, colours: Sequence[BorderColour], size: tuple[int, int], deep: bool) -> None:
-        wider = np.ones((3, 3), np.uint8)
-        self._regions = {
-            colour: cv2.dilate(_region(values, colour, deep).astype(np.uint8), wider) > 0 for colour in colours
-        }
-        self._size, self._deep = size, deep
-
-    def within(self, values: AnyArray, box: PixelBox, size: tuple[int, int]) -> BoolArray:
-        """Return which pixels of a rectangle belong to a border, or touch it: (height, width).
-
-        Args:
-            values: of the rectangle, (bands, height, width).
-            box: first column and row, columns and rows.
-            size: width and height of `values`.
-        """
-        border = np.zeros((size[1], size[0]), np.uint8)
-        for colour, region in self._regions.items():
-            columns, rows = (
-                (box[axis] + (np.arange(size[axis]) + 0.5) * box[2 + axis] / size[axis])
-                * region.shape[1 - axis]
-                / self._size[axis]
-                for axis in (0, 1)
-            )
-            border |= _like(values, colour, self._deep) & region[np.ix_(rows.astype(int), columns.astype(int))]
-        # Pixels at the edge are mixed with the border's colour.
-        return cv2.dilate(border, np.ones((3, 3), np.uint8)) > 0
-
-
-def _like(values: AnyArray, colour: BorderColour, deep: bool, noise: int = _NOISE) -> BoolArray:
-    """Return which pixels are black or white but for noise, (height, width)."""
-    noise = 0 if deep else noise
-    like: BoolArray = values.max(0) <= noise if colour == "black" else values.min(0) >= 255 - noise
-    return like
-
-
-def _region(values: AnyArray, colour: BorderColour, deep: bool) -> BoolArray:
-    """Return the pixels of a border's colour that are connected to the border, (height, width)."""
-    like = _like(values, colour, deep)
+def border_region(values: AnyArray, colour: BorderColour, deep: bool) -> BoolArray:
+    """Return the pixels of a border's colour that are connected to the border, (height, width); see `find_borders`."""
+    like = _like(values, colour, deep, _NOISE)
     count, labels, stats, _ = cv2.connectedComponentsWithStats(like.astype(np.uint8), connectivity=4)
     edge = np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]])
     chosen = np.zeros(count, bool)
@@ -106,3 +48,16 @@ def _region(values: AnyArray, colour: BorderColour, deep: bool) -> BoolArray:
     chosen &= core >= _CORE_SHARE * stats[:, cv2.CC_STAT_AREA]
     region: BoolArray = chosen[labels]
     return region
+
+
+def overview_size(width: int, height: int) -> tuple[int, int]:
+    """Return width and height of the overview on which borders and stretches are decided."""
+    factor = max(1.0, max(width, height) / _OVERVIEW)
+    return max(1, round(width / factor)), max(1, round(height / factor))
+
+
+def _like(values: AnyArray, colour: BorderColour, deep: bool, noise: int) -> BoolArray:
+    """Return which pixels are black or white but for noise, (height, width)."""
+    noise = 0 if deep else noise
+    like: BoolArray = values.max(0) <= noise if colour == "black" else values.min(0) >= 255 - noise
+    return like

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -14,10 +13,9 @@ import numpy as np
 from lpn.core.arrays import Float32Array, Float64Array
 from lpn.core.errors import DataError, InputError, OutputError
 from lpn.core.files import printable
-from lpn.core.numbers import wrap_degrees
 from lpn.flight.maps import _gdal
 from lpn.flight.maps.frame import LocalFrame
-from lpn.flight.maps.sheet import Bounds
+from lpn.flight.maps.sheet import Bounds, cells_of
 
 HeightUnit = Literal["metre", "foot", "us-foot"]
 # Metres of each unit.
@@ -30,17 +28,12 @@ _SPELLINGS: dict[str, HeightUnit] = {
 }
 # Heights in metres that the earth's surface has, with what stands on it.
 _LOWEST, _HIGHEST = -500.0, 9000.0
-# Heights of exactly 0 m are holes where no other height is nearer to 0 than this: a shore would have some.
-_NO_SHORE = 20.0
-# Median slope above which heights have another unit than they say: 63 degrees.
-_STEEPEST = 2.0
 # Least share of a map that its elevation must cover, and the share below which a note says what is missing.
 _LEAST, _WHOLE = 0.5, 0.98
 # Points along a side at which the cover is judged, and pixels along a side that are looked at to judge heights.
 _PROBES, _LOOK = 64, 512
 # Pixels that are read at once: 64 MB.
 _MOST_PIXELS = 1 << 24
-_BLOCK = 1024
 
 
 @dataclass(frozen=True)
@@ -82,15 +75,12 @@ class Elevation:
         Raises:
             DataError: if the file is damaged.
         """
-        return _sampled(self.path, self._cells(frame, xy), self._size)
+        return _sampled(self.path, cells_of(self._crs, self._matrix, self._size[0], frame, xy) - 0.5, self._size)
 
     def digest(self) -> list[str | int]:
         """Return what changes with the heights: the file's name, size, and time of change."""
         stat = self.path.stat()
         return [self.path.name, stat.st_size, stat.st_mtime_ns]
-
-    def _cells(self, frame: LocalFrame, xy: Float64Array) -> Float64Array:
-        return _cells(self._crs, self._matrix, self._size[0], frame, xy)
 
 
 class ElevationSource:
@@ -113,7 +103,6 @@ class ElevationSource:
             self.width, self.height = int(file.width), int(file.height)
             self.metres = UNITS[self._unit(file, given.unit)]
             self._scale = float(file.scales[0]), float(file.offsets[0])
-            self._zero_is_unknown = False
             self._check_heights(file)
 
     def cut(self, file: Any, box: tuple[int, int, int, int], size: tuple[int, int] | None = None) -> Float32Array:
@@ -122,10 +111,7 @@ class ElevationSource:
         window = _gdal.rasterio().windows.Window(*box)
         values = file.read(1, window=window, out_shape=(rows, columns), masked=True).astype(np.float64)
         metres = (values * self._scale[0] + self._scale[1]) * self.metres
-        heights = np.asarray(metres.filled(np.nan), np.float32)
-        if self._zero_is_unknown:
-            heights[heights == 0] = np.nan
-        return heights
+        return np.asarray(metres.filled(np.nan), np.float32)
 
     def box(self, frame: LocalFrame, bounds: Bounds) -> tuple[int, int, int, int]:
         """Return the rectangle of pixels that holds a map's bounds.
@@ -136,7 +122,7 @@ class ElevationSource:
         west, south, east, north = bounds
         at = np.linspace(0, 1, 9)
         points = np.stack(np.meshgrid(west + at * (east - west), south + at * (north - south)), axis=-1).reshape(-1, 2)
-        cells = _cells(self.crs, self.matrix, self.width, frame, points)
+        cells = cells_of(self.crs, self.matrix, self.width, frame, points)
         known = cells[np.isfinite(cells).all(axis=1)]
         if len(known):
             low, high = np.floor(known.min(0)) - 2, np.ceil(known.max(0)) + 2
@@ -188,40 +174,15 @@ class ElevationSource:
 
     def _check_heights(self, file: Any) -> None:
         columns, rows = (max(1, min(_LOOK, side)) for side in (self.width, self.height))
-        heights = self.cut(file, (0, 0, self.width, self.height), (columns, rows)).astype(np.float64)
-        known = heights[np.isfinite(heights)]
-        if not len(known):
+        heights = self.cut(file, (0, 0, self.width, self.height), (columns, rows))
+        if not np.isfinite(heights).any():
             raise DataError(f"The elevation {self.name} has no valid height; expected heights of the map's ground.")
-        low, high = known.min(), known.max()
-        others = np.abs(known[known != 0])
-        if 0 < len(others) < len(known) and others.min() > _NO_SHORE:
-            self._zero_is_unknown = True
-            heights[heights == 0] = np.nan
-            self.notes.append(
-                f"{1 - len(others) / len(known):.1%} of the heights of {self.path.name} are exactly 0, and all others lie more "
-                f"than {_NO_SHORE:.0f} m from it; 0 counts as unknown."
-            )
-        hint = "check the unit of its heights (--elevation-unit), and its value for unknown ones"
+        low, high = np.nanmin(heights), np.nanmax(heights)
         if low < _LOWEST or high > _HIGHEST:
             raise DataError(
                 f"The elevation {self.name} has heights from {low:.0f} to {high:.0f} m, and the earth's surface has "
-                f"{_LOWEST:.0f} to {_HIGHEST:.0f}; {hint}."
+                f"{_LOWEST:.0f} to {_HIGHEST:.0f}; check their unit (--elevation-unit), and the value for unknown ones."
             )
-        step = self._metres_of_pixel() * math.sqrt(self.width / columns * self.height / rows)
-        slopes = np.concatenate([np.abs(np.diff(heights, axis=axis)).ravel() for axis in (0, 1)]) / step
-        slopes = slopes[np.isfinite(slopes)]
-        if len(slopes) and np.median(slopes) > _STEEPEST:
-            raise DataError(
-                f"The elevation {self.name} has a median slope of {math.degrees(math.atan(np.median(slopes))):.0f} degrees, "
-                f"which no land has; {hint}."
-            )
-
-    def _metres_of_pixel(self) -> float:
-        side = math.sqrt(abs(float(np.linalg.det(self.matrix[:, :2]))))
-        if self.crs.is_geographic:
-            latitude = float(self.matrix[1] @ (self.width / 2, self.height / 2, 1))
-            return side * 111_195.0 * math.sqrt(max(math.cos(math.radians(latitude)), 1e-3))
-        return side * float(self.crs.linear_units_factor[1])
 
 
 def write_elevation(
@@ -230,7 +191,7 @@ def write_elevation(
     """Write the heights of a map's ground in metres, at the source's resolution and in its CRS, and return them.
 
     Args:
-        out: the file, a tiled GeoTIFF; it appears when all is written.
+        out: the file, a tiled GeoTIFF.
         bounds: of the map in metres of the frame.
         places: where the map shows ground, (N, 2) metres.
 
@@ -239,42 +200,39 @@ def write_elevation(
         OutputError: if the file cannot be written.
     """
     box = source.box(frame, bounds)
-    part = out.with_suffix(".part.tif")
     library = _gdal.rasterio()
     corner = source.matrix @ (*box[:2], 1)
     transform = library.Affine(*np.column_stack([source.matrix[:, :2], corner]).ravel())
     out.parent.mkdir(parents=True, exist_ok=True)
+    undeclared = 0
     try:
         with (
             _gdal.opened(source.path) as file,
             library.open(
-                part, "w", driver="GTiff", width=box[2], height=box[3], count=1, dtype="float32", nodata=math.nan,
+                out, "w", driver="GTiff", width=box[2], height=box[3], count=1, dtype="float32", nodata=math.nan,
                 crs=source.crs, transform=transform, tiled=True, compress="deflate", predictor=3, BIGTIFF="IF_SAFER",
             ) as written,
         ):  # fmt: skip
-            undeclared = 0
-            for left, top, columns, rows in _blocks(box[2], box[3]):
-                heights = source.cut(file, (box[0] + left, box[1] + top, columns, rows))
+            for _, block in written.block_windows(1):
+                rectangle = box[0] + block.col_off, box[1] + block.row_off, block.width, block.height
+                heights = source.cut(file, rectangle)
                 # A value for unknown heights that the file does not declare, on so few pixels that the check above saw none.
                 impossible = (heights < _LOWEST) | (heights > _HIGHEST)
                 undeclared += int(np.count_nonzero(impossible))
                 heights[impossible] = np.nan
-                written.write(heights, 1, window=library.windows.Window(left, top, columns, rows))
+                written.write(heights, 1, window=block)
             written.units = ("metre",)
     except _gdal.failures(OSError) as error:
-        part.unlink(missing_ok=True)
         raise OutputError(
             f"{printable(str(out))} cannot be written ({printable(str(error))[:200]}); free space, or check "
             f"{printable(source.path.name)}."
         ) from error
-    share = float(np.isfinite(Elevation(part, source.name, []).heights(frame, places)).mean())
+    share = float(np.isfinite(Elevation(out, source.name, []).heights(frame, places)).mean())
     if share < _LEAST:
-        part.unlink(missing_ok=True)
         raise DataError(
             f"The elevation {source.name} covers {share:.0%} of the map; expected {_LEAST:.0%} at least, so give the elevation "
             "of this place."
         )
-    part.replace(out)
     notes = list(source.notes)
     if undeclared:
         where = "1 pixel" if undeclared == 1 else f"{undeclared} pixels"
@@ -285,13 +243,6 @@ def write_elevation(
     if share < _WHOLE:
         notes.append(f"{source.path.name} covers {share:.0%} of the map; matches on the rest have no height.")
     return Elevation(out, source.path.name, notes)
-
-
-def _blocks(width: int, height: int) -> Iterator[tuple[int, int, int, int]]:
-    """Yield rectangles that cover a raster: first column and row, columns and rows."""
-    for top in range(0, height, _BLOCK):
-        for left in range(0, width, _BLOCK):
-            yield left, top, min(_BLOCK, width - left), min(_BLOCK, height - top)
 
 
 def _spelled(text: str | None) -> HeightUnit | None:
@@ -313,16 +264,6 @@ def _matrix(transform: Any) -> Float64Array:
     return np.array([getattr(transform, name) for name in "abcdef"], np.float64).reshape(2, 3)
 
 
-def _cells(crs: Any, matrix: Float64Array, width: int, frame: LocalFrame, xy: Float64Array) -> Float64Array:
-    """Return column and row, (N, 2), of points of a frame, (N, 2); whole numbers are the middles of pixels."""
-    x, y = _gdal.transform(frame.crs, crs, xy[:, 0], xy[:, 1])
-    if crs.is_geographic:
-        middle = float(matrix[0] @ (width / 2, 0, 1))
-        x = middle + wrap_degrees(x - middle)  # longitudes of a raster may pass 180 degrees
-    inverse = np.linalg.inv(np.vstack([matrix, [0, 0, 1]]))[:2]
-    return np.asarray(np.stack([x, y, np.ones(len(x))], axis=1) @ inverse.T - 0.5)
-
-
 def _sampled(path: Path, cells: Float64Array, size: tuple[int, int]) -> Float64Array:
     """Return the values, (N,), of a raster of this size at columns and rows, (N, 2)."""
     values = np.full(len(cells), np.nan)
@@ -340,19 +281,16 @@ def _sampled(path: Path, cells: Float64Array, size: tuple[int, int]) -> Float64A
         window = _gdal.rasterio().windows.Window(int(low[0]), int(low[1]), int(columns), int(rows))
         heights = file.read(1, window=window, out_shape=shape).astype(np.float64)
     scale = np.array([shape[1] / columns, shape[0] / rows])
-    c, r = ((cells[inside] - low + 0.5) * scale - 0.5).T
-    c, r = np.clip(c, 0, shape[1] - 1), np.clip(r, 0, shape[0] - 1)
-    c0, r0 = np.minimum(c.astype(int), max(shape[1] - 2, 0)), np.minimum(r.astype(int), max(shape[0] - 2, 0))
-    c1, r1 = np.minimum(c0 + 1, shape[1] - 1), np.minimum(r0 + 1, shape[0] - 1)
-    across, down = c - c0, r - r0
-    # An unknown neighbour of weight 0 must not make the value unknown.
-    terms = [
-        (heights[r0, c0], (1 - across) * (1 - down)),
-        (heights[r0, c1], across * (1 - down)),
-        (heights[r1, c0], (1 - across) * down),
-        (heights[r1, c1], across * down),
-    ]
-    values[inside] = sum(np.where(weight > 0, value * weight, 0.0) for value, weight in terms)
+    c, r = np.clip((cells[inside] - low + 0.5) * scale - 0.5, 0, np.array(shape)[::-1] - 1).T
+    c0, r0 = np.floor(c).astype(int), np.floor(r).astype(int)
+    total = np.zeros(len(c))
+    for right in (0, 1):
+        for down in (0, 1):
+            weight = (c - c0 if right else 1 - (c - c0)) * (r - r0 if down else 1 - (r - r0))
+            corner = heights[np.minimum(r0 + down, shape[0] - 1), np.minimum(c0 + right, shape[1] - 1)]
+            # An unknown neighbour of weight 0 must not make the value unknown.
+            total += np.where(weight > 0, corner * weight, 0.0)
+    values[inside] = total
     return values
 
 

@@ -1,23 +1,25 @@
 """The folder of a map: map.json, the coverage, and copies or overviews of sheets that would be slow to read.
 
-    map.json            format, frame, and for each sheet its file, CRS, transform, and treatment; names them when all are done
+    map.json            format, frame, and for each sheet its file, CRS, transform, and treatment
     coverage.png        share of each cell that is valid, 0 to 255
     sheets/01.ovr       overviews of a large sheet without any
     sheets/02.tif       a tiled copy, with overviews, of a large sheet whose file must be read from its beginning
     sheets/elevation.tif  heights of the map's ground in metres, in the CRS and at the resolution of the file that was given
 
-Other sheets are read where they are: map.json names them relative to its own folder.
+Other sheets are read where they are: map.json names them relative to its own folder. The folder is made beside its place, and
+renamed when all is written.
 """
 
 from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Literal
+from tempfile import TemporaryDirectory
+from typing import Literal
 
 import cv2
 import msgspec
@@ -26,31 +28,24 @@ import numpy as np
 from lpn.core import formats
 from lpn.core.arrays import Float64Array
 from lpn.core.errors import DataError, InputError, OutputError
-from lpn.core.files import check_writable, printable, write_atomic
+from lpn.core.files import check_writable, first_few, printable, write_atomic
 from lpn.core.numbers import SIGMA
 from lpn.flight.maps import _gdal
 from lpn.flight.maps.elevation import Elevation, ElevationFile, ElevationSource, probes, write_elevation
 from lpn.flight.maps.frame import LocalFrame
 from lpn.flight.maps.map import Map
 from lpn.flight.maps.place import MapPlace, checked_place
-from lpn.flight.maps.raster import GdalRaster, Treatment, is_jpeg
+from lpn.flight.maps.raster import Raster, Treatment, is_jpeg
 from lpn.flight.maps.sheet import Sheet
-from lpn.flight.maps.sources import MapOptions, files_of, georeference, open_sheet, parse_crs, raster_sheet
-from lpn.flight.maps.tile_sets import is_tile_set
-from lpn.flight.maps.tiles import TileRaster
-from lpn.flight.maps.trials import SinglePhotoTrials
+from lpn.flight.maps.sources import MapOptions, files_of, open_sheet, parse_crs
+from lpn.flight.maps.tiles import is_tile_set, open_tiles
+from lpn.flight.maps.vrt import RasterSource
 
 NAME = "map.json"
 FORMAT = "lpn-map/1"
 _COVERAGE = "coverage.png"
 _SHEETS = "sheets"
 _ELEVATION = "elevation.tif"
-# Files that a sentence names at most.
-_MOST_NAMES = 10
-# Files that GDAL may write beside a raster.
-_ENDS = ("", ".ovr", ".aux.xml", ".msk", ".msk.ovr")
-# Endings of a copy, of overviews, and of the VRT that overviews are made of.
-_KINDS = (".tif", ".ovr", ".part.tif", ".part.vrt")
 # Side above which a sheet gets overviews.
 _LARGE = 2048
 # Pixels above which a file that is not tiled is copied.
@@ -68,7 +63,7 @@ class SheetRecord(msgspec.Struct, frozen=True):
         crs: EPSG code or WKT.
         transform: from column and row to coordinates, row by row.
         width, height: in pixels.
-        treatment: None for tiles without a border.
+        treatment: how its bands are shown; None decides it anew.
         notes: sentences about how it is read.
         overviews: the file that holds them, if `file` does not.
     """
@@ -97,12 +92,10 @@ class MapRecord(msgspec.Struct, frozen=True):
 
     Attributes:
         latitude, longitude: origin of the frame in degrees.
-        sheets: none until all are done.
-        written: names of files in `sheets/` that `lpn map` wrote, or may have written; it replaces and deletes no others.
+        sheets: at least one.
         elevation: of `sheets/elevation.tif`; None without one.
         place: what is known about the place beyond its georeference.
-        trials: of single photos on the map; None without.
-        error, surveyed_error: see `Map`.
+        error, surveyed_error, notes: see `Map`.
     """
 
     format: str
@@ -110,12 +103,11 @@ class MapRecord(msgspec.Struct, frozen=True):
     latitude: float
     longitude: float
     sheets: list[SheetRecord]
-    written: list[str]
     elevation: ElevationRecord | None = None
     place: MapPlace | None = None
-    trials: SinglePhotoTrials | None = None
     error: float | None = None
     surveyed_error: float | None = None
+    notes: list[str] = []
 
 
 def build_map(
@@ -130,7 +122,7 @@ def build_map(
 
     Args:
         paths: see `lpn.flight.maps.open_map`.
-        out: new or empty folder, or one of an earlier map, which is replaced. No file that `lpn map` did not write is changed.
+        out: the folder, new or empty; it appears when all is written.
         options: what is known about the files beyond what they say.
         on_progress: called with a sentence before each long step.
         elevation: heights of the map's ground; they are copied into the folder, in metres.
@@ -138,41 +130,32 @@ def build_map(
 
     Raises:
         DataError: if a file cannot be read, or has no or an impossible georeference, or heights have an unknown or impossible
-            unit, or are those of another place; nothing is written. If the elevation covers less than half of what the map shows,
-            the folder is left as by a run that was killed.
-        InputError: if an option or the place is malformed, or does not apply, or a file lies in the map's folder; nothing is
-            written.
-        OutputError: if the folder holds other files where those of the map go, or cannot be written.
+            unit, or cover less than half of what the map shows.
+        InputError: if an option or the place is malformed, or does not apply.
+        OutputError: if the folder holds anything, or cannot be written.
     """
     options = options or MapOptions()
     place = None if place is None else checked_place(place)
     _check_unwritten(paths)
-    files = files_of(paths, options)
-    earlier = _written_before(out)
+    files, notes = files_of(paths, options)
     heights = None if elevation is None else ElevationSource(elevation)
-    _check_inputs([*files, *([] if elevation is None else [elevation.path])], out)
-    return _build(files, out, options, earlier, on_progress, (), heights, place)
-
-
-def _check_unwritten(paths: Sequence[Path]) -> None:
-    for path in paths:
-        if not (path / NAME).is_file():
-            continue
-        with suppress(DataError):  # a map.json of another program
-            # A copy lies in the folder, and its original is known by name alone.
-            sheets = [
-                printable(one.name if one.file.startswith(f"{_SHEETS}/") else one.file) for one in _read(path).sheets
-            ]
-            further = [f"{len(sheets) - _MOST_NAMES:,} more"] if len(sheets) > _MOST_NAMES else []
-            raise InputError(
-                f"{printable(str(path))} is a map that lpn map wrote; give the files that it was made of: "
-                f"{', '.join([*sheets[:_MOST_NAMES], *further])}."
-            )
+    quick = replace(options, keep_borders=True)
+    whole = Map(files[0].stem, [open_sheet(file, quick, Treatment((1,))) for file in files])
+    whole.close()
+    if heights is not None:
+        heights.box(whole.frame, whole.bounds)
+    with new_folder(out) as folder:
+        sheets = []
+        for number, file in enumerate(files, 1):
+            copy, overviews = _prepared(file, folder / _SHEETS / f"{number:02d}", on_progress)
+            sheets.append(open_sheet(file, options, copy=copy, overviews=overviews))
+        _write_whole(Map(files[0].stem, sheets, place=place, notes=notes), folder, out, on_progress, heights)
+    return open_folder(out)
 
 
 def write_own_map(
     file: Path,
-    out: Path,
+    folder: Path,
     notes: Sequence[str],
     on_progress: Callable[[str], None] = lambda _: None,
     heights: ElevationSource | None = None,
@@ -182,7 +165,7 @@ def write_own_map(
     """Write the folder of a map whose one sheet lies in the folder itself, and return the map.
 
     Args:
-        file: a GeoTIFF with transparency in `out`, a folder that holds nothing else.
+        file: a GeoTIFF with transparency in `folder`, which holds nothing else.
         notes: sentences about how the sheet was made, which commands that read the map print.
         heights: of the map's ground; they are copied into the folder.
         place: what is known about the map's place; it is checked.
@@ -193,49 +176,61 @@ def write_own_map(
         OutputError: if the folder cannot be written.
     """
     place = None if place is None else checked_place(place)
-    return _build([file], out, MapOptions(keep_borders=True), set(), on_progress, notes, heights, place, error)
+    copy, overviews = _prepared(file, folder / _SHEETS / "01", on_progress)
+    sheet = open_sheet(file, MapOptions(keep_borders=True), copy=copy, overviews=overviews)
+    sheet.raster.notes += notes
+    whole = Map(file.stem, [sheet], place=place, error=error)
+    _write_whole(whole, folder, folder, on_progress, heights)
+    return whole
 
 
-def _build(
-    files: Sequence[Path],
-    out: Path,
-    options: MapOptions,
-    earlier: set[str],
-    on_progress: Callable[[str], None],
-    notes: Sequence[str] = (),
-    heights: ElevationSource | None = None,
-    map_place: MapPlace | None = None,
-    error: float | None = None,
-) -> Map:
-    """Write the folder of a map whose place is checked; `earlier` are the names in `sheets/` that it may replace."""
-    places = [None if is_tile_set(file) else georeference(file, options) for file in files]
-    _check_places(files, places, options, heights)
-    targets = [out / _SHEETS / f"{number:02d}" for number in range(1, len(files) + 1)]
-    planned = {
-        name for target, place in zip(targets, places, strict=True) if place is not None for name in _names(target)
-    }
-    if heights is not None:
-        planned |= {_ELEVATION, Path(_ELEVATION).with_suffix(".part.tif").name}
-    _check_sheets(out, planned - earlier)
-    check_writable(out / NAME)
-    # A run that is killed leaves this record, by which the next one knows the folder, and what it may replace there.
-    _write(out, MapRecord(FORMAT, files[0].stem, 0.0, 0.0, [], sorted(earlier | planned)))
-    sheets, kept = [], set()
-    for file, place, target in zip(files, places, targets, strict=True):
-        if place is None:
-            sheets.append(open_sheet(file, options))
+@contextmanager
+def new_folder(out: Path) -> Iterator[Path]:
+    """Yield a folder beside `out` that is renamed to `out` at the end, and deleted if anything fails.
+
+    Raises:
+        OutputError: if there is anything at `out` but an empty folder, or it cannot be written.
+    """
+    check_new(out)
+    name = out.resolve().name
+    check_writable(out.with_name(f".{name}"))
+    with TemporaryDirectory(prefix=f".{name}-", dir=out.parent) as folder:
+        part = Path(folder) / name
+        part.mkdir()
+        yield part
+        try:
+            if out.is_dir():
+                out.rmdir()
+            os.replace(part, out)
+        except OSError as error:
+            raise OutputError(
+                f"{printable(str(out))} cannot be written ({error.strerror}); choose another folder for the map."
+            ) from error
+
+
+def check_new(out: Path) -> None:
+    """Raise OutputError if there is anything at `out` but an empty folder."""
+    if out.exists() and not (out.is_dir() and not any(out.iterdir())):
+        raise OutputError(
+            f"{printable(str(out))} is there already; choose another folder for the map, or delete that one."
+        )
+
+
+def _check_unwritten(paths: Sequence[Path]) -> None:
+    for path in paths:
+        if not (path / NAME).is_file():
             continue
-        path, overviews = _prepared(file, target, on_progress)
-        kept |= {
-            f"{own.name}{end}" for own in (path, overviews) if own and own.parent == target.parent for end in _ENDS
-        }
-        sheets.append(raster_sheet(file, path, *place, options, overviews=overviews))
-        sheets[-1].raster.notes += notes
-    if heights is not None:
-        kept.add(_ELEVATION)
-    for name in (earlier | planned) - kept:
-        (out / _SHEETS / name).unlink(missing_ok=True)
-    whole = Map(files[0].stem, sheets, place=map_place, error=error)
+        with suppress(DataError):  # a map.json of another program
+            names = [printable(sheet.name) for sheet in _read(path).sheets]
+            raise InputError(
+                f"{printable(str(path))} is a map that lpn map wrote; give the files that it was made of: {first_few(names, 10)}."
+            )
+
+
+def _write_whole(
+    whole: Map, folder: Path, out: Path, on_progress: Callable[[str], None], heights: ElevationSource | None
+) -> None:
+    """Write coverage, heights, and map.json of a map into a folder, which will be at `out`, and close the map."""
     on_progress("Looking where the map has data.")
     if not whole.coverage().any():
         raise DataError(f"{printable(whole.name)} has no valid pixel; expected a map.")
@@ -244,21 +239,17 @@ def _build(
         on_progress(f"Copying the heights of {printable(heights.path.name)}.")
         places_shown = probes(whole.bounds)
         shown = places_shown[whole.valid_shares(places_shown, whole.resolution) > 0]
-        written_heights = write_elevation(heights, out / _SHEETS / _ELEVATION, whole.frame, whole.bounds, shown)
-        elevation = ElevationRecord(written_heights.name, written_heights.notes)
-        whole.elevation = written_heights
+        whole.elevation = write_elevation(heights, folder / _SHEETS / _ELEVATION, whole.frame, whole.bounds, shown)
+        elevation = ElevationRecord(whole.elevation.name, whole.elevation.notes)
     coverage = np.rint(whole.coverage() * 255).astype(np.uint8)
-    write_atomic(out / _COVERAGE, cv2.imencode(".png", coverage)[1].tobytes())
-    records = [_record(sheet, out) for sheet in whole.sheets]
-    written = sorted(name for name in kept if (out / _SHEETS / name).exists())
-    frame = whole.frame
-    _write(
-        out,
-        MapRecord(
-            FORMAT, whole.name, frame.latitude, frame.longitude, records, written, elevation, map_place, error=error
-        ),
-    )
-    return whole
+    write_atomic(folder / _COVERAGE, cv2.imencode(".png", coverage)[1].tobytes())
+    frame, sheets = whole.frame, [_record(sheet, folder, out) for sheet in whole.sheets]
+    record = MapRecord(
+        FORMAT, whole.name, frame.latitude, frame.longitude, sheets, elevation, whole.place, whole.error,
+        notes=list(whole.own_notes),
+    )  # fmt: skip
+    _write(folder, record)
+    whole.close()
 
 
 def open_folder(folder: Path) -> Map:
@@ -278,19 +269,8 @@ def open_folder(folder: Path) -> Map:
         place = checked_place(record.place or MapPlace())
     except InputError as error:
         raise DataError(f"{file_name} is damaged: {error}") from error
-    if record.trials is not None and not record.trials.possible:
-        raise DataError(f"{file_name} is damaged: its trials accepted more photos than were tried.")
     elevation = _opened_elevation(folder, record.elevation)
-    return Map(record.name, sheets, frame, shares, elevation, place, record.trials, record.error, record.surveyed_error)
-
-
-def add_trials(folder: Path, trials: SinglePhotoTrials) -> None:
-    """Write the counts of trials into map.json, in place of those of earlier ones.
-
-    Raises:
-        DataError: if map.json is damaged.
-    """
-    _write(folder, msgspec.structs.replace(_read(folder), trials=trials))
+    return Map(record.name, sheets, frame, shares, elevation, place, record.error, record.surveyed_error, record.notes)
 
 
 def checked_error(metres: float) -> float:
@@ -351,30 +331,32 @@ def _has(folder: Path) -> bool:
     return path.is_file() and path.stat().st_size > 0
 
 
-def _record(sheet: Sheet, out: Path) -> SheetRecord:
-    overviews = getattr(sheet.raster, "overviews", None)
-    code = sheet.crs.to_epsg()
+def _record(sheet: Sheet, folder: Path, out: Path) -> SheetRecord:
+    raster, code = sheet.raster, sheet.crs.to_epsg()
     a, b, c, d, e, f = sheet.matrix.ravel().tolist()
-    raster = sheet.raster
+    overviews = raster.source.overviews
     return SheetRecord(
         sheet.name,
-        _relative(sheet.raster.path, out),
-        "tiles" if isinstance(raster, TileRaster) else "raster",
+        _relative(raster.path, folder, out),
+        "tiles" if raster.path.is_dir() else "raster",
         f"EPSG:{code}" if code else sheet.crs.to_wkt(),
         (a, b, c, d, e, f),
         raster.width,
         raster.height,
         raster.treatment,
         raster.notes,
-        overviews and _relative(overviews, out),
+        None if overviews is None else _relative(overviews, folder, out),
     )
 
 
-def _relative(path: Path, out: Path) -> str:
+def _relative(path: Path, folder: Path, out: Path) -> str:
+    """Return a path relative to the map's folder, which is written as `folder` and will be at `out`."""
+    whole = path.resolve()
     try:
-        return Path(os.path.relpath(path.resolve(), out.resolve())).as_posix()
+        base = folder if whole.is_relative_to(folder.resolve()) else out
+        return Path(os.path.relpath(whole, base.resolve())).as_posix()
     except ValueError:  # another drive
-        return str(path.resolve())
+        return str(whole)
 
 
 def _opened(folder: Path, record: SheetRecord) -> Sheet:
@@ -385,13 +367,9 @@ def _opened(folder: Path, record: SheetRecord) -> Sheet:
             f"The map {printable(str(folder))} needs {file_name}, which is not there; bring it back, or write the map "
             "again with lpn map."
         )
-    raster = (
-        TileRaster(path, record.treatment, keep_borders=True)
-        if record.kind == "tiles"
-        else GdalRaster(
-            path, record.treatment, overviews=None if record.overviews is None else folder / record.overviews
-        )
-    )
+    overviews = None if record.overviews is None else folder / record.overviews
+    source = open_tiles(path, overviews)[0] if record.kind == "tiles" else RasterSource.of_file(path, overviews)
+    raster = Raster(source, record.treatment, keep_borders=True)
     if (raster.width, raster.height) != (record.width, record.height):
         raise DataError(
             f"{file_name} has {raster.width} x {raster.height} pixels, and {NAME} says {record.width} x {record.height}; "
@@ -406,115 +384,49 @@ def _write(out: Path, record: MapRecord) -> None:
     write_atomic(out / NAME, msgspec.json.format(msgspec.json.encode(record), indent=1) + b"\n")
 
 
-def _names(target: Path) -> set[str]:
-    """Return the names of all files that a sheet's overviews or copy may leave in `sheets/`, also after a kill."""
-    return {f"{target.name}{kind}{end}" for kind in _KINDS for end in _ENDS}
-
-
-def _check_inputs(files: Sequence[Path], out: Path) -> None:
-    """Raise InputError if a file lies in the map's folder, whose sheets are replaced."""
-    folder = out.resolve()
-    if inside := next((file for file in files if file.resolve().is_relative_to(folder)), None):
-        raise InputError(
-            f"{printable(str(inside))} lies in {printable(str(out))}, the folder that the map is written to; choose another "
-            "folder for the map."
-        )
-
-
-def _written_before(out: Path) -> set[str]:
-    """Return the names in `sheets/` that `lpn map` wrote earlier.
-
-    Raises:
-        OutputError: if there is something at `out` that is neither an empty folder nor one of a map.
-    """
-    folder_name = printable(str(out))
-    if out.exists() and not out.is_dir():
-        raise OutputError(f"{folder_name} is a file; choose another place for the map.")
-    if not out.exists():
-        return set()
-    if (out / NAME).exists():
-        try:
-            record = formats.decode_json(
-                (out / NAME).read_bytes(), MapRecord, f"{folder_name}/{NAME}", FORMAT, OutputError
-            )
-        except (OSError, ValueError, RecursionError) as error:
-            raise OutputError(
-                f"{folder_name} holds a {NAME} that lpn map did not write; choose another folder for the map."
-            ) from error
-        # A name with a folder in it could lead elsewhere.
-        return {name for name in record.written if Path(name).name == name and name != ".."}
-    if other := min((path.name for path in out.iterdir()), default=None):
-        raise OutputError(
-            f"{folder_name} holds other files, such as {printable(other)}, and no {NAME}; choose another folder for the map."
-        )
-    return set()
-
-
-def _check_sheets(out: Path, names: set[str]) -> None:
-    """Raise OutputError if one of these names in `sheets/` is taken by a file that `lpn map` did not write."""
-    if taken := next((name for name in sorted(names) if (out / _SHEETS / name).exists()), None):
-        raise OutputError(
-            f"{printable(str(out / _SHEETS / taken))} was not written by lpn map and would be replaced; move it, or choose "
-            "another folder for the map."
-        )
-
-
-def _check_places(
-    files: Sequence[Path],
-    places: Sequence[tuple[Any, Float64Array] | None],
-    options: MapOptions,
-    heights: ElevationSource | None,
-) -> None:
-    """Refuse what cannot be a map before any long work: bands and treatments are left open."""
-    quick = replace(options, keep_borders=True)
-    sheets = [
-        open_sheet(file, quick) if place is None else raster_sheet(file, file, *place, options, Treatment((1,)))
-        for file, place in zip(files, places, strict=True)
-    ]
-    whole = Map(files[0].stem, sheets)
-    whole.close()
-    if heights is not None:
-        heights.box(whole.frame, whole.bounds)
-
-
-def _prepared(source: Path, target: Path, on_progress: Callable[[str], None]) -> tuple[Path, Path | None]:
-    """Return the file to read a sheet from, the source or a tiled copy of it, and the file of its overviews if it has none."""
-    with _gdal.opened(source) as file:
-        width, height = int(file.width), int(file.height)
-        tiled = file.block_shapes[0][1] < width or len(file.overviews(1)) > 0
-        has_overviews = bool(file.overviews(1)) or max(width, height) <= _LARGE
-        paletted = file.colorinterp[0].name == "palette"
-        # A copy would lose the alpha of a palette, and hide that JPEG changed an alpha band.
-        clear = paletted and any(colour[3] < 255 for colour in file.colormap(1).values())
-        bound = clear or (is_jpeg(file) and "alpha" in [meaning.name for meaning in file.colorinterp])
-    copied = not tiled and not bound and width * height > _MAX_UNTILED
-    if has_overviews and not copied:
-        return source, None
-    library = _gdal.rasterio()
+def _prepared(file: Path, target: Path, on_progress: Callable[[str], None]) -> tuple[Path | None, Path | None]:
+    """Write a tiled copy of a sheet, or its overviews, if it is slow to read without; return either or None."""
+    if is_tile_set(file):
+        source, xml, _, _ = open_tiles(file)
+        with source.open() as opened:
+            width, height = int(opened.width), int(opened.height)
+        copied = paletted = has_overviews = False
+    else:
+        with _gdal.opened(file) as opened:
+            width, height = int(opened.width), int(opened.height)
+            tiled = opened.block_shapes[0][1] < width or len(opened.overviews(1)) > 0
+            has_overviews = len(opened.overviews(1)) > 0
+            paletted = opened.colorinterp[0].name == "palette"
+            # A copy would lose the alpha of a palette, and hide that JPEG changed an alpha band.
+            clear = paletted and any(colour[3] < 255 for colour in opened.colormap(1).values())
+            bound = clear or (is_jpeg(opened) and "alpha" in [meaning.name for meaning in opened.colorinterp])
+            copied = not tiled and not bound and width * height > _MAX_UNTILED
+            xml = _gdal.vrt_of(opened)
+    if not copied and (has_overviews or max(width, height) <= _LARGE):
+        return None, None
+    called = printable(file.name)
     target.parent.mkdir(parents=True, exist_ok=True)
-    part = target.with_suffix(".part.tif" if copied else ".part.vrt")
-    whole = target.with_suffix(".tif" if copied else ".ovr")
+    copy, made = target.with_suffix(".tif"), target.with_suffix(".vrt")
+    library = _gdal.rasterio()
     try:
-        with library.Env(), _gdal.open_raster(source) as file:
-            if copied:
-                on_progress(f"Copying {printable(source.name)} into tiles: its own file is slow to read in windows.")
-                library.shutil.copy(file, str(part), driver="GTiff", **_TILED)
-            else:
-                part.write_bytes(_gdal.vrt_of(file))
-            minutes = width * height / _gdal.PIXELS_PER_MINUTE
-            about = f", which takes about {minutes:.0f} minutes" if minutes >= 2 else ""
-            on_progress(f"Making overviews of {printable(source.name)}{about}.")
-            _gdal.build_overviews(part, "GTiff" if copied else "VRT", "nearest" if paletted else "average")
+        if copied:
+            on_progress(f"Copying {called} into tiles: its own file is slow to read in windows.")
+            with library.Env(), _gdal.open_raster(file) as opened:
+                library.shutil.copy(opened, str(copy), driver="GTiff", **_TILED)
+        else:
+            made.write_bytes(xml)
+        minutes = width * height / _gdal.PIXELS_PER_MINUTE
+        about = f", which takes about {minutes:.0f} minutes" if minutes >= 2 else ""
+        on_progress(f"Making overviews of {called}{about}.")
+        method = "nearest" if paletted else "average"
+        _gdal.build_overviews(copy if copied else made, "GTiff" if copied else "VRT", method)
     except _gdal.failures(OSError) as error:
         raise OutputError(
-            f"{printable(str(whole))} cannot be written ({printable(str(error))[:200]}); free space, or check "
-            f"{printable(source.name)}."
+            f"{printable(target.name)} of the map cannot be written ({printable(str(error))[:200]}); free space for it."
         ) from error
     if copied:
-        part.replace(whole)
-        return whole, None
-    made = Path(f"{part}.ovr")
-    if not made.exists():  # too small for any
-        return source, None
-    made.replace(whole)
-    return source, whole
+        return copy, None
+    made.unlink()
+    written = Path(f"{made}.ovr")
+    # A small one has none.
+    return None, written.replace(target.with_suffix(".ovr")) if written.exists() else None

@@ -21,7 +21,6 @@ from lpn.flight.maps.elevation import Elevation
 from lpn.flight.maps.frame import LocalFrame
 from lpn.flight.maps.place import MapPlace
 from lpn.flight.maps.sheet import Bounds, Sheet
-from lpn.flight.maps.trials import SinglePhotoTrials
 from lpn.flight.maps.window import Window
 
 # Side of the blocks in which a picture is cut, which bounds the memory.
@@ -55,8 +54,8 @@ class Map:
         coverage: a recorded coverage; None computes it at first use.
         elevation: heights of its ground; None if nothing is known of them.
         place: what is known about its place; None if nothing is.
-        trials: of single photos on it; None without.
         error, surveyed_error: see the attributes.
+        notes: sentences about files that are left out.
 
     Attributes:
         name: of the map.
@@ -66,10 +65,10 @@ class Map:
         resolution: metres per pixel of the finest sheet.
         elevation: as given.
         place: as given; empty for None.
-        trials: as given.
         error: 1-sigma error of its places in metres along each axis, as far as the map itself tells it; None if it does not.
         surveyed_error: that error as a person measured it against known positions, above 0; None without. It stands in place of
             all others.
+        own_notes: as given.
 
     Raises:
         DataError: if the sheets lie more than 400 km apart, or have fewer than 16 pixels along a side.
@@ -83,12 +82,12 @@ class Map:
         coverage: Float32Array | None = None,
         elevation: Elevation | None = None,
         place: MapPlace | None = None,
-        trials: SinglePhotoTrials | None = None,
         error: float | None = None,
         surveyed_error: float | None = None,
+        notes: Sequence[str] = (),
     ) -> None:
         self.name, self.elevation, self.place = name, elevation, place or MapPlace()
-        self.trials, self.error, self.surveyed_error = trials, error, surveyed_error
+        self.error, self.surveyed_error, self.own_notes = error, surveyed_error, tuple(notes)
         self.frame = frame or _frame_of(sheets)
         for sheet in sheets:
             sheet.locate(self.frame)
@@ -125,8 +124,9 @@ class Map:
 
     @property
     def notes(self) -> list[str]:
-        """Sentences about how the sheets and the elevation are read."""
-        notes = [note for sheet in self.sheets for note in sheet.raster.notes]
+        """Sentences about how the sheets and the elevation are read, and about what is odd."""
+        notes = [*self.own_notes, *(note for sheet in self.sheets for note in sheet.raster.notes)]
+        notes += [sheet.warning for sheet in self.sheets if sheet.warning is not None]
         notes += self._datum_notes
         return notes + ([] if self.elevation is None else self.elevation.notes)
 
@@ -308,6 +308,17 @@ class Map:
                 else:
                     facts.append([file.name, stat.st_size, stat.st_mtime_ns])
         return hashlib.sha256(json.dumps(facts).encode()).hexdigest()
+
+    def identity(self) -> str:
+        """Return a digest of the sheets' places, names, and sizes, which a copy of the map has, too."""
+        facts: list[Any] = [self.frame.latitude, self.frame.longitude]
+        for sheet in self.sheets:
+            file = sheet.raster.path
+            size = file.stat().st_size if file.is_file() else None
+            facts.append(
+                [sheet.name, sheet.raster.width, sheet.raster.height, size, np.round(sheet.bounds, 2).tolist()]
+            )
+        return hashlib.sha256(json.dumps(facts).encode()).hexdigest()[:16]
 
     def close(self) -> None:
         """Close the files of all sheets."""

@@ -34,5 +34,5 @@ def open_map(where: str | Path | Sequence[str | Path], options: MapOptions | Non
                     f"{printable(str(path))} is a whole map of lpn map; open it alone and without options."
                 )
             return open_folder(path)
-    files = files_of(paths, options)
-    return Map(files[0].stem, [open_sheet(file, options) for file in files])
+    files, notes = files_of(paths, options)
+    return Map(files[0].stem, [open_sheet(file, options) for file in files], notes=notes)

@@ -8,29 +8,26 @@ not share.
 from __future__ import annotations
 
 import logging
-import os
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 from PIL import Image
 
 from lpn.core.arrays import Float64Array
-from lpn.core.errors import DataError, OutputError
-from lpn.core.files import check_writable, printable
+from lpn.core.errors import DataError
+from lpn.core.files import printable
 from lpn.core.numbers import SIGMA
 from lpn.core.requirements import missing_package
 from lpn.flight.maps import _gdal
 from lpn.flight.maps.elevation import ElevationFile, ElevationSource
-from lpn.flight.maps.folder import open_folder, write_own_map
+from lpn.flight.maps.folder import check_new, new_folder, open_folder, write_own_map
 from lpn.flight.maps.frame import LocalFrame
 from lpn.flight.maps.map import Map
-from lpn.flight.maps.place import MapPlace, checked_place
-from lpn.flight.maps.tag_placed import describe_placing
+from lpn.flight.maps.place import MapPlace, checked_place, describe_placing
 
 # Photos that a map needs at least, and the names that a sentence lists.
 _LEAST, _NAMED = 3, 5
@@ -73,36 +70,23 @@ def build_from_photos(
         OutputError: if `out` is there already, or cannot be written.
         MissingPackageError: without the library.
     """
-    if out.exists():
-        raise OutputError(
-            f"{printable(str(out))} is there already; choose another folder for the map, or delete that one."
-        )
+    check_new(out)
     _library()
     _gdal.rasterio()
     place = None if place is None else checked_place(place)
     _check_photos(photos, tags)
     heights = None if elevation is None else _heights(elevation, tags)
-    name = out.resolve().name
-    check_writable(out.with_name(f".{name}"))
-    with TemporaryDirectory(prefix=f".{name}-", dir=out.parent) as folder:
-        part = Path(folder) / name
-        part.mkdir()
-        file = part / f"{name}.tif"
+    with new_folder(out) as folder:
+        file = folder / f"{folder.name}.tif"
         with _steps(len(photos), on_progress):
             report = lay_photos(photos, file)
-        file.with_name(f"{name}_report.json").unlink()
+        file.with_name(f"{file.stem}_report.json").unlink()
         on_progress(f"Making overviews of {printable(file.name)}.")
         _gdal.build_overviews(file)
         middles, known = middles_and_tags(report, photos, tags)
         own = place_error(middles, known)
         notes = [*_left_out(report), _limits(report["images_used"], middles, known, own)]
-        write_own_map(file, part, notes, on_progress, heights, place, own).close()
-        try:
-            os.replace(part, out)
-        except OSError as error:
-            raise OutputError(
-                f"{printable(str(out))} cannot be written ({error.strerror}); choose another folder for the map."
-            ) from error
+        write_own_map(file, folder, notes, on_progress, heights, place, own)
     return open_folder(out)
 
 

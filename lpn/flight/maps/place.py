@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
 from datetime import date
 
 import msgspec
 
 from lpn.core.errors import InputError
 from lpn.core.files import printable
+from lpn.core.numbers import upper_bound
 from lpn.core.texts import listed
 
 SEASONS = ("spring", "summer", "autumn", "winter")
 _DAY = re.compile(r"\d{4}-\d{2}-\d{2}")
 _LONGEST = 120
+# The beginning of the note that GPS tags place a map.
+_PLACING = "Place and scale are those of the GPS tags"
 
 
 class MapPlace(msgspec.Struct, frozen=True, omit_defaults=True):
@@ -67,3 +71,17 @@ def checked_place(place: MapPlace) -> MapPlace:
                 f"{listed(SEASONS, 'or')}."
             )
     return place
+
+
+def describe_placing(median: float, largest: float) -> str:
+    """Say that GPS tags place a map, and how many metres they lie from the middles of its photos."""
+    return (
+        f"{_PLACING}, which lie {median:.1f} m from the photos' middles on it in the median, {upper_bound(largest)} m at "
+        "most."
+    )
+
+
+def placing_sentence(notes: Iterable[str]) -> str:
+    """Return the sentence of a map's notes from `describe_placing`; "" without one."""
+    note = next((note for note in notes if _PLACING in note), "")
+    return note[note.find(_PLACING) :]

@@ -1,4 +1,8 @@
-"""One raster file as RGB with a mask, read by rectangles at any reduction from any thread."""
+"""One raster as RGB and alpha of 8 bits each, cut by rectangles that may be turned, from any thread.
+
+The bands of a file become red, green, blue, and alpha by a VRT in memory: its sources stretch numbers, look up a palette, and
+join masks, and a border without data is cut out of its alpha. All maps are read by it alone.
+"""
 
 from __future__ import annotations
 
@@ -7,17 +11,18 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from functools import cached_property
 from pathlib import Path
-from threading import Lock
-from typing import Any, Protocol
+from typing import Any
 
+import cv2
 import msgspec
 import numpy as np
 
-from lpn.core.arrays import AnyArray, BoolArray, UInt8Array
+from lpn.core.arrays import AnyArray, BoolArray, Float64Array, UInt8Array
 from lpn.core.errors import DataError, InputError
 from lpn.core.files import printable
-from lpn.flight.maps import _gdal
-from lpn.flight.maps.borders import BorderColour, Borders, PixelBox, border_note, find_borders, overview_size
+from lpn.flight.maps import _gdal, vrt
+from lpn.flight.maps.borders import BorderColour, border_region, find_borders, overview_size
+from lpn.flight.maps.vrt import RasterSource, source_xml
 
 # Percentiles of a band that become 0 and 255.
 _PERCENTILES = (2.0, 98.0)
@@ -25,58 +30,13 @@ _PERCENTILES = (2.0, 98.0)
 _LOSSY_OPAQUE = 128
 # An alpha band is odd where more than this share of it is further than that from clear and from opaque.
 _VARIED, _CLEAR = 0.5, 0.05
-# Entries of a palette by the type of its band.
-_PALETTES = {"uint8": 1 << 8, "uint16": 1 << 16}
 _RGB = ("red", "green", "blue")
 # Colour spaces that are not converted; GDAL converts CMYK, YCbCr, and Lab of most files itself.
 _OTHER_COLOURS = {"hue": "HSL", "cyan": "CMYK", "Y": "YCbCr"}
 
 
-class Raster(Protocol):
-    """A source of pixels of a sheet: RGB and a mask of a rectangle.
-
-    Attributes:
-        path: the file or folder.
-        width, height: in pixels.
-        notes: sentences about how the file is read.
-    """
-
-    path: Path
-    width: int
-    height: int
-    notes: list[str]
-
-    @property
-    def treatment(self) -> Treatment | None:
-        """How bands become RGB and a mask; None for tiles without a border."""
-        ...
-
-    def files(self) -> list[Path]:
-        """Return the files that the pixels are read from."""
-        ...
-
-    def read(self, box: PixelBox, size: tuple[int, int]) -> tuple[UInt8Array, BoolArray]:
-        """Read a rectangle, reduced by area averages.
-
-        Args:
-            box: first column and row, columns and rows; it lies within the raster.
-            size: width and height of the result, at most those of the box.
-
-        Returns:
-            RGB, (height, width, 3), and which pixels are valid, (height, width).
-
-        Raises:
-            DataError: if the file is damaged.
-        """
-        ...
-
-    def close(self) -> None:
-        """Close the file's handles."""
-        ...
-
-
 class Treatment(msgspec.Struct, frozen=True):
-    """How the bands of a file become RGB and a mask; decided once, and recorded in map.json.
+    """How the bands of a file become RGB and alpha; decided once, and recorded in map.json.
 
     Attributes:
         bands: numbers, from 1, of the bands shown as red, green, and blue; one number for grey or a palette.
@@ -92,16 +52,21 @@ class Treatment(msgspec.Struct, frozen=True):
     border: tuple[BorderColour, ...] = ()
 
 
-class GdalRaster:
-    """A raster file that GDAL reads.
+class Raster:
+    """The pixels of a sheet.
 
     Args:
-        path: the file.
+        source: what GDAL opens.
         treatment: a recorded treatment; None decides one from the file.
         bands: numbers, from 1, of the bands to show, one or three; None takes those marked as colours.
         keep_borders: do not look for white and black borders.
         name: of the file in notes; by default its own.
-        overviews: a TIFF of the file's overviews that lies elsewhere.
+
+    Attributes:
+        path: the file, or the folder of tiles.
+        width, height: in pixels.
+        notes: sentences about how the file is read.
+        treatment: how its bands become RGB and alpha.
 
     Raises:
         DataError: if it cannot be read, its numbers are complex, or it has no valid pixel.
@@ -110,65 +75,93 @@ class GdalRaster:
 
     def __init__(
         self,
-        path: Path,
+        source: RasterSource,
         treatment: Treatment | None = None,
         bands: Sequence[int] | None = None,
         keep_borders: bool = False,
         name: str | None = None,
-        overviews: Path | None = None,
     ) -> None:
-        self.path, self.overviews = path, overviews
-        self._called = name or path.name
-        self.notes: list[str] = []
+        self.source, self.path = source, source.path
+        self._called = name or printable(self.path.name)
+        self.notes: list[str] = list(source.notes)
         self._handles: deque[Any] = deque()
-        self._lock = Lock()
-        with self._handle() as file:
+        with self._opened() as file:
             self.width, self.height = int(file.width), int(file.height)
             _gdal.check_work(file, self.path)
-            self._palette = _palette(file)
+            self._paletted = file.colorinterp[0].name == "palette" and file.dtypes[0] in ("uint8", "uint16")
             self.treatment = self._bands(file, bands)
             if treatment is not None:
                 self.treatment, self.notes = treatment, []
             chosen = self.treatment.bands
-            if not chosen or not all(1 <= number <= file.count for number in (*chosen, self.treatment.alpha or 1)):
+            stretch = self.treatment.stretch
+            if stretch is not None and not (len(stretch) == len(chosen) and all(low < high for low, high in stretch)):
+                raise DataError(
+                    f"The treatment of {self._name} in the map is damaged; write the map again with lpn map."
+                )
+            if len(chosen) not in (1, 3) or not all(
+                1 <= number <= file.count for number in (*chosen, self.treatment.alpha or 1)
+            ):
                 raise DataError(
                     f"{self._name} has {file.count} bands, fewer than before; write the map again with lpn map."
                 )
-            self._dtype = np.result_type(*(file.dtypes[number - 1] for number in chosen))
-            self._same_types = len({file.dtypes[number - 1] for number in chosen}) == 1
+            dtype = np.result_type(*(file.dtypes[number - 1] for number in chosen))
+            if dtype.kind == "c":
+                raise DataError(f"{self._name} holds complex numbers; expected a picture in grey or colour.")
             bits = file.tags(chosen[0], ns="IMAGE_STRUCTURE").get("NBITS", "")
             # GDAL gives bands of 1 to 7 bits as bytes.
-            few = self._dtype == np.uint8 and bits in set("1234567")
-            self._numbers = f"{bits}-bit" if few else str(self._dtype)
-            self._deep = self._palette is None and (few or self._dtype != np.uint8)
-            if treatment is None and len(pages := file.subdatasets) > 1:
-                self.notes.append(f"{self._called} holds {len(pages)} pictures; the first is shown.")
+            few = dtype == np.uint8 and bits in set("1234567")
+            self._floats = dtype.kind == "f"
+            self._deep = not self._paletted and (few or dtype != np.uint8)
             # JPEG smears alpha and nodata over several pixels.
             self._lossy = is_jpeg(file)
             kinds = _gdal.rasterio().enums.MaskFlags
-            of_bands = file.mask_flag_enums
-            flags = {kind for number in chosen for kind in of_bands[number - 1]}
-            self._has_nodata = kinds.nodata in flags
-            # Where there is an alpha band, GDAL's mask of the whole file is that band, and nodata only fills what it hides.
-            masks = {kinds.per_dataset} if self.treatment.alpha else {kinds.per_dataset, kinds.nodata}
-            self._masked = bool(flags & masks) and kinds.alpha not in flags
-        if self._dtype.kind == "c":
-            raise DataError(f"{self._name} holds complex numbers; expected a picture in grey or colour.")
-        if treatment is None:
-            self.treatment = self._decided(self.treatment, keep_borders)
+            flags = {kind for number in chosen for kind in file.mask_flag_enums[number - 1]}
+            self._nodata = kinds.nodata in flags
+            self._masked = self._nodata or kinds.per_dataset in flags
+            if treatment is None:
+                if len(pages := file.subdatasets) > 1:
+                    self.notes.append(f"{self._called} holds {len(pages)} pictures; the first is shown.")
+                self.treatment = self._decided(file, f"{bits}-bit" if few else str(dtype), keep_borders)
 
-    def read(self, box: PixelBox, size: tuple[int, int]) -> tuple[UInt8Array, BoolArray]:
-        """See `Raster.read`."""
-        values, valid = self._values(box, size)
-        if self.treatment.border:
-            valid = valid & ~self._borders.within(values, box, size)
-        return self._rgb(values), valid
+    def cut(self, matrix: Float64Array, size: tuple[int, int], reduction: float) -> tuple[UInt8Array, BoolArray]:
+        """Cut a picture, bilinearly; where the picture is coarser than the raster, pixels are averaged.
+
+        Args:
+            matrix: (2, 3), from column and row of the picture to those of the raster; 0 is the corner of the first pixel.
+            size: columns and rows of the picture.
+            reduction: pixels of the raster on a side of one of the picture.
+
+        Returns:
+            RGB, (rows, columns, 3), and which pixels are valid, (rows, columns).
+
+        Raises:
+            DataError: if the file is damaged.
+        """
+        own = np.array([self.width, self.height])
+        ends = np.array([(0, 0, 1), (size[0], 0, 1), (0, size[1], 1), (*size, 1)]) @ matrix.T
+        margin = 2 * max(1.0, reduction)
+        low = np.maximum(np.floor(ends.min(0) - margin), 0).astype(int)
+        high = np.minimum(np.ceil(ends.max(0) + margin), own).astype(int)
+        columns, rows = size
+        if (low >= high).any():
+            return np.zeros((rows, columns, 3), np.uint8), np.zeros((rows, columns), bool)
+        # Twice the pixels where the raster is finer, so that their mean does not alias.
+        finer = 2 if reduction > 1.01 else 1
+        read = np.maximum(1, np.ceil((high - low) / max(1.0, reduction / finer))).astype(int)
+        library = _gdal.rasterio()
+        box, method = library.windows.Window(*low.tolist(), *(high - low).tolist()), library.enums.Resampling.average
+        with self._handle() as file:
+            values = file.read(window=box, out_shape=(4, read[1], read[0]), resampling=method)
+        picture, valid = np.ascontiguousarray(np.moveaxis(values[:3], 0, 2)), values[3] > 127
+        scale = read / (high - low)
+        # OpenCV counts from the middle of the first pixel.
+        turn = matrix[:, :2] * scale[:, None] / finer
+        shift = (matrix[:, 2] - low) * scale + turn.sum(axis=1) / 2 - 0.5
+        return _resampled(picture, valid, np.column_stack([turn, shift]), (columns, rows), finer)
 
     def files(self) -> list[Path]:
-        """See `Raster.files`: the file, overviews, and masks."""
-        with _gdal.opened(self.path) as file:
-            files = {Path(name) for name in file.files if not name.endswith(".aux.xml")}
-        return sorted(files if self.overviews is None else files | {self.overviews})
+        """Return the files that the pixels are read from: with overviews and masks."""
+        return self.source.files()
 
     def close(self) -> None:
         """Close the file's handles."""
@@ -180,18 +173,58 @@ class GdalRaster:
         return printable(str(self.path))
 
     @contextmanager
+    def _opened(self) -> Iterator[Any]:
+        """Open the source itself."""
+        with self.source.open() as file:
+            try:
+                yield file
+            except _gdal.failures() as error:
+                raise _gdal.damaged(self.path, error) from error
+
+    @contextmanager
     def _handle(self) -> Iterator[Any]:
-        """Lend a handle of the file, which only one thread may use at a time."""
+        """Lend a handle of the raster as RGB and alpha, which only one thread may use at a time."""
         try:
-            handle = self._handles.pop()
-        except IndexError:
-            handle = _gdal.open_raster(self.path, self.overviews)
-        try:
+            try:
+                handle = self._handles.pop()
+            except IndexError:
+                handle = _gdal.open_vrt(_gdal.in_memory(self._treated()).name)
             yield handle
         except _gdal.failures() as error:
             raise _gdal.damaged(self.path, error) from error
-        finally:
-            self._handles.append(handle)
+        self._handles.append(handle)
+
+    def _treated(self) -> bytes:
+        """Return the VRT of the raster as RGB and alpha."""
+        treatment, name, own = self.treatment, self.source.name, (self.width, self.height)
+        box, method = (0, 0, *own), "nearest" if self._paletted else "average"
+
+        def source(number: int, inner: str) -> str:
+            return source_xml(name, number, own, box, inner, method)
+
+        chosen = treatment.bands
+        if self._paletted:
+            colours = [source(chosen[0], vrt.palette(entry)) for entry in (1, 2, 3)]
+        else:
+            limits = (
+                [""] * len(chosen) if treatment.stretch is None else [vrt.stretched(*two) for two in treatment.stretch]
+            )
+            colours = [source(one, limit) for one, limit in zip(chosen, limits, strict=True)]
+        if treatment.alpha is not None:
+            least = self._lossy_opaque if self._lossy else 1.0
+            alpha = [source(treatment.alpha, f"<LUT>{least * 0.999}:0,{least}:255</LUT>" if self._lossy else vrt.SOME)]
+        elif self._paletted:
+            alpha = [source(chosen[0], vrt.palette(4) + vrt.SOME)]
+        else:
+            nan = "<NODATA>nan</NODATA>" if self._floats else ""
+            masked = "<UseMaskBand>true</UseMaskBand>" if self._masked else ""
+            alpha = [
+                source(number, f"{masked}{vrt.OPAQUE}{nan}") for number in (chosen if self._nodata else chosen[:1])
+            ]
+        if treatment.border:
+            cut = overview_size(*own)
+            alpha.append(source_xml(self._cut_out.name, 1, cut, box, "<NODATA>255</NODATA>", "nearest"))
+        return vrt.rgba_xml(own, [*([one] for one in (colours if len(colours) == 3 else colours * 3)), alpha])
 
     def _bands(self, file: Any, wanted: Sequence[int] | None) -> Treatment:
         """Choose the bands to show."""
@@ -221,106 +254,71 @@ class GdalRaster:
             )
         return Treatment(chosen, alpha)
 
-    def _decided(self, chosen: Treatment, keep_borders: bool) -> Treatment:
+    def _decided(self, file: Any, numbers: str, keep_borders: bool) -> Treatment:
         """Decide stretch and borders on an overview."""
-        self.treatment = chosen
-        deep = self._deep
-        values, valid = self._overview()
+        chosen, deep = self.treatment, self._deep
+        values = self._overview(file, chosen.bands)
+        with self._handle() as handle:
+            valid = self._overview(handle, (4,))[0] > 0
         # Some programs write an alpha band that is opaque everywhere, or a nodata value that no pixel has, and white where
         # nothing is known.
-        unclear = bool(valid.all()) or (self._lossy and self._has_nodata)
-        look = unclear and not (keep_borders or (deep and self._has_nodata) or self._palette is not None)
+        unclear = bool(valid.all()) or (self._lossy and self._nodata)
+        look = unclear and not (keep_borders or (deep and self._nodata) or self._paletted)
         borders = find_borders(values, deep) if look else {}
-        if self._has_nodata and borders and np.logical_or.reduce(list(borders.values())).all():
+        if self._nodata and borders and np.logical_or.reduce(list(borders.values())).all():
             borders = {}  # a dark picture, whose own nodata value says that it is none
         for colour, region in borders.items():
-            self.notes.append(border_note(colour, self._called, region))
-            valid = valid & ~region
+            self.notes.append(f"The {colour} border of {self._called} ({region.mean():.0%} of it) is taken as no data.")
+            valid &= ~region
         if not valid.any():
             raise DataError(f"{self._called} has no valid pixel; expected a map.")
-        if chosen.alpha is not None and self._varied(chosen.alpha):
-            self.notes.append(
-                f"Band {chosen.alpha} of {self._called} is marked as alpha, and most of it is between clear and opaque; data is "
-                "where it is above 0. If it is another band, such as near infrared, mark it so (gdal_edit "
-                f"-colorinterp_{chosen.alpha} undefined)."
-            )
+        if chosen.alpha is not None:
+            opacity = self._overview(file, (chosen.alpha,))
+            between = (opacity > _CLEAR * opacity.max()) & (opacity < (1 - _CLEAR) * opacity.max())
+            if between.mean() > _VARIED:
+                self.notes.append(
+                    f"Band {chosen.alpha} of {self._called} is marked as alpha, and most of it is between clear and opaque; data "
+                    "is where it is above 0. If it is another band, such as near infrared, mark it so (gdal_edit "
+                    f"-colorinterp_{chosen.alpha} undefined)."
+                )
         stretch = None
         if deep:
             limits = [np.percentile(band[valid].astype(np.float64), _PERCENTILES).tolist() for band in values]
             stretch = tuple((low, high if high > low else low + 1) for low, high in limits)
             ranges = ", ".join(f"{low:g} to {high:g}" for low, high in stretch)
             self.notes.append(
-                f"{self._called} holds {self._numbers} numbers; the percentiles {_PERCENTILES[0]:g} and {_PERCENTILES[1]:g} of "
+                f"{self._called} holds {numbers} numbers; the percentiles {_PERCENTILES[0]:g} and {_PERCENTILES[1]:g} of "
                 f"each band ({ranges}) become 0 and 255."
             )
+        self.close()  # handles of another treatment
         return Treatment(chosen.bands, chosen.alpha, stretch, tuple(borders))
+
+    def _overview(self, file: Any, bands: Sequence[int]) -> AnyArray:
+        """Read bands of the open source, (n, height, width), on the overview of `overview_size`."""
+        methods = _gdal.rasterio().enums.Resampling
+        columns, rows = overview_size(self.width, self.height)
+        method = methods.nearest if self._paletted else methods.average
+        return np.stack([file.read(number, out_shape=(rows, columns), resampling=method) for number in bands])
 
     @cached_property
     def _lossy_opaque(self) -> float:
         """The least opacity of data in a JPEG: half of the largest one, which is 1 where programs write 0 and 1."""
-        columns, rows = overview_size(self.width, self.height)
-        with self._handle() as file:
-            return min(
-                _LOSSY_OPAQUE, float(file.read(self.treatment.alpha, out_shape=(rows, columns)).max()) / 2 or 1.0
-            )
-
-    def _varied(self, band: int) -> bool:
-        """Return whether most values of a band lie well between 0 and its largest one."""
-        columns, rows = overview_size(self.width, self.height)
-        with self._handle() as file:
-            values = file.read(band, out_shape=(rows, columns))
-        between = (values > _CLEAR * values.max()) & (values < (1 - _CLEAR) * values.max())
-        return bool(between.mean() > _VARIED)
-
-    def _overview(self) -> tuple[AnyArray, BoolArray]:
-        return self._values((0, 0, self.width, self.height), overview_size(self.width, self.height))
-
-    def _values(self, box: PixelBox, size: tuple[int, int]) -> tuple[AnyArray, BoolArray]:
-        """Read the chosen bands, (n, height, width), and which pixels the file itself says are valid, (height, width)."""
-        library = _gdal.rasterio()
-        methods = library.enums.Resampling
-        reduced = size != box[2:] and self._palette is None  # the mean of two palette entries is another colour
-        options = {
-            "window": library.windows.Window(*box),
-            "resampling": methods.average if reduced else methods.nearest,
-        }
-        chosen, alpha = list(self.treatment.bands), self.treatment.alpha
-        shape = size[1], size[0]
-        valid = np.ones(shape, bool)
-        with self._handle() as file:
-            if self._same_types:
-                values = file.read(chosen, out_shape=(len(chosen), *shape), **options)
-            else:
-                values = np.stack([file.read(number, out_shape=shape, **options) for number in chosen])
-            if alpha is not None:
-                opacity = file.read(alpha, out_shape=shape, **options)
-                valid &= opacity >= self._lossy_opaque if self._lossy else opacity > 0
-            if self._masked:
-                valid &= (file.read_masks(chosen, out_shape=(len(chosen), *shape), **options) > 0).any(axis=0)
-        if self._palette is not None:
-            valid &= self._palette[values[0], 3] > 0
-        if values.dtype.kind == "f":
-            valid &= np.isfinite(values).all(axis=0)
-        return values, valid
-
-    def _rgb(self, values: AnyArray) -> UInt8Array:
-        """Return the chosen bands as RGB, (height, width, 3)."""
-        if self._palette is not None:
-            colours: UInt8Array = self._palette[values[0], :3]
-            return colours
-        if self.treatment.stretch is not None:
-            low, high = np.array(self.treatment.stretch).T[:, :, None, None]
-            with np.errstate(invalid="ignore"):
-                scaled = (values.astype(np.float32) - low) * (255 / (high - low))
-            values = np.clip(np.nan_to_num(scaled), 0, 255).round().astype(np.uint8)
-        if len(values) == 1:
-            values = np.broadcast_to(values, (3, *values.shape[1:]))
-        return np.ascontiguousarray(np.moveaxis(values, 0, 2))
+        assert self.treatment.alpha is not None
+        with self._opened() as file:
+            return min(_LOSSY_OPAQUE, float(self._overview(file, (self.treatment.alpha,)).max()) / 2 or 1.0)
 
     @cached_property
-    def _borders(self) -> Borders:
-        with self._lock:
-            return Borders(self._overview()[0], self.treatment.border, (self.width, self.height), self._deep)
+    def _cut_out(self) -> RasterSource:
+        """The mask of the border at the size of the overview: 0 where there is no data, else 255."""
+        with self._opened() as file:
+            values = self._overview(file, self.treatment.bands)
+        border = np.zeros(values.shape[1:], np.uint8)
+        for colour in self.treatment.border:
+            border |= border_region(values, colour, self._deep)
+        # Pixels at the edge are mixed with the border's colour.
+        return RasterSource.of_mask(
+            np.where(cv2.dilate(border, np.ones((3, 3), np.uint8)) > 0, 0, 255).astype(np.uint8)
+        )
 
 
 def is_jpeg(file: Any) -> bool:
@@ -328,12 +326,21 @@ def is_jpeg(file: Any) -> bool:
     return "JPEG" in file.tags(ns="IMAGE_STRUCTURE").get("COMPRESSION", "")
 
 
-def _palette(file: Any) -> UInt8Array | None:
-    """Return the colours of a paletted file with their alpha, (256 or 65536, 4); None if it has none."""
-    if file.colorinterp[0].name != "palette" or file.dtypes[0] not in _PALETTES:
-        return None
-    colours = np.zeros((_PALETTES[file.dtypes[0]], 4), np.uint8)
-    colours[:, 3] = 255
-    for number, colour in file.colormap(1).items():
-        colours[number] = colour
-    return colours
+def _resampled(
+    picture: UInt8Array, valid: BoolArray, matrix: Float64Array, size: tuple[int, int], finer: int
+) -> tuple[UInt8Array, BoolArray]:
+    """Sample a picture bilinearly by a matrix, (2, 3), and average `finer` by `finer` samples, invalid ones left out."""
+    columns, rows = size
+
+    def sampled(source: Any, border: int) -> Any:
+        flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+        turned = cv2.warpAffine(source, matrix, (columns * finer, rows * finer), flags=flags, borderMode=border)
+        return turned if finer == 1 else cv2.resize(turned, size, interpolation=cv2.INTER_AREA)
+
+    shares = sampled(valid.astype(np.float32), cv2.BORDER_CONSTANT)
+    if valid.all():
+        return sampled(picture, cv2.BORDER_REPLICATE), shares >= 0.5
+    weighted = sampled(picture.astype(np.float32) * valid[:, :, None], cv2.BORDER_REPLICATE)
+    inside = sampled(valid.astype(np.float32), cv2.BORDER_REPLICATE)
+    resampled = weighted / np.maximum(inside, 1e-6)[:, :, None]
+    return np.clip(resampled.round(), 0, 255).astype(np.uint8), shares >= 0.5

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import cv2
 import numpy as np
 
 from lpn.core.arrays import BoolArray, Float64Array, UInt8Array
@@ -19,14 +18,17 @@ from lpn.flight.maps.window import Window
 
 # West, south, east, and north in metres of a frame.
 Bounds = tuple[float, float, float, float]
-# Points on each side of a rectangle at which the projection is computed; between them it is a polynomial of degree 4.
-_NODES = 5
+# Where the projection is computed along the sides of a block.
+_NODES = np.array([0.0, 0.5, 1.0])
 # Points on each side of a sheet's outline.
 _OUTLINE = 21
 # Metres of a pixel that a map may have.
 _RESOLUTIONS = (1e-4, 1e4)
 # A sheet with a metric CRS whose coordinates could be degrees is refused if it is smaller than this.
 _DEGREES_AT_MOST = 10.0
+# A corner whose coordinates are both smaller, in units of the CRS or degrees, or whose easting lies outside of those that a zone
+# of UTM has with its neighbours, is hardly where a map is.
+_ORIGIN, _ORIGIN_DEGREES, _UTM_EASTINGS = 1000.0, 0.01, (100_000.0, 900_000.0)
 
 
 class Sheet:
@@ -47,7 +49,7 @@ class Sheet:
         whole = np.vstack([matrix, [0, 0, 1]])
         if not (np.isfinite(matrix).all() and abs(np.linalg.det(whole)) > 0):
             raise DataError(f"{printable(name)} has the pixel size 0 in its georeference; expected one above 0.")
-        self._inverse: Float64Array = np.linalg.inv(whole)[:2]
+        self.warning: str | None = None
         self.outline = self._outline()
 
     def locate(self, frame: LocalFrame) -> None:
@@ -85,37 +87,15 @@ class Sheet:
             RGB (rows, columns, 3) and which pixels are valid (rows, columns); None where the sheet has none.
         """
         left, top, columns, rows = part
-        metres = window.size / pixels
-        # Twice the pixels where the sheet is finer, so that their mean does not alias.
-        finer = 2 if metres > 1.01 * min(self.pixel) else 1
-        nodes = np.cos(np.linspace(math.pi, 0, _NODES)) / 2 + 0.5
-        u, v = np.meshgrid(left - 0.5 + nodes * columns, top - 0.5 + nodes * rows)
-        cells = self._cells(window.to_ground(np.stack([u.ravel(), v.ravel()], axis=1), pixels))
+        u, v = (grid.ravel() for grid in np.meshgrid(*(_NODES * side for side in (columns, rows))))
+        ground = window.to_ground(np.stack([left + u, top + v], axis=1) - 0.5, pixels)
+        cells = cells_of(self.crs, self.matrix, self.raster.width, self.frame, ground)
         if not np.isfinite(cells).all():
             return None
-        box = self._box(cells, metres / finer)
-        if box is None:
-            return None
-        reduction = [max(1.0, metres / finer / side) for side in self.pixel]
-        size = tuple(max(1, math.ceil(side / by)) for side, by in zip(box[2:], reduction, strict=True))
-        picture, valid = self.raster.read(box, (size[0], size[1]))
-        if not valid.any():
-            return None
-        along, down = _basis(nodes, columns * finer), _basis(nodes, rows * finer)
-        grids = [
-            (down @ cells[:, axis].reshape(_NODES, _NODES) @ along.T - box[axis]) * (size[axis] / box[2 + axis]) - 0.5
-            for axis in (0, 1)
-        ]
-        return _resampled(picture, valid, grids[0].astype(np.float32), grids[1].astype(np.float32), finer)
-
-    def _cells(self, xy: Float64Array) -> Float64Array:
-        """Return column and row, (N, 2), of points of the frame, (N, 2)."""
-        x, y = _gdal.transform(self.frame.crs, self.crs, xy[:, 0], xy[:, 1])
-        if self.crs.is_geographic:
-            # Longitudes of a sheet may pass 180 degrees.
-            middle = self.matrix[0] @ (self.raster.width / 2, self.raster.height / 2, 1)
-            x = middle + wrap_degrees(x - middle)
-        return np.stack([x, y, np.ones(len(x))], axis=1) @ self._inverse.T
+        # Within a block of a window, a map projection is a plane to a small part of a pixel.
+        matrix = np.linalg.lstsq(np.stack([u, v, np.ones(len(u))], axis=1), cells, rcond=None)[0].T
+        picture, valid = self.raster.cut(matrix, (columns, rows), window.size / pixels / max(self.pixel))
+        return (picture, valid) if valid.any() else None
 
     def _ground(self, cells: Float64Array) -> Float64Array:
         """Return points of the frame, (N, 2), of columns and rows, (N, 2)."""
@@ -161,20 +141,41 @@ class Sheet:
                 f"The coordinates of {name} ({span}) lie outside of what its CRS {crs} covers; give the right one with "
                 "--crs, or correct its georeference."
             )
+        self.warning = self._far_off(corners, degrees)
         return degrees
 
-    def _box(self, cells: Float64Array, metres: float) -> tuple[int, int, int, int] | None:
-        """Return the rectangle of pixels that is read for points with these columns and rows; None if it is empty."""
-        box = []
-        for axis, count in enumerate((self.raster.width, self.raster.height)):
-            margin = 2 * max(1.0, metres / self.pixel[axis])
-            spread = np.ptp(cells[:, axis]) * 0.01  # the outline may bulge between the nodes
-            first = max(0, math.floor(cells[:, axis].min() - margin - spread))
-            last = min(count, math.ceil(cells[:, axis].max() + margin + spread))
-            if first >= last:
-                return None
-            box.append((first, last - first))
-        return box[0][0], box[1][0], box[0][1], box[1][1]
+    def _far_off(self, corners: Float64Array, degrees: Float64Array) -> str | None:
+        """Return a warning if the coordinates are hardly of this CRS: near its origin, or far outside its zone of UTM."""
+        near = np.abs(corners).max(axis=1)
+        least = int(near.argmin())
+        code = self.crs.to_epsg() or 0
+        utm = 32601 <= code <= 32660 or 32701 <= code <= 32760
+        eastings = corners[:, 0] if utm else np.zeros(0)
+        beyond = (eastings < _UTM_EASTINGS[0]) | (eastings > _UTM_EASTINGS[1])
+        if near[least] >= (_ORIGIN_DEGREES if self.crs.is_geographic else _ORIGIN) and not beyond.any():
+            return None
+        (x, y), (latitude, longitude) = corners[least], degrees[least]
+        return (
+            f"{printable(self.name)} has a corner at {x:.6g}, {y:.6g} in its CRS {describe(self.crs)}, which is {latitude:.4f}, "
+            f"{longitude:.4f} on Earth. If that is not the map's place, the picture lost its position, or the CRS is another one "
+            "(--crs)."
+        )
+
+
+def cells_of(crs: Any, matrix: Float64Array, width: int, frame: LocalFrame, xy: Float64Array) -> Float64Array:
+    """Return columns and rows, (N, 2), of a raster at points of a frame, (N, 2); 0 is the corner of the first pixel.
+
+    Args:
+        crs, matrix: see `Sheet`.
+        width: of the raster in pixels.
+    """
+    x, y = _gdal.transform(frame.crs, crs, xy[:, 0], xy[:, 1])
+    if crs.is_geographic:
+        # Longitudes of a raster may pass 180 degrees.
+        middle = float(matrix[0] @ (width / 2, 0, 1))
+        x = middle + wrap_degrees(x - middle)
+    inverse = np.linalg.inv(np.vstack([matrix, [0, 0, 1]]))[:2]
+    return np.asarray(np.stack([x, y, np.ones(len(x))], axis=1) @ inverse.T)
 
 
 def describe(crs: Any) -> str:
@@ -183,36 +184,3 @@ def describe(crs: Any) -> str:
     if code:
         return f"EPSG:{code}"
     return printable(str(crs.to_wkt()).partition('"')[2].partition('"')[0]) or "without a name"
-
-
-def _basis(nodes: Float64Array, count: int) -> Float64Array:
-    """Return the Lagrange polynomials of the nodes at the centres of `count` equal intervals of 0 .. 1: (count, nodes)."""
-    at = (np.arange(count) + 0.5) / count
-    basis = np.ones((count, len(nodes)))
-    for i, node in enumerate(nodes):
-        for other in np.delete(nodes, i):
-            basis[:, i] *= (at - other) / (node - other)
-    return basis
-
-
-def _resampled(
-    picture: UInt8Array, valid: BoolArray, columns: Float64Array, rows: Float64Array, finer: int
-) -> tuple[UInt8Array, BoolArray]:
-    """Sample a picture bilinearly at columns and rows, and average `finer` by `finer` samples, invalid ones left out."""
-    # A border of one invalid pixel, so that pixels beyond the raster's edge are invalid.
-    share = cv2.copyMakeBorder(valid.astype(np.float32), 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=0)
-    shape = columns.shape[1] // finer, columns.shape[0] // finer
-
-    def sampled(source: Any, offset: int) -> Any:
-        resampled = cv2.remap(
-            source, columns + offset, rows + offset, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
-        )
-        return resampled if finer == 1 else cv2.resize(resampled, shape, interpolation=cv2.INTER_AREA)
-
-    shares = sampled(share, 1)
-    if valid.all():
-        return sampled(picture, 0), shares >= 0.5
-    weighted = sampled(picture.astype(np.float32) * valid[:, :, None], 0)
-    inside = sampled(valid.astype(np.float32), 0)
-    resampled = weighted / np.maximum(inside, 1e-6)[:, :, None]
-    return np.clip(resampled.round(), 0, 255).astype(np.uint8), shares >= 0.5

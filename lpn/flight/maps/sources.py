@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,10 +16,10 @@ from lpn.core.errors import DataError, InputError
 from lpn.core.files import printable
 from lpn.flight.maps import _gdal
 from lpn.flight.maps.corners import LISTS, corners_of, read_list
-from lpn.flight.maps.raster import GdalRaster, Treatment
+from lpn.flight.maps.raster import Raster, Treatment
 from lpn.flight.maps.sheet import Sheet
-from lpn.flight.maps.tile_sets import is_tile_set, tiles_near
-from lpn.flight.maps.tiles import TileRaster
+from lpn.flight.maps.tiles import is_tile_set, open_tiles, tiles_near
+from lpn.flight.maps.vrt import RasterSource
 
 # Largest error, in pixels, of the affine transform that stands for ground control points.
 _CONTROL_ERROR = 2.0
@@ -26,6 +27,10 @@ _CONTROL_ERROR = 2.0
 _ARCGIS = ("_alllayers", "conf.xml", "conf.cdi")
 # Files of a folder that are taken as sheets.
 _SUFFIXES = (".tif", ".tiff", ".jpg", ".jpeg", ".png", ".webp", ".jp2", ".mbtiles", ".img")
+
+
+class NoPlaceError(DataError):
+    """A picture has no georeference at all."""
 
 
 @dataclass(frozen=True)
@@ -45,8 +50,8 @@ class MapOptions:
     keep_borders: bool = False
 
 
-def files_of(paths: Sequence[Path], options: MapOptions) -> list[Path]:
-    """Return the rasters and tile folders that files and folders stand for.
+def files_of(paths: Sequence[Path], options: MapOptions) -> tuple[list[Path], list[str]]:
+    """Return the rasters and tile folders that files and folders stand for, and notes about files that are left out.
 
     A list of corners stands for the pictures that it names, another folder for the rasters in it.
 
@@ -57,9 +62,10 @@ def files_of(paths: Sequence[Path], options: MapOptions) -> list[Path]:
     if not paths:
         raise InputError("A map needs at least one file; found none.")
     files: list[Path] = []
+    notes: list[str] = []
     for path in paths:
         if path.is_dir() and not is_tile_set(path):
-            files += _files_in(path)
+            files += _files_in(path, options, notes)
         elif path.suffix.lower() == ".csv":
             files += _listed(path)
         elif path.exists():
@@ -68,11 +74,22 @@ def files_of(paths: Sequence[Path], options: MapOptions) -> list[Path]:
             raise DataError(f"There is no file {printable(str(path))}; check the path.")
     if options.corners is not None and len(files) > 1:
         raise InputError(f"Corners belong to one picture, and {len(files)} files are given; give one.")
-    return list(dict.fromkeys(files))
+    return list(dict.fromkeys(files)), notes
 
 
-def open_sheet(path: Path, options: MapOptions) -> Sheet:
+def open_sheet(
+    path: Path,
+    options: MapOptions,
+    treatment: Treatment | None = None,
+    copy: Path | None = None,
+    overviews: Path | None = None,
+) -> Sheet:
     """Open a raster file with its georeference, or a folder of tiles.
+
+    Args:
+        treatment: a known treatment of its bands; None decides one.
+        copy: the file that is read in its place, whose pixels are the same.
+        overviews: the file that holds its overviews, if that is another one.
 
     Raises:
         DataError: if it cannot be read, or has no georeference, or an impossible one.
@@ -81,24 +98,12 @@ def open_sheet(path: Path, options: MapOptions) -> Sheet:
     if is_tile_set(path):
         if options != MapOptions(keep_borders=options.keep_borders):
             raise InputError(f"{printable(str(path))} holds tiles in Web Mercator; leave CRS, corners, and bands out.")
-        tiles = TileRaster(path, keep_borders=options.keep_borders)
-        return Sheet(path.name, tiles, tiles.crs, tiles.matrix)
-    crs, matrix = georeference(path, options)
-    return raster_sheet(path, path, crs, matrix, options)
-
-
-def raster_sheet(
-    source: Path,
-    path: Path,
-    crs: Any,
-    matrix: Float64Array,
-    options: MapOptions,
-    treatment: Treatment | None = None,
-    overviews: Path | None = None,
-) -> Sheet:
-    """Open a sheet whose georeference is known; `path` is the source itself, or a copy of it."""
-    raster = GdalRaster(path, treatment, options.bands, options.keep_borders, source.name, overviews)
-    return Sheet(source.name, raster, crs, matrix)
+        source, _, crs, matrix = open_tiles(path, overviews)
+    else:
+        crs, matrix = georeference(path, options)
+        source = RasterSource.of_file(copy or path, overviews)
+    raster = Raster(source, treatment, options.bands, options.keep_borders, printable(path.name))
+    return Sheet(path.name, raster, crs, matrix)
 
 
 def georeference(path: Path, options: MapOptions) -> tuple[Any, Float64Array]:
@@ -112,8 +117,8 @@ def georeference(path: Path, options: MapOptions) -> tuple[Any, Float64Array]:
         return _georeference(path, file, options)
 
 
-def _files_in(folder: Path) -> list[Path]:
-    """Return the rasters of a folder: those of its list of corners, else those that look like rasters."""
+def _files_in(folder: Path, options: MapOptions, notes: list[str]) -> list[Path]:
+    """Return the rasters of a folder: those of its list of corners, else those that have a place; others are noted."""
     for name in LISTS:
         if (folder / name).is_file():
             return _listed(folder / name)
@@ -123,16 +128,34 @@ def _files_in(folder: Path) -> list[Path]:
             raise DataError(
                 f"{printable(str(folder))} is a tile cache of ArcGIS, whose levels are its own; export the map as GeoTIFF."
             )
-        if tiles := tiles_near(folder):
+        if inner := tiles_near(folder) or next((file.parent for file in _deeper(folder)), None):
             raise DataError(
-                f"{printable(str(folder))} is not the folder of tiles itself; give {printable(str(tiles))}."
+                f"{printable(str(folder))} is not the folder of the map itself; give {printable(str(inner))}."
             )
         inside = ", ".join(sorted(printable(path.name) for path in folder.iterdir())[:5]) or "nothing"
         raise DataError(
             f"{printable(str(folder))} holds {inside}; expected GeoTIFF files, pictures with world files, tiles "
             "{z}/{x}/{y}.png, or map.csv."
         )
-    return files
+    left_out: dict[Path, str] = {}
+    for path in files if len(files) > 1 else ():
+        with _gdal.opened(path) as file:
+            try:
+                _georeference(path, file, options)
+            except NoPlaceError:
+                left_out[path] = "has no georeference"
+            else:
+                if file.count == 1 and np.dtype(file.dtypes[0]).kind == "f":
+                    left_out[path] = "holds heights, which --elevation takes"
+    if len(left_out) == len(files):
+        return files
+    notes += [f"{printable(path.name)} is left out of the map: it {why}." for path, why in left_out.items()]
+    return [path for path in files if path not in left_out]
+
+
+def _deeper(folder: Path) -> Iterator[Path]:
+    """Yield the GeoTIFFs in the folders of a folder, as survey programs put them."""
+    return itertools.chain(sorted(folder.glob("*orthophoto*/*.tif")), sorted(folder.glob("*/2_mosaic/*.tif")))
 
 
 def _listed(path: Path) -> list[Path]:
@@ -202,7 +225,7 @@ def _georeference(path: Path, file: Any, options: MapOptions) -> tuple[Any, Floa
         flown = (
             f" It has a GPS tag; lpn map --from-flight {printable(str(path.parent))} makes a map of a flight's photos."
         )
-        raise DataError(
+        raise NoPlaceError(
             f"{printable(str(path))} has no georeference: it is no GeoTIFF, and no world file lies beside it; add one, or give "
             "--corners with the latitude and longitude of its top-left and bottom-right corner."
             f"{flown if 'EXIF_GPSLatitude' in file.tags() else ''}"

@@ -7,6 +7,7 @@ import resource
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ import pytest
 
 from lpn.core.errors import StoreError
 from lpn.doctor.verify import verify
-from lpn.index import ExactIndex, create_index, folder, open_index
+from lpn.index import ExactIndex, WindowsRecord, create_index, folder, open_index
 from tests.lpn.index.test_index import KIND, Tiles
 
 EACH = 16
@@ -206,14 +207,17 @@ def test_what_cannot_be_read_is_not_called_damaged(tmp_path: Path) -> None:
     open_index(tmp_path / "index").close()
 
 
-def test_the_windows_to_come_are_in_the_checksum(tmp_path: Path) -> None:
-    with create_index(tmp_path / "index", KIND) as index:
-        manifest = tmp_path / "index" / "index.json"
-        index.expect_windows([60.0, 40.0], 0.5)
-        index.expect_windows([60.0], 0.25)
-        index.expect_windows([60.0], 0.5)
-        assert index.expected_windows == {40.0: [0.5], 60.0: [0.25, 0.5]}
-    kept = manifest.read_text()
-    manifest.write_text(kept.replace("0.25", "0.75"))
+def test_the_windows_that_an_index_is_made_for_are_in_its_manifest_and_checksum(tmp_path: Path) -> None:
+    kind = replace(KIND, windows=WindowsRecord("town", (40.0, 60.0), 0.25, 8, 1000))
+    create_index(tmp_path / "index", kind).close()
+    with create_index(tmp_path / "index", kind) as index:
+        assert index.kind == kind
+    for other in (KIND, replace(kind, windows=WindowsRecord("town", (40.0, 60.0), 0.5, 8, 1000))):
+        with pytest.raises(
+            StoreError, match=r"windows of 40, 60 m with an overlap of 0.25 at 8 headings, of the map town"
+        ):
+            create_index(tmp_path / "index", other)
+    manifest = tmp_path / "index" / "index.json"
+    manifest.write_text(manifest.read_text().replace("0.25", "0.75"))
     with pytest.raises(StoreError, match="is damaged"):
         open_index(tmp_path / "index")

@@ -15,7 +15,7 @@ from lpn.core.progress import listening
 from lpn.flight.locate.map_windows import describe_windows
 from lpn.flight.maps import Map, NamedWindow, Window, open_map
 from lpn.index import DescriptorKind, create_index, open_index
-from lpn.index.from_map import index_windows
+from lpn.index.from_map import index_windows, windows_record
 from lpn.models.base import normalise
 from tests.lpn.flight.maps.small_maps import smooth, write_geotiff
 
@@ -41,7 +41,7 @@ def test_windows_are_those_of_a_described_store(town: Map, model_file: Path, tmp
 
 
 def test_a_killed_run_goes_on_with_the_windows_that_are_missing(town: Map, tmp_path: Path) -> None:
-    kind = DescriptorKind("drawn", 2, 8)
+    kind = DescriptorKind("drawn", 2, 8, windows_record(town, [40.0]))
     described: list[Window] = []
 
     def describe(windows: Sequence[Window]) -> Float32Array:
@@ -53,18 +53,18 @@ def test_a_killed_run_goes_on_with_the_windows_that_are_missing(town: Map, tmp_p
     resumed = False
     with create_index(tmp_path / "index", kind) as index:
         with pytest.raises(KeyboardInterrupt):
-            index_windows(index, town, describe, [40.0], block=8)
+            index_windows(index, town, describe, block=8)
         before, resumed = len(described), True
         assert index.count() == before >= 20
         progress: list[tuple[int, int]] = []
         with listening(lambda _, *counts: progress.append(counts)):
-            added = index_windows(index, town, describe, [40.0], 0.5, block=8)
+            added = index_windows(index, town, describe, block=8)
         windows = town.pyramid([40.0])
         assert len(described) == before + added == index.count() == len(windows) == town.count_pyramid([40.0])
         assert progress[0] == (0, len(windows))
         assert progress[-1] == (len(windows), len(windows))
-        assert not index_windows(index, town, describe, [40.0])
-        assert index_windows(index, town, describe, [40.0], replace=True) == index.count() == len(windows)
+        assert not index_windows(index, town, describe)
+        assert index_windows(index, town, describe, replace=True) == index.count() == len(windows)
 
 
 def test_machines_share_a_map_by_boxes(town: Map, tmp_path: Path) -> None:
@@ -72,10 +72,9 @@ def test_machines_share_a_map_by_boxes(town: Map, tmp_path: Path) -> None:
         return normalise(np.ones((len(windows), 2, 8), np.float32))
 
     middle = town.frame.degrees([(0.0, 0.0)])[0, 1]
-    with create_index(tmp_path / "index", DescriptorKind("drawn", 2, 8)) as index:
+    with create_index(tmp_path / "index", DescriptorKind("drawn", 2, 8, windows_record(town, [40.0]))) as index:
         west, east = (
-            index_windows(index, town, describe, [40.0], box=box)
-            for box in ((-90, -180, 90, middle), (-90, middle, 90, 180))
+            index_windows(index, town, describe, box=box) for box in ((-90, -180, 90, middle), (-90, middle, 90, 180))
         )
         assert min(west, east) > 3
         assert index.count() == town.count_pyramid([40.0]) == west + east

@@ -16,7 +16,6 @@ from lpn.core.errors import DataError, InputError, OutputError
 from lpn.flight.maps import Map, MapOptions, Window, open_map
 from lpn.flight.maps.folder import build_map
 from tests.lpn.flight.maps.small_maps import EAST, NORTH, smooth, write_geotiff
-from tests.lpn.flight.maps.test_sources import write_tiles
 
 
 def same(one: Map, other: Map, tolerance: float = 0) -> None:
@@ -96,12 +95,6 @@ def test_options_are_recorded(tmp_path: Path) -> None:
     )
 
 
-def test_tiles_stay_where_they_are(tmp_path: Path) -> None:
-    tiles = write_tiles(tmp_path / "tiles", 18, 137_700, 90_900, smooth(512, 512))
-    build_map([tiles], tmp_path / "map")
-    same(open_map(tmp_path / "map"), open_map(tiles))
-
-
 def test_a_large_sheet_gets_overviews_beside_map_json(tmp_path: Path) -> None:
     path = write_geotiff(tmp_path / "a.tif", smooth(700, 3000), tiled=True, blockxsize=256, blockysize=256)
     before = path.read_bytes()
@@ -149,9 +142,9 @@ def test_what_lpn_map_refuses_leaves_nothing_behind(tmp_path: Path, capsys: pyte
     for files, words in (
         (
             [tmp_path / "written"],
-            "written is a map that lpn map wrote; give the files that it was made of: ../a.tif.",
+            "written is a map that lpn map wrote; give the files that it was made of: a.tif.",
         ),
-        ([tmp_path / "many"], "../08.tif, ../09.tif, 2 more."),
+        ([tmp_path / "many"], "08.tif, 09.tif, and 2 more."),
         ([other], "other holds map.json; expected GeoTIFF files"),
         ([tmp_path / "bare.png"], "no georeference"),
         ([good, degrees], "look like degrees"),
@@ -165,57 +158,13 @@ def test_what_lpn_map_refuses_leaves_nothing_behind(tmp_path: Path, capsys: pyte
         assert not out.exists()
 
 
-def test_a_folder_of_other_files_is_not_written_to(tmp_path: Path) -> None:
-    good = write_geotiff(tmp_path / "a.tif", smooth(60, 60))
-    with pytest.raises(OutputError, match="holds other files"):
-        build_map([good], tmp_path)
-    with pytest.raises(OutputError, match="is a file"):
-        build_map([good], good)
-    build_map([good], tmp_path / "map")
-    build_map([good], tmp_path / "map")  # again
-    assert open_map(tmp_path / "map").name == "a"
-
-
-def contents(folder: Path) -> dict[str, bytes]:
-    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
-
-
-def test_nothing_that_lpn_map_did_not_write_is_deleted_or_replaced(tmp_path: Path) -> None:
-    large = write_geotiff(tmp_path / "large.tif", smooth(60, 3000), tiled=True, blockxsize=256, blockysize=256)
-    small = write_geotiff(tmp_path / "small.tif", smooth(60, 60))
-    # A folder that looks like one of a map, and holds a user's pictures.
-    mine = tmp_path / "town" / "sheets"
-    mine.mkdir(parents=True)
-    for name in ("a.tif", "01.ovr", "01.tif"):
-        write_geotiff(mine / name, smooth(60, 60))
-    (mine / "notes.txt").write_text("mine")
-    before = contents(tmp_path)
-    for source in (large, small, mine / "a.tif"):
-        with pytest.raises(OutputError, match="holds other files, such as sheets"):
-            build_map([source], tmp_path / "town")
-    (tmp_path / "town" / "map.json").write_text('{"tiles": []}')
-    with pytest.raises(OutputError, match=r"a map.json that lpn map did not write"):
-        build_map([small], tmp_path / "town")
-    assert contents(tmp_path) == before | {"town/map.json": b'{"tiles": []}'}
-
-    # A user's files in the folder of a map.
-    build_map([large], tmp_path / "map")
-    sheets = tmp_path / "map" / "sheets"
-    for name in ("02.ovr", "old.tif", "notes.txt"):
-        (sheets / name).write_text("mine")
-    (tmp_path / "map" / "readme.txt").write_text("mine")
-    with pytest.raises(InputError, match="the folder that the map is written to"):
-        build_map([sheets / "old.tif"], tmp_path / "map")
-    with pytest.raises(OutputError, match=r"02.ovr was not written by lpn map"):
-        build_map([small, large], tmp_path / "map")
-    assert open_map(tmp_path / "map").name == "large"
-    build_map([small], tmp_path / "map")
-    assert sorted(path.name for path in sheets.iterdir()) == ["02.ovr", "notes.txt", "old.tif"]
-    assert (tmp_path / "map" / "readme.txt").read_text() == "mine"
-
-
-def test_a_run_that_was_killed_is_no_map_and_is_done_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    large = write_geotiff(tmp_path / "a.tif", smooth(60, 3000), tiled=True, blockxsize=256, blockysize=256)
+def test_a_folder_appears_when_all_is_written_and_replaces_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    good = write_geotiff(tmp_path / "a.tif", smooth(60, 3000), tiled=True, blockxsize=256, blockysize=256)
+    for taken in (tmp_path, good):
+        with pytest.raises(OutputError, match="is there already"):
+            build_map([good], taken)
 
     def killed(_: Map) -> None:
         raise KeyboardInterrupt
@@ -223,12 +172,13 @@ def test_a_run_that_was_killed_is_no_map_and_is_done_again(tmp_path: Path, monke
     with monkeypatch.context() as patch:
         patch.setattr(Map, "coverage", killed)
         with pytest.raises(KeyboardInterrupt):
-            build_map([large], tmp_path / "map")
-    (tmp_path / "map" / "sheets" / "01.part.vrt.ovr").write_bytes(b"half")
-    with pytest.raises(DataError, match="names no sheet"):
-        open_map(tmp_path / "map")
-    build_map([large], tmp_path / "map")
-    assert [file.name for file in (tmp_path / "map" / "sheets").iterdir()] == ["01.ovr"]
+            build_map([good], tmp_path / "map")
+    assert [path.name for path in tmp_path.iterdir()] == ["a.tif"]
+    (tmp_path / "map").mkdir()  # an empty folder may be there
+    build_map([good], tmp_path / "map")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.tif", "map"]
+    with pytest.raises(OutputError, match="is there already"):
+        build_map([good], tmp_path / "map")
     assert open_map(tmp_path / "map").name == "a"
 
 

@@ -157,6 +157,7 @@ def test_few_tags_and_tags_of_one_place_tell_no_error_and_one_far_off_does_not_c
 def test_a_map_that_is_there_is_not_replaced(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     write_photo(tmp_path / "photos" / "a.jpg", exif(48.0, 9.0))
     (tmp_path / "map").mkdir()
+    (tmp_path / "map" / "mine.txt").write_text("mine")
     assert command(tmp_path / "photos", tmp_path / "map") == 2
     assert "is there already" in capsys.readouterr().err
 

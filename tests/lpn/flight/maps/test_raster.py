@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from pathlib import Path
 from typing import Any
@@ -386,4 +387,17 @@ def test_a_recorded_map_whose_bands_are_gone_is_refused(tmp_path: Path) -> None:
     build_map([path], tmp_path / "map")
     write(path, PICTURE[:, :, :1])
     with pytest.raises(DataError, match="has 1 bands, fewer than before"):
+        open_map(tmp_path / "map")
+
+
+@pytest.mark.parametrize(
+    "changes", [{"bands": [1, 2]}, {"stretch": [[0, 9]]}, {"stretch": [[0, 9], [5, 5], [0, 9]]}, {"bands": []}]
+)
+def test_a_damaged_treatment_is_refused(tmp_path: Path, changes: dict[str, Any]) -> None:
+    build_map([write(tmp_path / "town.tif", PICTURE)], tmp_path / "map")
+    manifest = tmp_path / "map" / "map.json"
+    known = json.loads(manifest.read_text())
+    known["sheets"][0]["treatment"] |= changes
+    manifest.write_text(json.dumps(known))
+    with pytest.raises(DataError, match="write the map again with lpn map"):
         open_map(tmp_path / "map")

@@ -8,8 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lpn.flight.maps import MapOptions, Window, open_map
-from tools.fixtures.small_tiles import write_folder
+from lpn.flight.maps import Window, open_map
 
 FLIGHTS = os.environ.get("LPN_FLIGHTS")
 pytestmark = pytest.mark.skipif(not FLIGHTS, reason="LPN_FLIGHTS does not name the folder of the real flights")
@@ -38,27 +37,3 @@ def test_real_maps_are_read_without_their_borders(
     assert not (picture > 245).all(axis=2).any()
     turned, _ = town.read(Window(0, 0, 40, 180), 224)
     assert np.abs(turned[::-1, ::-1].astype(int) - picture).mean() < 0.6
-
-
-@pytest.mark.parametrize("name", ["caliterra/map.tif", "brighton/map.jpg", "seneca/map.jpg"])
-@pytest.mark.parametrize(
-    ("names", "words"),
-    [
-        ("{z}/{x}/{y}.jpg", None),
-        ("{z}/{x}/{south}.jpg", "rows count from the south (TMS): there the tiles fit together."),
-        ("{z}/{y}/{x}.jpg", "names are {z}/{y}/{x}, with rows from the north: there the tiles fit together."),
-    ],
-)
-def test_tiles_of_real_maps_fit_together_in_their_order(
-    tmp_path: Path, name: str, names: str, words: str | None
-) -> None:
-    import rasterio
-    from rasterio.windows import Window as Pixels
-
-    with rasterio.open(Path(str(FLIGHTS)) / name) as file:
-        rows, columns = (min(1024, side // 256 * 256) for side in file.shape)
-        middle = Pixels((file.width - columns) // 2, (file.height - rows) // 2, columns, rows)
-        picture = np.ascontiguousarray(np.moveaxis(file.read([1, 2, 3], window=middle), 0, 2))
-    town = open_map(write_folder(tmp_path / "town", picture, names), MapOptions(keep_borders=True))
-    assert town.frame.latitude > 48
-    assert town.notes[1:] == ([f"In town, {words}"] if words else [])

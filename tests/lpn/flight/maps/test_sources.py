@@ -2,7 +2,6 @@ from __future__ import annotations
 
 import math
 import re
-import shutil
 from pathlib import Path
 from typing import Any
 
@@ -57,7 +56,7 @@ def corners(width: float = 0.001, height: float = 0.0008) -> tuple[float, float,
 
 def test_corners_come_from_options_lists_and_names(tmp_path: Path) -> None:
     top, left, bottom, right = corners()
-    names = ("one.png", "two.png", f"@three@{left}@{top}@{right}@{bottom}@.png", "01/satellite01.png")
+    names = ("one.png", "two.png", "01/satellite01.png")
     (tmp_path / "01").mkdir()
     for name in names:
         Image.fromarray(smooth(120, 160)).save(tmp_path / name)
@@ -73,35 +72,12 @@ def test_corners_come_from_options_lists_and_names(tmp_path: Path) -> None:
         open_map(tmp_path / "map.csv"),
         open_map(tmp_path / names[1]),
         open_map(tmp_path / names[2]),
-        open_map(tmp_path / names[3]),
         open_map(tmp_path),  # its list names the sheets
     ]
     for town in towns:
         outer = town.frame.xy([top, bottom], [left, right])
         np.testing.assert_allclose([outer[0, 0], outer[1, 1]], town.bounds[:2], atol=0.01)
         np.testing.assert_array_equal(cut(town), cut(towns[0]))
-
-
-def test_parts_of_a_listed_map_lie_in_its_corners(tmp_path: Path) -> None:
-    picture = smooth(200, 260)
-    (tmp_path / "09").mkdir()
-    rows, columns = (slice(0, 120), slice(120, 200)), (slice(0, 100), slice(100, 260))
-    for row in (0, 1):
-        for column in (0, 1):
-            part = tmp_path / "09" / f"satellite09_0{row + 1}-0{column + 1}.png"
-            Image.fromarray(picture[rows[row], columns[column]]).save(part)
-    top, left, bottom, right = corners()
-    (tmp_path / "satellite_coordinates_range.csv").write_text(
-        f"mapname,LT_lat_map,LT_lon_map,RB_lat_map,RB_lon_map,region\nsatellite09.png,{top},{left},{bottom},{right},x\n"
-    )
-    Image.fromarray(picture).save(tmp_path / "whole.png")
-    whole = open_map(tmp_path / "whole.png", MapOptions(corners=corners()))
-    town = open_map(tmp_path / "09")
-    assert len(town.sheets) == 4
-    np.testing.assert_allclose(town.bounds, whole.bounds, atol=0.01)
-    np.testing.assert_allclose(cut(town).astype(int), cut(whole), atol=6)
-    (tmp_path / "09" / "satellite09_01-01.png").unlink()
-    refused(tmp_path / "09" / "satellite09_01-02.png", "Parts of satellite09", "missing")
 
 
 def test_ground_control_points_that_fit_a_plane_are_a_transform(tmp_path: Path) -> None:
@@ -147,8 +123,8 @@ def test_four_sheets_of_one_map_have_no_seam(tmp_path: Path) -> None:
             write_geotiff(
                 tmp_path / f"{row}_{column}.tif", picture[row : row + 100, column : column + 100], matrix=matrix
             )
-    whole = open_map(write_geotiff(tmp_path / "whole.tiff", picture))
-    (tmp_path / "whole.tiff").unlink()
+    (tmp_path / "other").mkdir()
+    whole = open_map(write_geotiff(tmp_path / "other" / "whole.tiff", picture))
     town = open_map(tmp_path)
     assert len(town.sheets) == 4
     found, valid = town.read(Window(0, 0, 60, 30), 120)
@@ -242,49 +218,6 @@ def test_a_palette_is_shown_in_its_colours(tmp_path: Path) -> None:
     with rasterio.open(path, "r+") as file:
         file.write_colormap(1, {7: (10, 200, 30, 255)})
     assert cut(open_map(path))[30, 30].tolist() == [10, 200, 30]
-
-
-def write_tiles(folder: Path, zoom: int, west: int, north: int, picture: np.ndarray, suffix: str = "png") -> Path:
-    for row in range(picture.shape[0] // 256):
-        for column in range(picture.shape[1] // 256):
-            file = folder / str(zoom) / str(west + column) / f"{north + row}.{suffix}"
-            file.parent.mkdir(parents=True, exist_ok=True)
-            Image.fromarray(picture[row * 256 : row * 256 + 256, column * 256 : column * 256 + 256]).save(file)
-    return folder
-
-
-def test_tiles_are_the_geotiff_of_their_deepest_zoom(tmp_path: Path) -> None:
-    picture = smooth(768, 768)
-    zoom, west, north = 18, 137_700, 90_900
-    tiles = write_tiles(tmp_path / "tiles", zoom, west, north, picture)
-    half = 20_037_508.342789244
-    metres = 2 * half / 2**zoom
-    matrix = (metres / 256, 0, west * metres - half, 0, -metres / 256, half - north * metres)
-    same = open_map(write_geotiff(tmp_path / "same.tif", picture, "EPSG:3857", matrix))
-    town = open_map(tiles)
-    assert town.frame == same.frame
-    assert town.notes == ["tiles is shown at zoom 18, the deepest of 1."]
-    np.testing.assert_allclose(cut(town), cut(same), atol=1)
-    coarse, fine = (one.read(Window(5, 8, 200, 30), 64) for one in (town, same))
-    assert coarse[1].all()
-    np.testing.assert_allclose(coarse[0], fine[0], atol=4)
-    (tiles / "18" / str(west + 1) / f"{north + 1}.png").unlink()
-    valid = open_map(tiles).overview(300)[1]
-    assert valid.mean() == pytest.approx(8 / 9, abs=0.01)
-    assert not valid[150, 150]
-    # A coarser zoom is read where it is enough.
-    write_tiles(tiles, 17, west // 2, north // 2, np.full((512, 512, 3), 99, np.uint8))
-    assert open_map(tiles).read(Window(0, 0, 300), 64)[0][32, 32].tolist() == [99] * 3
-    # The same tiles, counted from the south.
-    south = tmp_path / "south"
-    write_tiles(south, zoom, west, north, picture)
-    for column in (south / "18").iterdir():
-        for file in sorted(column.iterdir()):
-            file.rename(column / f"{2**zoom - 1 - int(file.stem)}.png.new")
-        for file in sorted(column.iterdir()):
-            file.rename(column / file.name.removesuffix(".new"))
-    (south / "tilemapresource.xml").write_text("<TileMap/>")
-    np.testing.assert_allclose(cut(open_map(south)), cut(same), atol=1)
 
 
 def test_an_mbtiles_is_the_geotiff_that_it_was_made_of(tmp_path: Path) -> None:
@@ -386,18 +319,6 @@ def test_what_is_no_map_is_refused(tmp_path: Path) -> None:
     refused(write_geotiff(tmp_path / "nothing.tif", np.zeros((9, 9, 1), np.uint16), nodata=0), "no valid pixel")
     far = write_geotiff(tmp_path / "far.tif", smooth(60, 60), matrix=(0.5, 0, EAST, 0, -0.5, NORTH - 600_000))
     refused([write_geotiff(tmp_path / "near.tif", smooth(60, 60)), far], "at most 400 km")
-    tiles = write_tiles(tmp_path / "tiles", 18, 137_700, 90_900, smooth(256, 512))
-    refused(tiles, "leave CRS, corners", error=InputError, crs="EPSG:4326")
-    Image.fromarray(smooth(64, 64)).save(tiles / "18" / "137701" / "90900.png")
-    with pytest.raises(DataError, match="64 x 64 pixels; expected 256 x 256"):
-        open_map(tiles).overview(100)
-    (tiles / "18" / "137701" / "90900.png").write_bytes(b"broken")
-    with pytest.raises(DataError, match=r"The tile .* cannot be read"):
-        open_map(tiles).overview(100)
-    shutil.rmtree(tiles / "18")
-    (tiles / "3" / "9").mkdir(parents=True)
-    Image.fromarray(smooth(256, 256)).save(tiles / "3" / "9" / "1.png")
-    refused(tiles, "has the tile 9, 1 at zoom 3")
 
 
 def test_a_damaged_geotiff_is_one_sentence(tmp_path: Path) -> None:
@@ -551,27 +472,18 @@ def test_narrow_strips_are_sheets_of_a_map_that_is_large_enough(tmp_path: Path) 
 @pytest.mark.parametrize(
     ("name", "data", "words"),
     [
-        ("a.ecw", b"e\x02" + bytes(99), "is an ECW file"),
-        ("a.sid", b"msid" + bytes(99), "is a MrSID file"),
-        ("a.pdf", b"%PDF-1.6\n", "is a PDF"),
-        ("a.zip", b"PK\x03\x04" + bytes(99), "unpack it first"),
-        ("a.tif", b"PK\x03\x04" + bytes(99), "unpack it first"),
+        ("a.ecw", b"e\x02" + bytes(99), "in a format that is not read here; convert it"),
+        ("a.tif", b"NITF02.10" + bytes(99), "in a format that is not read here; convert it"),
+        ("a.pdf", b"%PDF-1.6\n", "a document or project; export the map"),
+        ("a.tif", b"PK\x03\x04" + bytes(99), "an archive; unpack it first"),
         ("a.tif", b"version https://git-lfs.github.com/spec/v1\noid sha256:0\n", "git lfs pull"),
         ("a.tif", b"<!doctype html><html>Please log in</html>", "a page of HTML"),
-        ("a.tif", b"", "is empty"),
+        ("a.tif", b"", "empty; copy or download it again"),
         ("a.laz", b"LASF" + bytes(99), "a point cloud"),
-        ("a.pmtiles", b"PMTiles\x03" + bytes(99), "pmtiles convert"),
+        ("a.pmtiles", b"PMTiles\x03" + bytes(99), "a set of tiles that is no .mbtiles"),
         ("a.geojson", b'{"type": "FeatureCollection", "features": []}', "lines and points"),
-        (
-            "a.kml",
-            b"<?xml version='1.0'?><kml xmlns='http://www.opengis.net/kml/2.2'><Placemark/></kml>",
-            "give its picture with --corners",
-        ),
-        ("a.kmz", b"PK\x03\x04" + bytes(99), "a file of Google Earth"),
-        ("a.ntf", b"NITF02.10" + bytes(99), "is a NITF file"),
+        ("a.kmz", b"PK\x03\x04" + bytes(99), "a file of Google Earth; give its picture with --corners"),
         ("a.nc", b"\x89HDF\r\n\x1a\n" + bytes(99), "a netCDF or HDF file"),
-        ("a.tpkx", b"PK\x03\x04" + bytes(99), "a tile package of ArcGIS"),
-        ("a.qgz", b"PK\x03\x04" + bytes(99), "a project"),
         ("a.mp4", b"\0\0\0\x18ftypmp42", "a flight of it with lpn flight"),
         ("a.pth", b"PK\x03\x04" + bytes(99), "a file of a model"),
     ],
@@ -706,3 +618,47 @@ def test_what_is_no_crs_is_said_without_a_line_of_gdal(capfd: pytest.CaptureFixt
         with pytest.raises(InputError, match="There is no CRS"):
             parse_crs(text)
     assert capfd.readouterr() == ("", "")
+
+
+def test_the_georeferenced_file_of_a_survey_programs_folder_is_the_map(tmp_path: Path) -> None:
+    """ODM leaves a bare preview, and other programs a surface model, beside the orthophoto."""
+    folder = tmp_path / "project" / "odm_orthophoto"
+    folder.mkdir(parents=True)
+    write_geotiff(folder / "odm_orthophoto.tif", smooth(120, 160))
+    Image.fromarray(smooth(120, 160)).save(folder / "odm_orthophoto.png")
+    write_geotiff(folder / "dsm.tif", np.full((12, 16, 1), 300, np.float32), matrix=(5, 0, EAST, 0, -5, NORTH))
+    town = open_map(folder)
+    assert [sheet.name for sheet in town.sheets] == ["odm_orthophoto.tif"]
+    assert town.notes == [
+        "dsm.tif is left out of the map: it holds heights, which --elevation takes.",
+        "odm_orthophoto.png is left out of the map: it has no georeference.",
+    ]
+    assert build_map([folder], tmp_path / "map").notes == town.notes
+    refused(tmp_path / "project", "is not the folder of the map itself; give", str(folder))
+    (folder / "odm_orthophoto.tif").unlink()
+    (folder / "dsm.tif").unlink()
+    refused(folder, "odm_orthophoto.png has no georeference")
+
+
+@pytest.mark.parametrize(
+    ("crs", "x", "y", "place"),
+    [
+        ("EPSG:32630", -117.0, 161.0, "0.0012, -7.4888 on Earth"),
+        ("EPSG:32630", -7.4, 39.65, "on Earth"),  # degrees as metres
+        ("EPSG:3857", 0.0, 0.0, "0.0000, 0.0000 on Earth"),
+        ("EPSG:32632", 5_000.0, 5_316_000.0, "on Earth"),  # local metres
+        ("EPSG:4326", 0.0, 0.0, "0.0000, 0.0000 on Earth"),
+        ("EPSG:32632", EAST, NORTH, None),
+        ("EPSG:27700", 90_000.0, 10_000.0, None),  # Scilly
+    ],
+)
+def test_coordinates_near_an_origin_are_warned_of(
+    tmp_path: Path, crs: str, x: float, y: float, place: str | None
+) -> None:
+    pixel = 1e-5 if crs == "EPSG:4326" else 0.5
+    town = open_map(write_geotiff(tmp_path / "a.tif", smooth(60, 220), crs, (pixel, 0, x, 0, -pixel, y)))
+    warnings = [note for note in town.notes if "on Earth" in note]
+    assert len(warnings) == (place is not None)
+    if place is not None:
+        assert place in warnings[0]
+        assert f"in its CRS {crs}" in warnings[0]

@@ -1,13 +1,9 @@
 from __future__ import annotations
 
 import gzip
-import io
-import json
-import math
 import shutil
 import sqlite3
 from collections.abc import Callable
-from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -74,6 +70,13 @@ def refused(path: Path, *words: str) -> None:
     assert "\n" not in str(caught.value)
 
 
+SHOWN = "town is shown at zoom 18, the deepest of 1."
+NORTHERN = (
+    "town does not say where its rows begin; they are counted from the north (XYZ). For rows from the south (TMS), add a "
+    "tilemapresource.xml."
+)
+
+
 @pytest.mark.parametrize(
     ("name", "tolerance"),
     [
@@ -86,30 +89,39 @@ def refused(path: Path, *words: str) -> None:
     ],
 )
 def test_tiles_by_the_names_that_programs_give_them(tmp_path: Path, same: Map, name: str, tolerance: int) -> None:
-    notes = check(open_map(write_folder(tmp_path / "town", PICTURE, name)), same, tolerance)
-    assert notes == ["town is shown at zoom 18, the deepest of 1."]
+    assert check(open_map(write_folder(tmp_path / "town", PICTURE, name)), same, tolerance) == [SHOWN, NORTHERN]
 
 
-def test_the_names_of_one_folder_may_be_mixed(tmp_path: Path, same: Map) -> None:
+def test_tiles_of_all_kinds_in_one_folder(tmp_path: Path) -> None:
+    """The contents of a tile tell its format; grey, palettes, and other files may be among them."""
     tiles = write_folder(tmp_path / "town", PICTURE)
-    jpeg = write_folder(tmp_path / "jpeg", PICTURE, "{z}/{x}/{y}.jpg")
-    name = f"{ZOOM}/{WEST}/{NORTH}"
-    (jpeg / f"{name}.jpg").rename(tiles / f"{name}.jpg")
-    (tiles / f"{name}.png").unlink()
-    for other in ("leaflet.html", "openlayers.html", "doc.kml", f"{name}.kml"):  # as gdal2tiles leaves them
-        (tiles / other).write_text("<html/>")
+    first, second, third = (
+        tiles / f"{ZOOM}/{x}/{y}.png" for x, y in ((WEST, NORTH), (WEST + 1, NORTH), (WEST, NORTH + 1))
+    )
+    Image.open(first).convert("RGB").save(first, "JPEG", quality=95)
+    Image.open(second).convert("L").save(second)
+    opaque = Image.open(third).convert("RGBA")
+    opaque.putalpha(Image.fromarray(np.repeat(np.uint8([255, 0]), 128)[None].repeat(256, 0)))
+    opaque.save(third)
+    plain = np.zeros((256, 256), np.uint8)
+    plain[:128] = 1
+    palette = Image.fromarray(plain, "P")
+    palette.putpalette([10, 200, 30, 250, 0, 0])
+    palette.save(tiles / f"{ZOOM}/{WEST + 1}/{NORTH + 1}.png", transparency=bytes([255, 0]))
+    (tiles / "leaflet.html").write_text("<html/>")  # as gdal2tiles leaves it
     Image.fromarray(smooth(50, 50)).save(tiles / "preview.png")
-    assert check(open_map(tiles), same, 12) == ["town is shown at zoom 18, the deepest of 1."]
+    town = open_map(tiles)
+    picture, valid = town.overview(512)
+    np.testing.assert_allclose(picture[100, 100].astype(int), PICTURE[100, 100], atol=12)
+    assert np.ptp(picture[100, 400].astype(int)) == 0
+    assert valid.mean() == pytest.approx(0.75, abs=0.01)
+    assert picture[480, 400].tolist() == [10, 200, 30]
 
 
 def test_tiles_of_512_pixels(tmp_path: Path, fine: Map) -> None:
-    for name in ("{z}/{x}/{y}@2x.png", "{z}/{x}/{y}.png"):
-        check(open_map(write_folder(tmp_path / name[-7:], FINE, name, side=512)), fine)
+    check(open_map(write_folder(tmp_path / "town", FINE, side=512)), fine)
     assert check(open_map(write_mbtiles(tmp_path / "town.mbtiles", FINE, METADATA, side=512)), fine) == []
-
-
-def test_tiles_of_512_pixels_come_before_plain_ones(tmp_path: Path, fine: Map) -> None:
-    tiles = write_folder(tmp_path / "town", PICTURE)
+    tiles = write_folder(tmp_path / "both", PICTURE)
     write_folder(tiles, FINE, "{z}/{x}/{y}@2x.png", side=512)
     check(open_map(tiles), fine)
     # A tile that is there in 256 pixels alone is enlarged.
@@ -120,79 +132,119 @@ def test_tiles_of_512_pixels_come_before_plain_ones(tmp_path: Path, fine: Map) -
 
 
 @pytest.mark.parametrize(
-    ("name", "words"),
+    ("name", "file", "text"),
     [
-        ("{z}/{x}/{south}.png", "In town, rows count from the south (TMS): there the tiles fit together."),
-        ("{z}/{y}/{x}.png", "In town, names are {z}/{y}/{x}, with rows from the north: there the tiles fit together."),
+        ("south", "tilemapresource.xml", "<TileMap><SRS>EPSG:900913</SRS><TileSets profile='mercator'/></TileMap>"),
+        ("south", "metadata.json", '{"scheme": "tms"}'),
+        ("y", "tiles.json", '{"scheme": "xyz", "crs": "EPSG:3857"}'),
     ],
 )
-def test_the_order_of_tiles_without_metadata_is_that_in_which_they_fit(
-    tmp_path: Path, same: Map, name: str, words: str
-) -> None:
-    assert check(open_map(write_folder(tmp_path / "town", PICTURE, name)), same)[1:] == [words]
-
-
-@pytest.mark.parametrize("colour", [0, 255])
-def test_a_border_does_not_hide_the_order_of_tiles(tmp_path: Path, colour: int) -> None:
-    """Above the first row and below the second one there is the same colour, which would fit in the wrong order, too."""
-    picture = smooth(512, 768)
-    picture[:40] = picture[472:] = colour
-    for name in ("{z}/{x}/{y}.png", "{z}/{x}/{south}.png"):
-        town = open_map(write_folder(tmp_path / f"{len(name)}", picture, name))
-        assert town.frame.latitude == LATITUDE
-    # Nothing else than the colour touches.
-    picture[200:300] = colour
-    town = open_map(write_folder(tmp_path / "bare", picture))
-    assert any("does not say where its rows begin" in note for note in town.notes)
-
-
-def test_tiles_that_fit_are_right_against_their_metadata(tmp_path: Path, same: Map) -> None:
-    tiles = write_folder(tmp_path / "town", PICTURE)
-    (tiles / "tilemapresource.xml").write_text("<TileMap/>")
-    words = "In town, rows count from the north (XYZ): there the tiles fit together."
-    assert words in check(open_map(tiles), same)
-
-
-def test_metadata_decide_about_tiles_that_do_not_tell(tmp_path: Path) -> None:
-    """Tiles of one colour fit together in every order."""
-    plain = np.full((512, 512, 3), 90, np.uint8)
-    north = open_map(write_folder(tmp_path / "plain", plain))
-    assert north.frame.latitude == LATITUDE
-    assert north.notes[1:] == [
-        "plain does not say where its rows begin; they are counted from the north (XYZ). For rows from the south (TMS), add a "
-        "tilemapresource.xml."
-    ]
-    south = write_folder(tmp_path / "south", plain, "{z}/{x}/{south}.png")
-    assert open_map(south).frame.latitude == -LATITUDE
-    profile = "<TileMap><SRS>EPSG:900913</SRS><TileSets profile='mercator'/></TileMap>"
-    for name, text in (
-        ("tilemapresource.xml", profile),
-        ("metadata.json", json.dumps({"scheme": "tms"})),
-        ("metadata.json", json.dumps({"bounds": bounds_text()})),
-        ("tiles.json", json.dumps({"bounds": [float(edge) for edge in bounds_text().split(",")]})),
-    ):
-        (south / name).write_text(text)
-        town = open_map(south)
-        assert (town.frame.latitude, town.frame.longitude) == (LATITUDE, LONGITUDE)
-        assert not any("does not say where its rows begin" in note for note in town.notes)
-        (south / name).unlink()
+def test_metadata_say_where_rows_begin(tmp_path: Path, same: Map, name: str, file: str, text: str) -> None:
+    tiles = write_folder(tmp_path / "town", PICTURE, f"{{z}}/{{x}}/{{{name}}}.png")
+    (tiles / file).write_text(text)
+    assert check(open_map(tiles), same) == [SHOWN]
 
 
 @pytest.mark.parametrize(
-    "text",
+    ("file", "text", "words"),
     [
-        "<TileMap><SRS>EPSG:4326</SRS><TileSets profile='geodetic'/></TileMap>",
-        "<TileMap><SRS>EPSG:3067</SRS><TileSets profile='raster'/></TileMap>",
-        "<TileMap><SRS></SRS><TileSets profile='raster'/></TileMap>",
+        (
+            "tilemapresource.xml",
+            "<TileMap><SRS>EPSG:4326</SRS><TileSets profile='geodetic'/></TileMap>",
+            "in EPSG:4326",
+        ),
+        ("tilemapresource.xml", "<TileMap><SRS></SRS><TileSets profile='raster'/></TileMap>", "in raster"),
+        ("metadata.json", '{"profile": "geodetic"}', "in geodetic"),
     ],
 )
-def test_tiles_in_another_projection_are_refused(tmp_path: Path, text: str) -> None:
+def test_tiles_in_another_projection_are_refused(tmp_path: Path, file: str, text: str, words: str) -> None:
     tiles = write_folder(tmp_path / "town", PICTURE)
-    (tiles / "tilemapresource.xml").write_text(text)
-    refused(tiles, "expected Web Mercator (EPSG:3857)")
-    (tiles / "tilemapresource.xml").unlink()
-    (tiles / "metadata.json").write_text(json.dumps({"profile": "geodetic"}))
-    refused(tiles, "the profile geodetic", "expected Web Mercator (EPSG:3857)")
+    (tiles / file).write_text(text)
+    refused(tiles, words, "expected Web Mercator (EPSG:3857)")
+
+
+def first_tile(data: bytes) -> Callable[[Path], None]:
+    def change(tiles: Path) -> None:
+        (tiles / f"{ZOOM}/{WEST}/{NORTH}.png").write_bytes(data)
+
+    return change
+
+
+def all_tiles(tiles: Path) -> None:
+    for file in tiles.rglob("*.png"):
+        file.write_bytes(b"")
+
+
+def far_tile(tiles: Path) -> None:
+    (tiles / f"{ZOOM}/{1 << ZOOM}").mkdir()
+    (tiles / f"{ZOOM}/{1 << ZOOM}/1.png").write_bytes(encoded(PICTURE[:256, :256]))
+
+
+def named_overviews(tiles: Path) -> None:
+    notes = "<PAMDataset><Metadata domain='OVERVIEWS'><MDI key='OVERVIEW_FILE'>/vsicurl/http://127.0.0.1:9/a.tif</MDI></Metadata>"
+    (tiles / f"{ZOOM}/{WEST}/{NORTH}.png.aux.xml").write_text(f"{notes}</PAMDataset>")
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (first_tile(b"broken"), "cannot be read as a picture"),
+        (
+            first_tile(b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 256 256\n%%EndComments\nshowpage\n"),
+            "cannot be read",
+        ),
+        (first_tile(encoded(smooth(256, 128))), "128 x 256 pixels of the kind RGB; expected a square"),
+        (all_tiles, "are empty"),
+        (far_tile, "expected numbers below 262144"),
+        (named_overviews, "names a file of its overviews"),
+    ],
+)
+def test_sets_with_impossible_tiles_are_refused(
+    tmp_path: Path, change: Callable[[Path], None], words: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ran = MagicMock()
+    monkeypatch.setattr(EpsImagePlugin, "Ghostscript", ran)
+    tiles = write_folder(tmp_path / "town", PICTURE)
+    change(tiles)
+    refused(tiles, words)
+    assert not ran.called
+
+
+def test_vector_tiles_are_named(tmp_path: Path) -> None:
+    refused(write_folder(tmp_path / "tiles", PICTURE, "{z}/{x}/{y}.pbf"), "vector tiles (pbf)")
+
+
+def test_empty_tiles_and_pages_of_html_have_no_data(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    tiles = write_folder(tmp_path / "town", PICTURE)
+    first_tile(b"<!DOCTYPE html><html>Not found</html>")(tiles)
+    (tiles / f"{ZOOM}/{WEST + 1}/{NORTH}.png").write_bytes(b"")
+    assert main(["map", str(tiles), "--out", str(tmp_path / "map")]) == 0
+    printed = capsys.readouterr().out
+    assert "Some tiles of town are text, as a failed download leaves them; they have no data." in printed
+    assert "50% of its rectangle have no tile." in printed
+    assert "50% of it with data" in printed
+
+
+def test_a_white_border_of_tiles_has_no_data(tmp_path: Path) -> None:
+    picture = PICTURE.copy()
+    picture[:, :205] = 255
+    for path in (write_mbtiles(tmp_path / "town.mbtiles", picture, {}), write_folder(tmp_path / "town", picture)):
+        town = open_map(path)
+        assert f"The white border of {path.name} (40% of it) is taken as no data." in town.notes
+        assert town.overview(200)[1].mean() == pytest.approx(0.6, abs=0.015)
+        assert open_map(path, MapOptions(keep_borders=True)).overview(200)[1].mean() > 0.99
+        built = build_map([path], tmp_path / f"map-{path.suffix}")
+        assert built.overview(200)[1].mean() == pytest.approx(0.6, abs=0.015)
+    with pytest.raises(InputError, match="leave CRS, corners, and bands out"):
+        open_map(tmp_path / "town", MapOptions(bands=(1,)))
+
+
+def test_a_large_set_of_tiles_gets_overviews(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("lpn.flight.maps.folder._LARGE", 512)
+    tiles = write_folder(tmp_path / "town", FINE)
+    town = build_map([tiles], tmp_path / "map")
+    assert [file.name for file in (tmp_path / "map" / "sheets").iterdir()] == ["01.ovr"]
+    np.testing.assert_allclose(town.overview(300)[0].astype(int), open_map(tiles).overview(300)[0], atol=3)
 
 
 def jpeg(tile: UInt8Array) -> bytes:
@@ -249,46 +301,6 @@ def test_missing_tiles_of_an_mbtiles_have_no_data(tmp_path: Path) -> None:
     assert open_map(path).overview(200)[1].mean() == pytest.approx(0.75, abs=0.01)
 
 
-def test_bounds_that_do_not_fit_the_tiles_are_named(tmp_path: Path, same: Map) -> None:
-    tiles = write_folder(tmp_path / "town", PICTURE)
-    (tiles / "metadata.json").write_text(json.dumps({"bounds": "8,40,8.1,40.1"}))
-    words = "The bounds that town states do not fit its tiles, and are left out of account."
-    assert words in check(open_map(tiles), same)
-
-
-@pytest.mark.parametrize("kind", ["folder", "mbtiles"])
-def test_stated_bounds_cut_the_filling_of_the_last_tiles(tmp_path: Path, kind: str) -> None:
-    picture = PICTURE.copy()
-    picture[384:] = picture[:, 448:] = 255
-    metadata = {"bounds": bounds_text(1.75, 1.5)}
-    if kind == "folder":
-        path = write_folder(tmp_path / "town", picture)
-        (path / "metadata.json").write_text(json.dumps(metadata))
-    else:
-        path = write_mbtiles(tmp_path / "town.mbtiles", picture, metadata)
-    town = open_map(path)
-    west, south, east, north = town.bounds
-    pixel = matrix()[0] * math.cos(math.radians(LATITUDE))
-    assert (east - west, north - south) == pytest.approx((448 * pixel, 384 * pixel), rel=2e-3)
-    picture, valid = town.overview(400)
-    assert valid.mean() > 0.99
-    assert not (picture > 250).all(axis=2).any()
-
-
-def test_a_white_border_of_tiles_has_no_data(tmp_path: Path) -> None:
-    picture = PICTURE.copy()
-    picture[:, :205] = 255
-    for path in (write_mbtiles(tmp_path / "town.mbtiles", picture, {}), write_folder(tmp_path / "town", picture)):
-        town = open_map(path)
-        assert f"The white border of {path.name} (40% of it) is taken as no data." in town.notes
-        assert town.overview(200)[1].mean() == pytest.approx(0.6, abs=0.015)
-        assert open_map(path, MapOptions(keep_borders=True)).overview(200)[1].mean() > 0.99
-        build_map([path], tmp_path / "map")
-        assert open_map(tmp_path / "map").overview(200)[1].mean() == pytest.approx(0.6, abs=0.015)
-    with pytest.raises(InputError, match="leave CRS, corners, and bands out"):
-        open_map(tmp_path / "town", MapOptions(bands=(1,)))
-
-
 def test_a_database_in_a_read_only_folder_needs_no_files_beside_it(tmp_path: Path, same: Map) -> None:
     path = write_mbtiles(tmp_path / "town.mbtiles", PICTURE, METADATA)
     with sqlite3.connect(path) as database:
@@ -298,38 +310,6 @@ def test_a_database_in_a_read_only_folder_needs_no_files_beside_it(tmp_path: Pat
         (tmp_path / name).unlink(missing_ok=True)
     check(open_map(path), same)
     assert [file.name for file in tmp_path.iterdir()] == ["town.mbtiles"]
-
-
-def test_changes_that_are_still_in_the_log_of_a_database_are_read(tmp_path: Path, same: Map) -> None:
-    path = write_mbtiles(tmp_path / "town.mbtiles", PICTURE, {"name": "town"})
-    database = sqlite3.connect(path)
-    database.execute("PRAGMA journal_mode = WAL")
-    database.execute("UPDATE metadata SET value = 'other' WHERE name = 'name'")
-    database.execute("DELETE FROM tiles WHERE tile_column = ?", (WEST + 1,))
-    database.commit()
-    town = open_map(path)
-    assert town.bounds[2] - town.bounds[0] == pytest.approx((same.bounds[2] - same.bounds[0]) / 2, abs=0.1)
-    town.close()
-    database.close()
-
-
-def test_a_tile_in_postscript_runs_no_program(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    ran = MagicMock()
-    monkeypatch.setattr(EpsImagePlugin, "Ghostscript", ran)
-    drawn = b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 256 256\n%%EndComments\nshowpage\n"
-    with Image.open(io.BytesIO(drawn)) as picture, suppress(AttributeError, TypeError):
-        picture.load()
-    assert ran.called  # by Pillow itself
-    ran.reset_mock()
-    tiles = write_folder(tmp_path / "tiles", PICTURE)
-    (tiles / f"{ZOOM}/{WEST}/{NORTH}.png").write_bytes(drawn)
-    refused(tiles, "cannot be read as a picture")
-    assert not ran.called
-
-
-def test_vector_tiles_are_named(tmp_path: Path) -> None:
-    tiles = write_folder(tmp_path / "tiles", PICTURE, "{z}/{x}/{y}.pbf")
-    refused(tiles, "vector tiles (pbf)")
 
 
 def test_databases_without_tiles_are_named(tmp_path: Path) -> None:
@@ -347,32 +327,6 @@ def test_databases_without_tiles_are_named(tmp_path: Path) -> None:
     refused(path, "cannot be read as a map")
     (tmp_path / "town.sqlitedb").write_bytes(path.read_bytes())
     refused(tmp_path / "town.sqlitedb", "is a set of tiles that is no .mbtiles; export it as .mbtiles.")
-
-
-def test_empty_tiles_have_no_data(tmp_path: Path) -> None:
-    tiles = write_folder(tmp_path / "town", PICTURE)
-    (tiles / f"{ZOOM}/{WEST}/{NORTH}.png").write_bytes(b"")
-    assert open_map(tiles).overview(200)[1].mean() == pytest.approx(0.75, abs=0.01)
-    for file in tiles.rglob("*.png"):
-        file.write_bytes(b"")
-    refused(tiles, "are empty")
-
-
-def test_pages_of_html_among_the_tiles_have_no_data(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    page = b"<!DOCTYPE html><html>Not found</html>"
-    tiles = write_folder(tmp_path / "town", PICTURE)
-    (tiles / f"{ZOOM}/{WEST}/{NORTH}.png").write_bytes(page)
-    assert main(["map", str(tiles), "--out", str(tmp_path / "map")]) == 0
-    printed = capsys.readouterr().out
-    assert "Some tiles of town are text, as a failed download leaves them; they have no data." in printed
-    assert "75% of it with data" in printed
-
-
-def test_the_content_of_a_tile_decides_about_its_format(tmp_path: Path, same: Map) -> None:
-    tiles = write_folder(tmp_path / "town", PICTURE, "{z}/{x}/{y}.jpg")
-    for file in list(tiles.rglob("*.jpg")):
-        file.rename(file.with_suffix(".png"))
-    check(open_map(tiles), same, 12)
 
 
 def test_a_coarser_zoom_that_reaches_further_is_named(tmp_path: Path) -> None:
