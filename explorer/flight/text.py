@@ -101,11 +101,11 @@ def agreement(seen: FlightSnapshot, frame: int, measured: MapAgreement) -> str:
         return f"Not checked: {measured.unchecked[:1].lower()}{measured.unchecked[1:]}"
     text = _checked(measured, f"{measured.median:.1f}")
     answer = seen.flight.frames[frame].stages.get("registration")
-    if seen.corrected(frame) is not None or answer is None or answer.radius_on_map is None:
+    if seen.corrected(frame) is not None or answer is None or answer.middle_on_map is None:
         return text
     if any((one.frame, one.other) == (frame, "map") for one in seen.contradictions):
         return ""  # the verdict says it
-    return f"✓ {text} Allowed: {upper_bound(SIGMAS * answer.radius_on_map)} m."
+    return f"✓ {text} Allowed: {upper_bound(SIGMAS * answer.middle_on_map)} m."
 
 
 def _checked(measured: MapAgreement, median: str) -> str:

@@ -86,7 +86,7 @@ def test_all_matchers_together_must_support_a_photo_of_anywhere(
 ) -> None:
     supports = iter(others)
     monkeypatch.setattr(registration, "_support_at", lambda *_: next(supports))
-    of_flight = Registration(True, "", "XFeat", support=own, places=(Similarity(70 + 0j, 20 - 30j),))
+    of_flight = Registration(None, "XFeat", support=own, places=(Similarity(70 + 0j, 20 - 30j),))
     nothing = Ground(np.zeros((0, 2)), np.zeros((0, 1), np.float32), 1.0)
     answer = registration.proven(of_flight, photo(), [(SiftMatcher(), nothing) for _ in others])
     assert answer.accepted == accepted
