@@ -36,6 +36,7 @@ from lpn.flight.locate.options import TOP, LocateOptions
 from lpn.flight.locate.photo_pose import photo_pose
 from lpn.flight.locate.registration import (
     APART,
+    FREE_FACTOR,
     MIN_RATIO,
     MIN_SUPPORT,
     Expectation,
@@ -388,11 +389,16 @@ def register_photo(search: PhotoSearch) -> StageRecord:
         if clearest is not answer:
             answer = clearest
             best, solved = _posed(search, answer)
-    around_tag = answer.reach if answer.has_ground and search.side is None and options.prior is not None else None
+    how = ""
+    if answer.has_ground and search.side is None and options.prior is not None:
+        how = f" The search used the GPS tag: it saw the map in a square of {2 * answer.reach:.0f} m about it."
+    if answer.has_ground and not best.accepted and answer.widths:
+        least, most = min(answer.widths) / FREE_FACTOR, max(answer.widths) * FREE_FACTOR
+        how += f" Nothing tells how much ground it shows, so {least:.0f} to {most:.0f} m across were tried."
     tried = answer.pitch if frame.pitch is None else None
     placed = basemap.elevation is not None or answer.levelled is not None
     details = MatchedDetails.of(best, PhotoView(search.size, answer.levelled))
-    return _record(frame, search.size, best, around_tag, solved, placed, tried, details, search.anywhere)
+    return _record(frame, search.size, best, how, solved, placed, tried, details, search.anywhere)
 
 
 @dataclass(frozen=True, eq=False)
@@ -404,6 +410,7 @@ class _SearchResult:
         reach: half the side of the squares that were searched, in metres.
         pitch: at which the photo was searched, in degrees; None if none was known or tried.
         has_ground: whether the map could be searched.
+        widths: of the ground that were tried where nothing tells it, in metres.
     """
 
     best: Registration
@@ -411,6 +418,7 @@ class _SearchResult:
     reach: float
     pitch: float | None
     has_ground: bool = True
+    widths: Sequence[float] = ()
 
 
 def _posed(search: PhotoSearch, answer: _SearchResult) -> tuple[Registration, CameraPose | str]:
@@ -502,7 +510,8 @@ def _searched(search: PhotoSearch, frame: Frame, quick: bool, near: Registration
         assert best.centre is not None
         centres = best.centre[None]
     assert best is not None
-    return _SearchResult(best, levelled, searched, frame.pitch)
+    free = [] if known_width is not None else [width for width, _ in tried]
+    return _SearchResult(best, levelled, searched, frame.pitch, widths=free)
 
 
 def _guess(located: LocatedFrame, before: float | None) -> float | None:
@@ -552,7 +561,7 @@ def _record(
     frame: Frame,
     size: tuple[int, int],
     registration: Registration,
-    reach: float | None,
+    how: str,
     solved: CameraPose | str,
     placed: bool,
     tried: float | None,
@@ -562,16 +571,13 @@ def _record(
     """Return the record of a registration.
 
     Args:
-        reach: half the side of the square about the tag that was searched; None if none was.
+        how: sentences about the search, each with a space before it.
         solved: the pose of the camera, or why there is none.
         placed: whether the pose may give the position. On flat ground that of a photo from nearly straight above is worse than
             the middle of its picture.
         tried: the pitch in degrees at which the photo was levelled, without one in its file; None if it was not.
         alone: whether it was registered as a photo of no flight.
     """
-    how = ""
-    if reach is not None:
-        how = f" The search used the GPS tag: it saw the map in a square of {2 * reach:.0f} m about it."
     code, numbers = registration.refusal or Refusal("")
     if registration.centre is None or registration.homography is None:
         return StageRecord("refused", how.strip(), code=code, numbers=numbers)

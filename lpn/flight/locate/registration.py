@@ -29,7 +29,7 @@ _REACH = 0.1
 _TIGHT = 0.5
 # A width is plausible within this factor of the expected one, or of the tried one if none is expected.
 _WIDTH_FACTOR = 1.35
-_FREE_FACTOR = 2.0
+FREE_FACTOR = 2.0
 # Degrees by which the heading found may differ from a known one, or from that known one turned by 180.
 _HEADING_TOLERANCE = 40.0
 # Support is the sum of 1 - (residual / radius)^2 over the inliers, less what chance would give.
@@ -269,7 +269,7 @@ def register(
         valid: pixels of the photo that show ground, (H, W); None for all.
     """
     tried = [expected.width] if expected.width else list(widths)
-    factor = _WIDTH_FACTOR if expected.width else _FREE_FACTOR
+    factor = _WIDTH_FACTOR if expected.width else FREE_FACTOR
     if not tried:
         raise ValueError("a width is needed, expected or to be tried")
     if len(ground.points) < 8:

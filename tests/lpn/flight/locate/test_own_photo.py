@@ -51,10 +51,16 @@ def test_a_photo_of_which_nothing_is_known_is_placed_by_its_details(town: Map, f
     assert progress[0] == (0, 4)
 
 
-def test_a_photo_of_another_land_is_refused(town: Map, features: list[MapFeatures]) -> None:
-    own = register_own_photo(town, features, photo(of=1), FLOWN, [])
-    assert not own.answer.accepted
-    assert own.answer.sentence
+@pytest.mark.parametrize(
+    ("frame", "tried"),
+    [(FLOWN, ""), (None, "Nothing tells how much ground it shows, so 9 to 246 m across were tried.")],
+)
+def test_a_photo_of_another_land_is_refused(
+    town: Map, features: list[MapFeatures], frame: Frame | None, tried: str
+) -> None:
+    own = register_own_photo(town, features, photo(of=1), frame, [])
+    assert (own.answer.state, own.answer.finding) == ("refused", tried)
+    assert own.answer.reason_and_note[0]
 
 
 @pytest.mark.slow
