@@ -24,7 +24,7 @@ from lpn.flight.locate.matched_details import MatchedDetails
 from lpn.flight.locate.options import TOP
 from lpn.flight.locate.retrieval import MapRetrieval
 from lpn.flight.locate.tracks import POSE_AXES, State, TrackPoint
-from lpn.flight.locate.words import Code, Refusal
+from lpn.flight.locate.words import Code, Reason
 from lpn.flight.maps import Map
 from lpn.retrieval import field_metrics
 
@@ -107,7 +107,7 @@ class StageRecord(msgspec.Struct, frozen=True, omit_defaults=True):
         """The sentence as a short reason, and the rest of it."""
         if self.code == "unread":
             return self.finding, ""
-        if why := Refusal(self.code, self.numbers).sentence:
+        if why := Reason(self.code, self.numbers).sentence:
             return why, self.finding
         first, end, rest = self.finding.partition(". ")
         return (f"{first}.", rest) if end else (self.finding, "")

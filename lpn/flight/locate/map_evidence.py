@@ -30,7 +30,7 @@ from lpn.flight.locate.belief import beside_tag, map_misfit
 from lpn.flight.locate.located import LocatedFrame, StageRecord
 from lpn.flight.locate.ranked_stages import OVERLAP
 from lpn.flight.locate.registered_stage import AROUND
-from lpn.flight.locate.words import Refusal
+from lpn.flight.locate.words import Reason
 
 # Log odds from which the map counts as that of the flight's place: odds of 20.
 ENOUGH = 3.0
@@ -164,7 +164,7 @@ def judge_map(frames: Sequence[LocatedFrame], evidence: MapEvidence) -> list[str
         located.stages["registration"] = located.stages["registration"].refused("few", **numbers)
     farther = "" if evidence.prior is None else f", or search farther than {evidence.prior:g} m about its tags"
     return [
-        f"{Refusal('few', numbers).sentence} So none was accepted; check that the map is of the flight's place{farther}."
+        f"{Reason('few', numbers).sentence} So none was accepted; check that the map is of the flight's place{farther}."
     ]
 
 

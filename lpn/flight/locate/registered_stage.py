@@ -51,7 +51,7 @@ from lpn.flight.locate.registration import (
 )
 from lpn.flight.locate.retrieval import MapRetrieval, frame_identity, heading_is_certain
 from lpn.flight.locate.tilts import COMMON, tilt_error
-from lpn.flight.locate.words import Refusal
+from lpn.flight.locate.words import Reason
 from lpn.flight.maps import Map
 from lpn.models.base import Model
 
@@ -122,11 +122,6 @@ def register_frames(
                 # The tag may show what the details alone do not.
                 answer = register_frame(basemap, features, located, options, before, side)
             records.append(trail, answer)
-        elif answer.accepted and answer.agreement is None:  # it was kept before places were compared
-            with suppress(PictureError):  # it is gone since then
-                answer = compared(basemap, answer, _photo(located.frame))
-                if answer.agreement is not None:
-                    records.append(trail, answer)
         answers.append(answer)
         located.stages["registration"] = with_map_error(answer, map_error, place_error)
         before.add(located.frame, answer)
@@ -478,7 +473,7 @@ def _searched(search: PhotoSearch, frame: Frame, quick: bool, near: Registration
             reach = AROUND * width + (search.options.prior or 0.0 if search.side is None else 0.5 * search.side)
             ground = kind.around(centres, reach, width)
             if ground is None:
-                refused = Registration(Refusal("too large", {"blocks": MAX_BLOCKS}), kind.matcher.name)
+                refused = Registration(Reason("too large", {"blocks": MAX_BLOCKS}), kind.matcher.name)
                 return _SearchResult(refused, levelled, reach, frame.pitch, has_ground=False)
             if near is None:
                 expected = Expectation(
@@ -578,7 +573,7 @@ def _record(
         tried: the pitch in degrees at which the photo was levelled, without one in its file; None if it was not.
         alone: whether it was registered as a photo of no flight.
     """
-    code, numbers = registration.refusal or Refusal("")
+    code, numbers = registration.refusal or Reason("")
     if registration.centre is None or registration.homography is None:
         return StageRecord("refused", how.strip(), code=code, numbers=numbers)
     place, radius = registration.centre, registration.radius

@@ -19,7 +19,7 @@ from lpn.core.arrays import BoolArray, Float32Array, Float64Array, Int64Array, U
 from lpn.core.homography import apply_homography, middle_pixel, translation
 from lpn.core.numbers import wrap_degrees
 from lpn.flight.locate.matchers import Complex, Features, Matcher, mutual_within
-from lpn.flight.locate.words import Refusal
+from lpn.flight.locate.words import Reason
 
 # Residuals up to this share of the ground width are inliers of a similarity. Tilt and relief of a flight at 50 m cause as much.
 _RADIUS = 0.015
@@ -160,7 +160,7 @@ class Registration:
         matched: the matches, of which `inliers` agree; None where nothing was matched.
     """
 
-    refusal: Refusal | None
+    refusal: Reason | None
     matcher: str
     model: str = "similarity"
     matches: int = 0
@@ -273,7 +273,7 @@ def register(
     if not tried:
         raise ValueError("a width is needed, expected or to be tried")
     if len(ground.points) < 8:
-        return Registration(Refusal("no detail"), matcher.name)
+        return Registration(Reason("no detail"), matcher.name)
     seeds: list[_Seed] = []
     known: dict[_Seed, _Candidate] = {}
     chosen: list[_Seed] = []
@@ -301,7 +301,7 @@ def register(
         elif at_given.support > runner_up.support:
             runner_up = _Rival(at_given.support, at_given.b)
     if best is None:
-        return Registration(Refusal("no match"), matcher.name)
+        return Registration(Reason("no match"), matcher.name)
     others = (known[seed] for seed in chosen if known[seed] is not best)
     places = tuple(Similarity(candidate.a, candidate.b) for candidate in (best, *others))
     matched = Matched(best.u, best.m, ground, best.radius, best.seen)
@@ -367,7 +367,7 @@ def proven(
     least = MIN_SUPPORT * (2 + len(others))
     if support >= least:
         return answer
-    return replace(answer, refusal=Refusal("anywhere", {"support": support, "needed": least}))
+    return replace(answer, refusal=Reason("anywhere", {"support": support, "needed": least}))
 
 
 def _support_at(
@@ -675,15 +675,15 @@ def _covariance(
     return variance * spread + np.outer(between, between)
 
 
-def _doubt(best: _Candidate, runner_up: _Rival) -> Refusal | None:
+def _doubt(best: _Candidate, runner_up: _Rival) -> Reason | None:
     """Return why the support is too low for a place; None if it is not."""
     if best.support < MIN_SUPPORT:
         support = max(best.support, 0.0)
-        return Refusal("support", {"support": support, "matches": best.matches, "needed": MIN_SUPPORT})
+        return Reason("support", {"support": support, "matches": best.matches, "needed": MIN_SUPPORT})
     return _rivalled(best.support, best.b, runner_up)
 
 
-def _rivalled(support: float, b: complex, rival: _Rival) -> Refusal | None:
+def _rivalled(support: float, b: complex, rival: _Rival) -> Reason | None:
     """Return that another place has nearly as much support; None if it has not.
 
     Args:
@@ -691,7 +691,7 @@ def _rivalled(support: float, b: complex, rival: _Rival) -> Refusal | None:
     """
     if support >= MIN_RATIO * rival.support:
         return None
-    return Refusal("rival", {"support": support, "other": rival.support, "metres": abs(rival.b - b)})
+    return Reason("rival", {"support": support, "other": rival.support, "metres": abs(rival.b - b)})
 
 
 def _refusal(
@@ -702,20 +702,20 @@ def _refusal(
     centre: Float64Array,
     turn: float | None,
     bounds: tuple[float, float, float, float] | None,
-) -> Refusal | None:
+) -> Reason | None:
     """Return why a registration is refused; None if it is not."""
     if (refusal := _doubt(best, runner_up)) is not None:
         return refusal
     needed = _FAR_SUPPORT * MIN_SUPPORT
     if turn is not None and abs(turn) > _FAR_TURN and best.support < needed:
-        return Refusal("turned far", {"degrees": abs(turn), "needed": needed, "support": best.support})
+        return Reason("turned far", {"degrees": abs(turn), "needed": needed, "support": best.support})
     if (cells := _cells(best.u[inliers])) < MIN_CELLS:
-        return Refusal("cells", {"inliers": int(inliers.sum()), "cells": cells, "all": _GRID**2})
+        return Reason("cells", {"inliers": int(inliers.sum()), "cells": cells, "all": _GRID**2})
     margin = _OFF_MAP * width
     if bounds is not None and not (
         bounds[0] - margin <= centre[0] <= bounds[2] + margin and bounds[1] - margin <= centre[1] <= bounds[3] + margin
     ):
-        return Refusal("off the map")
+        return Reason("off the map")
     return None
 
 

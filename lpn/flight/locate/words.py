@@ -50,7 +50,7 @@ _WORDS: Mapping[Code, str] = {
 }
 
 
-class Refusal(NamedTuple):
+class Reason(NamedTuple):
     """Why an answer is refused.
 
     Attributes:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import json
 import math
-import os
 import socket
 import threading
 import time
@@ -432,42 +431,24 @@ def test_photos_that_come_into_a_folder_are_read_when_they_are_whole(tmp_path: P
     assert said == [f"1 photos that were in {tmp_path.name} before are left out."]
 
 
-def test_a_photo_is_found_in_a_folder_whose_time_stands_still_and_a_vanished_file_is_no_photo(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(lpn.flight.live.frames, "_RELIST", 0.2)
-    os.utime(tmp_path, (1e9, 1e9))
+def test_photos_of_folders_inside_count_and_hidden_and_vanished_files_do_not(tmp_path: Path) -> None:
     said: list[str] = []
     source = FolderPictures(tmp_path, said.append)
     source._unfinished[tmp_path / "temporary.jpg"] = -math.inf
-    write_photo(tmp_path / "new.jpg")
-    os.utime(tmp_path, (1e9, 1e9))
-    assert not list(source._new_photos())
+    for name in ("inside/later/new.jpg", "inside/.hidden.jpg", "inside/notes.txt", ".trash/new.jpg"):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        write_photo(tmp_path / name)
     source.start()
     try:
-        picture = source.newest.take(10)
+        picture = source.newest.take(TIMEOUT)
+        assert source.newest.take(3 * lpn.flight.live.frames._POLL) is None
     finally:
         source.close()
     assert picture is not None
     assert picture.frame.name == "new.jpg"
+    assert picture.frame.file == tmp_path / "inside" / "later" / "new.jpg"
     assert not source._unfinished
     assert said == []
-
-
-def test_a_folder_that_did_not_change_is_not_listed_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    inside = tmp_path / "inside"
-    inside.mkdir()
-    for folder in (inside, tmp_path):
-        os.utime(folder, (1e9, 1e9))
-    source, listed, scandir = FolderPictures(tmp_path, print), list[Path](), os.scandir
-    monkeypatch.setattr(os, "scandir", lambda path: (listed.append(path), scandir(path))[1])
-    assert not list(source._new_photos())
-    assert listed == []
-    for file in (inside / "later" / "new.jpg", inside / ".hidden.jpg", inside / "notes.txt"):
-        file.parent.mkdir(exist_ok=True)
-        write_photo(file)
-    assert list(source._new_photos()) == [inside / "later" / "new.jpg"]
-    assert listed == [inside, inside / "later"]
 
 
 def test_frames_of_a_video_have_their_times(tmp_path: Path) -> None:

@@ -28,7 +28,7 @@ from lpn.flight.locate.pipeline import locate
 from lpn.flight.locate.pose_errors import pose_errors
 from lpn.flight.locate.registered_stage import Before
 from lpn.flight.locate.registration import Expectation, Ground, Registration, register
-from lpn.flight.locate.words import Refusal
+from lpn.flight.locate.words import Reason
 from lpn.flight.maps import Map, open_map
 from lpn.flight.maps.elevation import ElevationFile
 from lpn.flight.maps.folder import build_map
@@ -231,7 +231,7 @@ def test_a_photo_that_tells_no_tilt_is_levelled_at_tilts_that_are_tried(
     ) -> Registration:
         if rest[-1] is not None:
             return register(matcher, photo, ground, expected, *rest)
-        return Registration(Refusal("no match"), "SIFT", support=rival, centre=np.array([90.0, 90.0]))
+        return Registration(Reason("no match"), "SIFT", support=rival, centre=np.array([90.0, 90.0]))
 
     monkeypatch.setattr(registered_stage, "register", register_levelled)
     frame = Frame("a.png", tmp_path / "a.png", *SIZE, height_above_ground=80.0, heading=heading, fov=FOV)

@@ -38,7 +38,7 @@ from lpn.flight.locate.registration import Expectation, Registration, Similarity
 from lpn.flight.locate.retrieval import MapRetrieval, pyramid_sizes, retrieve
 from lpn.flight.locate.tags import tags_on_map
 from lpn.flight.locate.tracks import TrackPoint
-from lpn.flight.locate.words import Refusal
+from lpn.flight.locate.words import Reason
 from lpn.flight.maps import Map, Window, open_map
 from tests.lpn.flight.locate.scenery import (
     CORNER,
@@ -428,7 +428,7 @@ def test_a_photo_beyond_what_was_searched_is_searched_again_about_its_place(
 ) -> None:
     found = Registration(None, "sift", support=20.0, width=WIDTH, centre=np.array([east, 0.0]), covariance=np.eye(2))
     found = replace(found, homography=np.linalg.inv(ground_to_photo((east, 0.0), 0.0, WIDTH, SIZE)))
-    answers = [found, Registration(Refusal("no match"), "sift")]
+    answers = [found, Registration(Reason("no match"), "sift")]
     centres: list[list[float]] = []
 
     def search(matcher: object, photo: object, ground: np.ndarray, *rest: object) -> Registration:
