@@ -24,7 +24,7 @@ from lpn.flight.files.base import Frame
 from lpn.flight.files.cut import CUT, cut_size, cut_square
 from lpn.flight.locate.belief import map_misfit
 from lpn.flight.locate.beyond import places_beyond
-from lpn.flight.locate.continuity import NEW_HEADING, other_turns
+from lpn.flight.locate.continuity import NEW_HEADING, other_turn
 from lpn.flight.locate.ground import MapFeatures
 from lpn.flight.locate.located import LocatedFrame, StageRecord
 from lpn.flight.locate.map_evidence import ENOUGH, MapEvidence
@@ -50,8 +50,8 @@ from lpn.models.base import Model, normalise, whitened
 _MOST_WINDOWS = 200_000
 # Distinct frames whose descriptors are kept to centre by, frames of other places whose scores are, and frames that prove the map.
 _KEPT, _SCORED, _PROVING = 320, 64, 100
-# Registrations whose turns are compared, the last ones of them that tell how pictures are turned, and how many tell it.
-_TURNED, _RECENT, _TURNS = 40, 7, 3
+# Registrations whose turns are kept, the last ones of them that tell how pictures are turned, and how many tell it.
+_TURNED, _RECENT, _TURNS = 20, 7, 3
 # Probability that a registration is false, as one of an equal building is.
 _FALSE = 0.2
 # Ratio of one side of windows to the next where the first frame tells it.
@@ -261,7 +261,7 @@ class LiveLocator:
 
     def _headings(self, frame: Frame) -> list[float]:
         """Return the headings in degrees to try; one if it is certain, or registrations tell how the picture is turned."""
-        turns = [turn for turn, stands in self._turns if stands][-_RECENT:]
+        turns = self._told_turns()
         if frame.heading is not None and not heading_is_certain(frame) and len(turns) >= _TURNS:
             return [(frame.heading + float(np.median(turns))) % 360.0]
         return tried_headings(frame)
@@ -406,10 +406,23 @@ class LiveLocator:
         """Return the degrees between a registration's turn and those before, if these show that it is another place."""
         if answer.turn is None:
             return None
-        turns = np.array([*(turn for turn, _ in self._turns), answer.turn])
-        degrees = other_turns(turns, NEW_HEADING).get(len(turns) - 1) if heading_is_certain(frame) else None
-        self._turns.append((answer.turn, degrees is None))
-        return degrees
+        usual, refused = self._told_turns(), [turn for turn, stands in self._turns if not stands]
+        degrees = None
+        if heading_is_certain(frame) and len(usual) >= _TURNS:
+            degrees = other_turn(answer.turn, np.array(usual))
+        alike = [turn for turn in refused if other_turn(turn, np.array([answer.turn])) is None]
+        if degrees is not None and len(alike) + 1 < NEW_HEADING:
+            kept = [*((turn, True) for turn in usual), *((turn, False) for turn in alike), (answer.turn, False)]
+            self._turns = deque(kept, _TURNED)
+            return degrees
+        # Either it is turned as those before, or so many are turned as it is that the headings count as changed.
+        standing = usual if degrees is None else alike
+        self._turns = deque([*((turn, True) for turn in standing), (answer.turn, True)], _TURNED)
+        return None
+
+    def _told_turns(self) -> list[float]:
+        """Return the turns of the last registrations that stand."""
+        return [turn for turn, stands in self._turns if stands][-_RECENT:]
 
     @property
     def near_border(self) -> bool:

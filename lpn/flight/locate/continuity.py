@@ -120,7 +120,7 @@ def jumps(times: Float64Array, places: Float64Array, radii: Float64Array, speeds
     return is_jump
 
 
-def _other_turn(turn: float, turns: Float64Array) -> float | None:
+def other_turn(turn: float, turns: Float64Array) -> float | None:
     """Return the degrees, 0 .. 180, between a turn and the median of others, (N,) with N > 0; None if it may be one of them.
 
     It may be one within 5 degrees, or within twice what they spread. Half turns count as none, as files may be saved upside down.
@@ -135,8 +135,8 @@ def _other_turn(turn: float, turns: Float64Array) -> float | None:
     return abs(float(wrap_degrees(turn - usual)))
 
 
-def other_turns(turns: Float64Array, stands: int | None = None) -> dict[int, float]:
-    """Return which registrations of a flight are turned unlike the others, and by how many degrees, see `_other_turn`.
+def other_turns(turns: Float64Array) -> dict[int, float]:
+    """Return which registrations of a flight are turned unlike the others, and by how many degrees, see `other_turn`.
 
     The others are those within 2.5 degrees of the commonest turn; they must be half of all, and eight at least. A turn stands
     if ten frames share it to within 5 degrees, or half as many as the commonest one.
@@ -145,14 +145,13 @@ def other_turns(turns: Float64Array, stands: int | None = None) -> dict[int, flo
 
     Args:
         turns: against certain headings in degrees, (N,).
-        stands: frames that have to share a turn for it to stand; None as above.
     """
     alike = _sharing(turns, _ALIKE)
     if not len(turns) or (most := int(alike.max())) < max(_FEWEST, len(turns) / 2):
         return {}
     usual = turns[np.abs(_half_turn(turns - turns[alike.argmax()])) <= _ALIKE]
-    few = np.flatnonzero(_sharing(turns, _TURNED) < (stands or min(NEW_HEADING, most / 2))).tolist()
-    return {i: apart for i in few if (apart := _other_turn(float(turns[i]), usual)) is not None}
+    few = np.flatnonzero(_sharing(turns, _TURNED) < min(NEW_HEADING, most / 2)).tolist()
+    return {i: apart for i in few if (apart := other_turn(float(turns[i]), usual)) is not None}
 
 
 def _sharing(turns: Float64Array, degrees: float) -> Int64Array:
