@@ -11,7 +11,7 @@ from lpn.drawing.verdicts import compass
 from lpn.flight.locate.agreement import MapAgreement
 from lpn.flight.locate.belief import SIGMAS, Belief, on_what
 from lpn.flight.locate.errors import CONFIRMED_SHARE, RIGHT_CALIBRATION
-from lpn.flight.locate.located import LocatedFlight, LocatedFrame, short_reason
+from lpn.flight.locate.located import LocatedFlight, LocatedFrame
 from lpn.flight.locate.summary import is_unchecked, radii_on_map
 from lpn.flight.maps.named_window import describe_offset
 from lpn.flight.maps.place import placing_sentence
@@ -58,22 +58,28 @@ def headline(verdict: Belief, located: LocatedFrame) -> str:
 
 def reason(verdict: Belief) -> str:
     """Return the grounds of a verdict in one sentence."""
-    return short_reason(verdict.reason)[0]
+    return _first(verdict.reason)
 
 
 def agreement(seen: FlightSnapshot, frame: int, measured: MapAgreement | None) -> str:
     """Say how far places of a photo lie from where the map has them, or that too few of them tell; "" where none were sought."""
     if measured is None or measured.largest is None:
-        unchecked = "" if measured is None else short_reason(measured.unchecked)[0]
+        unchecked = "" if measured is None else _first(measured.unchecked)
         return unchecked and f"Not checked: {unchecked[:1].lower()}{unchecked[1:]}"
     least = "at least " if measured.may_be_larger else ""
     side = _side(*measured.places[measured.metres.argmax()].tolist())
     text = f"Checked at {len(measured.rows)} places: {measured.median:.1f} m off in the median"
     text += f", {least}{measured.largest:.1f} m {side}"
     answer = seen.flight.frames[frame].stages.get("registration")
-    if seen.corrected(frame) is not None or answer is None or answer.radius_on_map is None:
+    if seen.corrected(frame) is not None or answer is None or answer.middle_on_map is None:
         return f"{text}."
-    return f"{text}; {upper_bound(SIGMAS * answer.radius_on_map)} m are allowed."
+    return f"{text}; {upper_bound(SIGMAS * answer.middle_on_map)} m are allowed."
+
+
+def _first(text: str) -> str:
+    """Return the first sentence of a text."""
+    first, end, _ = text.partition(". ")
+    return f"{first}." if end else text
 
 
 def _side(across: float, down: float) -> str:
@@ -127,7 +133,7 @@ def accuracy(seen: FlightSnapshot) -> list[tuple[str, str, str]]:
     if flight.rendered:
         source = "The map is rendered, and shows no real place."
     elif told := placing_sentence(flight.basemap.notes):
-        source = short_reason(told)[0]
+        source = _first(told)
     else:
         source = (
             "The error that lpn map --error keeps."

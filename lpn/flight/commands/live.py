@@ -49,8 +49,6 @@ class LiveInput(ModelOptions):
     """Trained LPN (.onnx, .safetensors, .pth); an .onnx of lpn export --compute int8 is the quickest on a CPU."""
     telemetry: str | None = None
     """Heading and height: a MAVLink address such as udp:127.0.0.1:14550, or a log or track; by default the photos' own."""
-    system: Advanced[int | None] = None
-    """MAVLink id of the vehicle; by default the first that sends a position."""
     register: bool = True
     """Lay each photo over the map near the prediction."""
     matcher: Advanced[Literal["auto", "xfeat", "sift"]] = "auto"
@@ -95,14 +93,14 @@ class LiveInput(ModelOptions):
         from lpn.flight.live.telemetry import open_telemetry
         from lpn.flight.maps import open_map
 
-        for name, low, high in (("fov", 0.1, 170.0), ("idle", 0.1, 1e6), ("system", 1, 255)):
+        for name, low, high in (("fov", 0.1, 170.0), ("idle", 0.1, 1e6)):
             value = getattr(self, name)
             if value is not None and not low <= value <= high:
                 raise InputError(f"--{name} is {value:g}; expected a number from {low:g} to {high:g}.")
         options = self.options()
         network = self.load()
         basemap = stack.enter_context(closing(open_map(self.map)))
-        telemetry = open_telemetry(self.telemetry, say, self.system)
+        telemetry = open_telemetry(self.telemetry, say)
         stack.callback(telemetry.close)
         source = open_source(self.live, say, self.fov)
         stack.callback(source.close)

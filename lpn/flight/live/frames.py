@@ -30,10 +30,8 @@ from lpn.flight.files.videos import turns_of
 Say = Callable[[str], None]
 # Seconds between two looks at a folder, and for which a file that cannot be read may still be written.
 _POLL, _UNFINISHED = 0.2, 2.0
-# After a look at a folder comes a pause of so many times its duration; a file system's clock ticks at most so many ns apart.
-_BACK_OFF, _TICK_NS = 9, 2_500_000_000
-# Seconds after which a folder is listed although it seems not to have changed; also the longest pause.
-_RELIST = 15.0
+# After a look at a folder comes a pause of so many times its duration, at most so many seconds.
+_BACK_OFF, _LONGEST_PAUSE = 9, 15.0
 # Milliseconds for which a stream may be silent, and seconds between two tries to open it.
 _SILENT_MS, _RETRY = 5000, 2.0
 
@@ -160,8 +158,6 @@ class FolderPictures(LiveSource):
     def __init__(self, folder: Path, say: Say) -> None:
         super().__init__(say)
         self._seen = set[Path]()
-        # Each folder's subfolders, and the time of change at which it was listed last.
-        self._listed: dict[Path, tuple[int, list[Path]]] = {}
         self._folder = folder
         self._seen.update(self._new_photos())
         # Files that cannot be read yet, and when they were first seen.
@@ -171,38 +167,30 @@ class FolderPictures(LiveSource):
 
     def _read(self) -> None:
         pause = _POLL
-        listed = time.monotonic()
         while not self._stop.wait(pause):
             began = time.monotonic()
-            if began - listed >= _RELIST:  # some file systems keep a folder's time when a file comes into it
-                self._listed.clear()
-                listed = began
             photos = sorted({*self._unfinished, *self._new_photos()})
             # A folder of a million photos takes longer to list than a small one.
-            pause = max(_POLL, min(_BACK_OFF * (time.monotonic() - began), _RELIST))
+            pause = max(_POLL, min(_BACK_OFF * (time.monotonic() - began), _LONGEST_PAUSE))
             for file in photos:
                 self._take(file)
 
     def _new_photos(self) -> Iterator[Path]:
-        """Yield the photos that were not seen, of the folders that have changed since they were listed."""
+        """Yield the photos that were not seen, of all folders that are not hidden."""
         folders = [self._folder]
         while folders:
-            folder = folders.pop()
             with suppress(OSError):  # it was removed
-                changed, (listed, inside) = folder.stat().st_mtime_ns, self._listed.get(folder, (None, []))
-                if changed != listed:
-                    names = list(os.scandir(folder))
-                    inside = [
-                        Path(one) for one in names if one.is_dir(follow_symlinks=False) and not hidden_name(one.name)
-                    ]
-                    for one in names:
-                        photo = not one.name.startswith(".") and one.name.lower().endswith(PHOTOS)
-                        if photo and (file := Path(one)) not in self._seen and one.is_file():
-                            yield file
-                    # A photo that comes within the same tick of the file system's clock leaves the folder's time as it was.
-                    if time.time_ns() - changed > _TICK_NS:
-                        self._listed[folder] = changed, inside
-                folders += inside
+                for one in os.scandir(folders.pop()):
+                    if one.is_dir(follow_symlinks=False):
+                        if not hidden_name(one.name):
+                            folders.append(Path(one))
+                    elif (
+                        not one.name.startswith(".")
+                        and one.name.lower().endswith(PHOTOS)
+                        and (file := Path(one)) not in self._seen
+                        and one.is_file()
+                    ):
+                        yield file
 
     def _take(self, file: Path) -> None:
         now = time.monotonic()

@@ -1,9 +1,9 @@
-"""One frame of a flight that goes on: its windows ranked, the forward half of the sequence, and registration near its prediction.
+"""One frame after another, as they come, by the functions of a whole flight: its windows, sequence, registration, and verdict.
 
-The model of `lpn.flight.locate.sequence` runs forward only: a frame's answer depends on frames before it. Differences from a
-flight that is whole are these. Descriptors are centred by the mean of the frames so far, from 20 distinct ones on. Frames
-that follow each other quickly show nearly the same ground, so that their scores count less: by the share of the distance
-between two windows that the drone flies meanwhile. An accepted registration is evidence for the next frame's place, too.
+The sequence of `lpn.flight.locate.sequence` runs forward only: a frame's answer depends on frames before it. Frames that follow
+each other quickly show nearly the same ground, so their scores count less: by the share of the distance between two windows that
+the drone flies meanwhile. Descriptors are centred by the mean of the frames so far, from 20 distinct ones on. An accepted
+registration is evidence for the next frame's place, too; it is refused where the drone can hardly have flown to since the others.
 """
 
 from __future__ import annotations
@@ -11,64 +11,57 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
-import msgspec
 import numpy as np
 
 from lpn.core.arrays import BoolArray, Float32Array, Float64Array, UInt8Array
 from lpn.core.errors import InputError
 from lpn.core.files import printable
-from lpn.core.numbers import SIGMA
 from lpn.core.progress import Listener, listening
 from lpn.core.views import View
 from lpn.flight.files.base import Frame
-from lpn.flight.files.cameras import ground_width
 from lpn.flight.files.cut import CUT, cut_size, cut_square
 from lpn.flight.locate.belief import map_misfit
-from lpn.flight.locate.camera_place import below_camera
-from lpn.flight.locate.continuity import NEW_HEADING, are_alike, other_turn
+from lpn.flight.locate.beyond import places_beyond
+from lpn.flight.locate.continuity import NEW_HEADING, other_turn
 from lpn.flight.locate.ground import MapFeatures
-from lpn.flight.locate.located import APART, LocatedFrame, StageRecord, State, WindowRecord
-from lpn.flight.locate.map_proof import ONE_VIEW
+from lpn.flight.locate.located import LocatedFrame, StageRecord
+from lpn.flight.locate.map_evidence import ENOUGH, MapEvidence
 from lpn.flight.locate.matchers import MatcherName, open_matcher
 from lpn.flight.locate.options import LocateOptions
-from lpn.flight.locate.ranked_stages import AGREEING, CONFIDENCE, EVIDENCE, OVERLAP, chance_to_agree
-from lpn.flight.locate.registered_stage import PhotoSearch, compared, register_photo, turned_away, with_map_error
+from lpn.flight.locate.ranked_stages import OVERLAP, best_windows, sequence_answer
+from lpn.flight.locate.registered_stage import Before, PhotoSearch, compared, register_photo, with_map_error
 from lpn.flight.locate.retrieval import (
     ALIKE,
     MIN_DISTINCT,
+    MapRetrieval,
     described_windows,
     heading_is_certain,
     pyramid_sizes,
     tried_headings,
     whitening_of,
 )
-from lpn.flight.locate.sequence import PRIOR_FRAMES, ForwardFilter, MotionModel, emissions
+from lpn.flight.locate.sequence import ForwardFilter, MotionModel, emissions, score_units
 from lpn.flight.maps import Map, Window
 from lpn.models.base import Model, normalise, whitened
 
 # Windows that are compared at most, unless their sides are given: a frame taken on the ground would make millions.
 _MOST_WINDOWS = 200_000
-# Distinct frames whose descriptors are kept to centre by, and the frames whose scores wait until the drone is elsewhere.
-_KEPT, _PENDING = 320, 64
-# Registrations whose widths and turns correct the next frame's, and those after which these corrections are believed.
-_RECENT, _TURNS = 7, 3
-# Registrations in a row that agree with each other, after which they count although they contradict those before.
-_NEW_TRACK = 3
-# Speeds of the motion model that a drone does not exceed.
-_MOST_SPEEDS = 3.0
-# Probability that an accepted registration is false, for the belief that it is weighed with.
-_FALSE = 0.05
-# Bounds of the log odds that the map is of this place: they may turn within some frames.
-_ODDS = (-8.0, 12.0)
+# Distinct frames whose descriptors are kept to centre by, frames of other places whose scores are, and frames that prove the map.
+_KEPT, _SCORED, _PROVING = 320, 64, 100
+# Registrations whose turns are kept, the last ones of them that tell how pictures are turned, and how many tell it.
+_TURNED, _RECENT, _TURNS = 20, 7, 3
+# Probability that a registration is false, as one of an equal building is.
+_FALSE = 0.2
 # Ratio of one side of windows to the next where the first frame tells it.
 _GRID = 1.15
 # A step of more seconds is a jump of the clock.
 _LONGEST_STEP = 3600.0
-# Scores of an aircraft's heading count before others, see `lpn.flight.locate.retrieval`.
 _STANDARD_SPEED = 10.0
-_NO_PROOF = "Nothing shows yet that the map is of this place: that takes registrations that agree with the sequence."
+_AGREE = "The frames so far agree on this place."
+# Of a filter that knows no heading.
+_NO_HEADING = np.array([math.nan])
 
 
 @dataclass(frozen=True)
@@ -101,48 +94,25 @@ class LiveOptions:
             raise InputError("Sides of windows must be metres above 0.")
 
 
-@dataclass(eq=False)
-class _Windows:
-    """The windows of the map, their descriptors, (N, n, D), and the filter over them."""
+@dataclass(frozen=True, eq=False)
+class _Ground:
+    """The windows of the map, their descriptors, (N, n, D), and the filters over them and over places beyond the map, (B, 2).
+
+    Attributes:
+        filter: by all that is known.
+        flown: by registrations and motion alone.
+    """
 
     windows: list[Window]
     raw: Float32Array
-    filter: ForwardFilter
     places: Float64Array
     sizes: Float64Array
+    beyond: Float64Array
     side: float
     step: float
-    # Sums over the frames of other places of the squares of standardised scores, and their number, by window.
-    squares: Float64Array = field(init=False)
-    frames: Float64Array = field(init=False)
-
-    def __post_init__(self) -> None:
-        self.squares, self.frames = np.zeros(len(self.windows)), np.zeros(len(self.windows))
-
-
-@dataclass(eq=False)
-class _Track:
-    """The findings of the frames so far, beside the belief; each list is bounded."""
-
-    time: float | None = None
-    odds: float = 0.0
-    widths: list[float] = field(default_factory=list)
-    ratios: list[float] = field(default_factory=list)
-    turns: list[float] = field(default_factory=list)
-    heading: float | None = None
-    # The last accepted registration: place, radius, time; and those since that contradict it.
-    last: tuple[float, float, float, float] | None = None
-    apart: list[tuple[float, float, float, float]] = field(default_factory=list)
-    # The turns, alike, of the registrations in a row that were refused for their turn.
-    turned: list[float] = field(default_factory=list)
-    # The middle of the photo that counted last as proof of the map.
-    counted: Float64Array | None = None
-
-    def add(self, name: str, value: float) -> None:
-        """Append a value to one of the lists, which keep the last seven."""
-        values: list[float] = getattr(self, name)
-        values.append(value)
-        del values[:-_RECENT]
+    motion: MotionModel
+    filter: ForwardFilter
+    flown: ForwardFilter
 
 
 class LiveLocator:
@@ -153,9 +123,6 @@ class LiveLocator:
         model: ranks its windows.
         options: how.
         on_progress: called while the map's windows are described, once, see `lpn.core.progress.listening`.
-
-    Attributes:
-        notes: sentences since they were last taken, see `take_notes`.
     """
 
     def __init__(
@@ -169,18 +136,23 @@ class LiveLocator:
         self._pixels = max(model.input_size)
         self._on_progress = on_progress
         self._features = [MapFeatures(basemap, open_matcher(self.options.matcher))] if self.options.register else []
-        self._map_error = basemap.total_error(self.options.map_error)
-        self._ground: _Windows | None = None
+        self._ground: _Ground | None = None
         self._tiles = np.zeros((0, 0, 0), np.float32)
         self._kept: deque[Float32Array] = deque(maxlen=_KEPT)
         self._distinct, self._centred_at = 0, 0
         self._mean: Float32Array | None = None
         self._whitening: Float32Array | None = None
-        self._pending: deque[tuple[float, Float64Array, BoolArray]] = deque(maxlen=_PENDING)
-        self._variance = 0.0
-        self._track = _Track()
-        # The sequence is sure of a place; the last frame was registered; frames of other ground were spoken of.
-        self._sure = self._fresh = self._unfit_said = False
+        # Of frames of other places: their time, the best score of each window, and whether it counts.
+        self._scored: deque[tuple[float, Float64Array, BoolArray]] = deque(maxlen=_SCORED)
+        self._time: float | None = None
+        self._evidence = MapEvidence(basemap.bounds)
+        self._before = Before()
+        # Turns of the registrations so far, and whether they stand; and time and place of the last one.
+        self._turns: deque[tuple[float, bool]] = deque(maxlen=_TURNED)
+        self._registered_at: float | None = None
+        self._place: Float64Array | None = None
+        # The last frame was registered; frames of other ground were spoken of.
+        self._fresh = self._unfit_said = False
         self._notes: list[str] = []
 
     def take_notes(self) -> list[str]:
@@ -194,7 +166,8 @@ class LiveLocator:
         Raises:
             InputError: if no window has data.
         """
-        windows = self.basemap.pyramid(sorted(sizes), self.options.overlap)
+        overlap = self.options.overlap
+        windows = self.basemap.pyramid(sorted(sizes), overlap)
         if not windows:
             raise InputError(
                 f"No window of {min(sizes):.0f} m fits on the map {self.basemap.name}; give smaller ones with --size."
@@ -204,9 +177,13 @@ class LiveLocator:
         places = np.array([(window.x, window.y) for window in windows])
         extents = np.array([window.size for window in windows])
         side = float(np.median(extents))
-        step = max(side * (1 - self.options.overlap), 1.0)
+        step = max(side * (1 - overlap), 1.0)
         motion = MotionModel(self.options.speed, step / 2)
-        self._ground = _Windows(windows, raw, ForwardFilter(places, motion), places, extents, side, step)
+        beyond = places_beyond(self.basemap, places, extents, overlap)
+        everywhere = np.concatenate([places, beyond])
+        whole, flown = ForwardFilter(everywhere, motion, len(beyond)), ForwardFilter(places, motion)
+        self._ground = _Ground(windows, raw, places, extents, beyond, side, step, motion, whole, flown)
+        self._evidence = MapEvidence(self.basemap.bounds, side=side, kept=_PROVING)
         self._centre()
         noise = np.random.default_rng(0).integers(0, 255, (256, 256, 3), np.uint8)
         for kind in self._features:  # loading a matcher's network takes seconds, which the first frame has not
@@ -225,18 +202,16 @@ class LiveLocator:
             place = self.basemap.frame.xy([frame.latitude], [frame.longitude])[0]
             tag = place if np.isfinite(place).all() else None
         located = LocatedFrame(frame, tag)
-        elapsed = self._elapsed(frame)
-        headings = self._headings(frame)
-        scores, compared = self._scores(ground, frame, photo, headings)
-        self._weigh(ground, scores, compared, elapsed, frame, headings)
+        ranked = self._ranked(ground, frame, photo)
+        self._weigh(ground, ranked, frame)
         located.stages["sequence"] = answer = self._sequence(ground)
-        self._sure = answer.accepted
-        self._enter_windows(located, ground, scores, headings)
+        if not answer.accepted:  # else the registration searches there alone
+            located.windows = best_windows(ranked, 0, 2)
         if self.options.register:
-            self._register(located, ground, photo, frame)
+            self._register(located, ground, photo)
             located.stages["sequence"] = self._sequence(ground)
         if frame.time is not None:
-            self._track.time = frame.time
+            self._time = frame.time
         return located
 
     def begin(self, frame: Frame) -> bool:
@@ -256,7 +231,7 @@ class LiveLocator:
         self.prepare(self.options.sizes or sizes)
         return True
 
-    def _windows_for(self, frame: Frame) -> _Windows:
+    def _windows_for(self, frame: Frame) -> _Ground:
         """Return the windows, and say once if frames show other ground."""
         self.begin(frame)
         assert self._ground is not None
@@ -273,9 +248,9 @@ class LiveLocator:
 
     def _elapsed(self, frame: Frame) -> float:
         """Return the seconds since the last frame; NaN if they are unknown, or the clock has jumped."""
-        if frame.time is None or self._track.time is None:
+        if frame.time is None or self._time is None:
             return math.nan
-        elapsed = frame.time - self._track.time
+        elapsed = frame.time - self._time
         if 0 <= elapsed <= _LONGEST_STEP:
             return elapsed
         self._notes.append(
@@ -286,29 +261,39 @@ class LiveLocator:
 
     def _headings(self, frame: Frame) -> list[float]:
         """Return the headings in degrees to try; one if it is certain, or registrations tell how the picture is turned."""
-        turns = self._track.turns
+        turns = self._told_turns()
         if frame.heading is not None and not heading_is_certain(frame) and len(turns) >= _TURNS:
             return [(frame.heading + float(np.median(turns))) % 360.0]
         return tried_headings(frame)
 
-    def _scores(
-        self, ground: _Windows, frame: Frame, photo: UInt8Array, headings: Sequence[float]
-    ) -> tuple[Float64Array, BoolArray]:
-        """Return the score of each window at each heading, (N, K), and which windows are of the frame's size, (N,)."""
-        share = CUT * min(1.0, frame.height / frame.width)
-        compared = np.ones(len(ground.windows), bool)
+    def _ranked(self, ground: _Ground, frame: Frame, photo: UInt8Array) -> MapRetrieval:
+        """Describe a frame, and return its scores of the windows."""
+        share, level = CUT * min(1.0, frame.height / frame.width), math.nan
         if (cut := cut_size(frame)) is not None:
-            level = ground.sizes[np.abs(np.log(ground.sizes / cut)).argmin()]
-            share *= float(level) / cut
-            compared = ground.sizes == level
+            level = float(ground.sizes[np.abs(np.log(ground.sizes / cut)).argmin()])
+            share *= level / cut
+        headings = self._headings(frame)
         squares = [cut_square(photo, heading, share, self._pixels) for heading in headings]
         prepared = np.stack([self.model.prepare(square, self._view) for square in squares])
         described = self.model.descriptors(prepared, self._view)
         self._keep(described[0])
         if self._mean is not None:
             described = normalise(whitened(described - self._mean, self._whitening))
-        flat = self._tiles.reshape(len(self._tiles), -1)
-        return (flat @ described.reshape(len(described), -1).T).astype(np.float64), compared
+        return MapRetrieval(
+            ground.windows,
+            ground.places,
+            ground.sizes,
+            self._tiles,
+            [described],
+            [headings],
+            np.array([level]),
+            np.array([share]),
+            self._pixels,
+            {},
+            {},
+            by_aircraft=frozenset({0} if frame.heading_source == "aircraft" else ()),
+            overlap=self.options.overlap,
+        )
 
     def _keep(self, described: Float32Array) -> None:
         """Keep the descriptor of a frame unlike the last one kept; centre anew each time there are twice as many."""
@@ -332,215 +317,118 @@ class LiveLocator:
         of_tiles = self._tiles.mean(axis=0)
         self._whitening = whitening_of(self._tiles - of_tiles, frames - self._mean)
         self._tiles = normalise(whitened(self._tiles - of_tiles, self._whitening))
-        # Scores change, and with them what each window usually gets.
-        self._ground.squares[:], self._ground.frames[:] = 0, 0
-        self._pending.clear()
+        self._scored.clear()  # scores change, and with them what each window usually gets
 
-    def _weigh(
-        self,
-        ground: _Windows,
-        scores: Float64Array,
-        compared: BoolArray,
-        elapsed: float,
-        frame: Frame,
-        headings: Sequence[float],
-    ) -> None:
+    def _weigh(self, ground: _Ground, ranked: MapRetrieval, frame: Frame) -> None:
         """Move the belief to the frame, and weigh it with the frame's scores."""
+        elapsed, time = self._elapsed(frame), math.nan if frame.time is None else frame.time
+        best, level = ranked.scores(0), float(ranked.levels[0])
+        compared = np.ones(len(best), bool) if math.isnan(level) else ground.sizes == level
+        scored = [*self._scored, (time, best, compared)]
+        steps = ground.motion.steps([one for one, *_ in scored])
+        units = score_units(
+            np.stack([one for _, one, _ in scored]), steps, ground.side, np.stack([one for *_, one in scored])
+        )
+        if not len(steps) or steps[-1] >= ground.step:
+            self._scored.append(scored[-1])
         known = frame.heading is not None
-        best = scores.max(axis=1)
-        values = scores if not known else best[:, None]
-        mean, deviation = float(best[compared].mean()), float(best[compared].std())
-        scale = 1 / deviation if deviation > 1e-9 else 0.0
-        unit = np.sqrt((ground.squares + PRIOR_FRAMES) / (ground.frames + PRIOR_FRAMES))
-        standardised = (values - mean) * scale / unit[:, None]
-        least = float(standardised[compared].min())
-        standardised = np.where(compared[:, None], standardised, least)
-        moved = self.options.speed * elapsed
-        self._count(ground, np.where(compared, (best - mean) * scale, 0.0) ** 2, compared, moved)
-        of_state = np.array([frame.heading if known else 0.0]) if known else np.array(headings, np.float64)
-        ground.filter.predict(elapsed, of_state.astype(np.float64))
-        weight = 1.0 if math.isnan(moved) else min(1.0, moved / ground.step)
+        values = units.standardised(len(scored) - 1, best[:, None] if known else ranked.scores_by_heading(0))
+        headings = np.array([frame.heading] if known else ranked.headings[0], np.float64)
+        ground.filter.predict(elapsed, headings)
+        moved = self.options.speed * elapsed / ground.step
+        weight = 1.0 if math.isnan(moved) else min(1.0, moved)
         if weight > 0:
-            ground.filter.weigh(weight * emissions(standardised))
+            alike = float(ground.motion.alike([0.0, elapsed], ground.side)[1])
+            ground.filter.weigh(weight * emissions(values, beyond=len(ground.beyond), alike=alike))
 
-    def _count(self, ground: _Windows, squares: Float64Array, compared: BoolArray, moved: float) -> None:
-        """Count the squares of scores of frames as soon as the drone is at another place."""
-        self._variance += ground.side**2 if math.isnan(moved) else moved**2
-        while self._pending and self._variance - self._pending[0][0] >= ground.side**2:
-            _, of_frame, counted = self._pending.popleft()
-            ground.squares += of_frame
-            ground.frames += counted
-        self._pending.append((self._variance, squares, compared))
-
-    def _enter_windows(
-        self, located: LocatedFrame, ground: _Windows, scores: Float64Array, headings: Sequence[float]
-    ) -> None:
-        """Enter the two best windows, unless the sequence is sure of a place: then the registration searches there alone."""
-        if self._sure:
-            return
-        best = scores.max(axis=1)
-        for i in np.argsort(-best)[:200].tolist():
-            x, y = ground.places[i].tolist()
-            if all(math.dist((x, y), (other.x, other.y)) >= APART * ground.side for other in located.windows):
-                heading = headings[int(scores[i].argmax())]
-                located.windows.append(WindowRecord(x, y, float(ground.sizes[i]), float(best[i]), heading, [], []))
-            if len(located.windows) == 2:
-                break
-
-    def _sequence(self, ground: _Windows) -> StageRecord:
+    def _sequence(self, ground: _Ground) -> StageRecord:
         """Return the answer of the sequence."""
         point = ground.filter.point(OVERLAP * ground.side)
-        x, y = point.position.tolist()
-        radius = math.hypot(point.radius, ground.step / 2)
-        heading = None if math.isnan(point.heading) else point.heading
-        state: State = "accepted"
-        sentence = "The frames so far agree on this place."
-        if radius > ground.side:
-            state = "refused"
-            sentence = (
-                f"Its radius of {radius:.0f} m ({SIGMA}) is larger than a piece of the map, {ground.side:.0f} m wide."
-            )
-        elif point.nearby < CONFIDENCE:
-            state = "refused"
-            probability = math.floor(100 * point.nearby) / 100
-            sentence = (
-                f"The frame lies within {OVERLAP * ground.side:.0f} m of this place with a probability of {probability:.2f}, and "
-                f"{CONFIDENCE:.2f} are needed."
-            )
-        elif self._track.odds < EVIDENCE:
-            return StageRecord("refused", _NO_PROOF, x, y, radius=radius, heading=heading, unverified=True)
-        return StageRecord(state, sentence, x, y, radius=radius, heading=heading)
+        return sequence_answer(point, ground.side, ground.step, self._evidence.log_odds >= ENOUGH, _AGREE)
 
-    def _register(self, located: LocatedFrame, ground: _Windows, photo: UInt8Array, frame: Frame) -> None:
+    def _register(self, located: LocatedFrame, ground: _Ground, photo: UInt8Array) -> None:
         """Lay the photo over the map near the prediction, and weigh the belief with where it lies."""
-        track = self._track
-        options = LocateOptions(matcher=self.options.matcher)
-        side = 2 * self.options.speed if self._sure and self._fresh else ground.side
+        frame, sure = located.frame, located.stages["sequence"].accepted
+        side = 2 * self.options.speed if sure and self._fresh else ground.side
         search = PhotoSearch(
             self.basemap,
             self._features,
             located,
-            located.frame.undistorted(photo),
-            options,
-            track.widths,
-            track.ratios,
+            frame.undistorted(photo),
+            LocateOptions(matcher=self.options.matcher),
+            self._before,
             side,
-            track.heading,
-            quick=len(track.ratios) >= _TURNS,
+            quick=len(self._before.ratios) >= _TURNS,
         )
+        map_error = self.options.map_error
         answer = with_map_error(
-            register_photo(search), self._map_error, self.basemap.place_error(self.options.map_error)
+            register_photo(search), self.basemap.total_error(map_error), self.basemap.place_error(map_error)
         )
         answer = compared(self.basemap, answer, search.photo)
-        # It is judged where it is told. A place that the map contradicts may be an equal building, and shows nothing.
-        counts = answer.accepted and map_misfit(below_camera(frame, answer)) is None
-        if not counts:
+        # A place that the map contradicts may be an equal building, and shows nothing.
+        if counts := answer.accepted and map_misfit(answer) is None:
+            answer = self._continuous(ground, located, answer)
+        else:
             # Photos that fit nowhere show ground beyond the map, where an equal building is turned alike time and again.
-            track.turned.clear()
-        if answer.accepted:
-            answer = self._continuous(answer, frame, counts)
+            self._turns = deque((one for one in self._turns if one[1]), _TURNED)
         located.stages["registration"] = answer
         self._fresh = counts and answer.accepted
-        if not self._fresh or answer.homography is None:
-            return
-        middle = located.middle(answer)
-        sequence = located.stages["sequence"]
-        chance = chance_to_agree(
-            np.array(located.likely_places()), ground.side, answer.width or ground.side, self.basemap.bounds
-        )
-        # A drone that hovers shows one view, which counts once.
-        new = track.counted is None or (
-            np.linalg.norm(middle - track.counted) > ONE_VIEW * (answer.width or ground.side)
-        )
-        if chance < AGREEING and new:
-            track.counted = middle
-            agrees = sequence.distance(middle) <= OVERLAP * ground.side
-            track.odds += math.log(AGREEING / chance if agrees else (1 - AGREEING) / (1 - chance))
-            track.odds = min(max(track.odds, _ODDS[0]), _ODDS[1])
+        self._evidence.add(located, side)
+        if self._fresh:
+            ground.filter.weigh(self._likely(ground, located, answer, len(ground.beyond)))
+            self._before.add(frame, answer)
+            self._place = located.middle(answer)
+
+    def _continuous(self, ground: _Ground, located: LocatedFrame, answer: StageRecord) -> StageRecord:
+        """Refuse a registration that is turned otherwise than those before, or that the drone can hardly have flown to."""
+        if (degrees := self._other_turn(located.frame, answer)) is not None:
+            return answer.refused("turned", degrees=degrees)
+        time, before = located.frame.time, self._registered_at
+        ground.flown.predict(math.nan if time is None or before is None else time - before, _NO_HEADING)
+        self._registered_at = time
+        likely = self._likely(ground, located, answer)
+        belief = ground.flown.belief
+        assert belief is not None
+        is_false = _FALSE / len(belief) > 0.5 * float((belief * np.exp(likely)).sum())
+        # Registrations that agree with each other elsewhere move the belief, and count again; a false place may come back, too.
+        ground.flown.weigh(likely / 2 if is_false else likely)
+        return answer.refused("unreachable") if is_false else answer
+
+    def _likely(self, ground: _Ground, located: LocatedFrame, answer: StageRecord, beyond: int = 0) -> Float64Array:
+        """Return the log probability of a registration if the drone is at each window, or beyond the map, (N + B, 1)."""
+        place = located.middle(answer)
         deviation = math.hypot(answer.radius or 0.0, ground.step)
-        squared = ((ground.places - middle) ** 2).sum(axis=1) / (2 * deviation**2)
-        near = np.exp(-squared)
-        likely = (1 - _FALSE) * near / near.sum() + _FALSE / len(near) if near.sum() > 0 else np.ones(len(near))
-        ground.filter.weigh(np.log(likely)[:, None])
-        if answer.width is not None:
-            track.add("widths", answer.width)
-            if (expected := ground_width(frame)) is not None:
-                track.add("ratios", answer.width / expected)
-        if answer.turn is not None:
-            track.add("turns", answer.turn)
-        track.heading = answer.heading
+        near = np.exp(-((ground.places - place) ** 2).sum(axis=1) / (2 * deviation**2))
+        near = np.pad(near / max(float(near.sum()), 1e-300), (0, beyond))
+        return np.asarray(np.log((1 - _FALSE) * near + _FALSE / len(ground.places))[:, None])
 
-    def _continuous(self, answer: StageRecord, frame: Frame, counts: bool) -> StageRecord:
-        """Refuse a registration that is turned otherwise than those before, or that the drone cannot have flown to.
-
-        Three in a row that agree with each other count again, and so do ten that are turned alike, with no photo among them that
-        fits nowhere. One that does not count is judged by those before, and leaves no trace.
-        """
-        track = self._track
-        if (turn := self._other_turn(answer, frame, counts)) is not None:
-            return turned_away(answer, turn, "frames before")
-        assert answer.x is not None
-        assert answer.y is not None
-        here = answer.x, answer.y, answer.own_radius, math.nan if frame.time is None else frame.time
-        if track.last is None or self._reachable(track.last, here):
-            if counts:
-                track.last, track.apart = here, []
-            return answer
-        if counts:
-            track.apart = [*[one for one in track.apart if self._reachable(one, here)][-_NEW_TRACK:], here]
-        if len(track.apart) >= _NEW_TRACK:
-            track.last, track.apart = here, []
-            self._notes.append(
-                f"{_NEW_TRACK} registrations in a row lie elsewhere than those before, which count no longer."
-            )
-            return answer
-        return msgspec.structs.replace(
-            answer,
-            state="refused",
-            sentence="The photo fits the map here, but the drone cannot have flown here since the last registered frame: it may "
-            "be an equal building.",
-        )
-
-    def _other_turn(self, answer: StageRecord, frame: Frame, counts: bool) -> float | None:
+    def _other_turn(self, frame: Frame, answer: StageRecord) -> float | None:
         """Return the degrees between a registration's turn and those before, if these show that it is another place."""
-        track = self._track
-        if answer.turn is None or len(track.turns) < _TURNS or not heading_is_certain(frame):
+        if answer.turn is None:
             return None
-        if (turned := other_turn(answer.turn, np.array(track.turns))) is None:
-            track.turned.clear()
-            return None
-        if not counts:
-            return turned
-        if not are_alike(np.array([*track.turned, answer.turn])):
-            track.turned.clear()
-        track.turned.append(answer.turn)
-        if len(track.turned) < NEW_HEADING:
-            return turned
-        track.turns, track.turned = track.turned[-_RECENT:-1], []
-        self._notes.append(
-            f"{NEW_HEADING} registrations in a row are turned otherwise than those before; the headings count as changed."
-        )
+        usual, refused = self._told_turns(), [turn for turn, stands in self._turns if not stands]
+        degrees = None
+        if heading_is_certain(frame) and len(usual) >= _TURNS:
+            degrees = other_turn(answer.turn, np.array(usual))
+        alike = [turn for turn in refused if other_turn(turn, np.array([answer.turn])) is None]
+        if degrees is not None and len(alike) + 1 < NEW_HEADING:
+            kept = [*((turn, True) for turn in usual), *((turn, False) for turn in alike), (answer.turn, False)]
+            self._turns = deque(kept, _TURNED)
+            return degrees
+        # Either it is turned as those before, or so many are turned as it is that the headings count as changed.
+        standing = usual if degrees is None else alike
+        self._turns = deque([*((turn, True) for turn in standing), (answer.turn, True)], _TURNED)
         return None
 
-    def _reachable(self, one: tuple[float, float, float, float], other: tuple[float, float, float, float]) -> bool:
-        elapsed = abs(other[3] - one[3])
-        if math.isnan(elapsed):
-            return True
-        allowed = _MOST_SPEEDS * self.options.speed * elapsed + 3 * math.hypot(one[2], other[2])
-        return math.dist(one[:2], other[:2]) <= allowed
+    def _told_turns(self) -> list[float]:
+        """Return the turns of the last registrations that stand."""
+        return [turn for turn, stands in self._turns if stands][-_RECENT:]
 
     @property
-    def window_side(self) -> float | None:
-        """The median side of the windows in metres; None before the first frame."""
-        return None if self._ground is None else self._ground.side
-
-    def near_border(self, metres: float) -> bool:
-        """Return whether the last registered or likeliest place lies within some metres of the map's border."""
-        if self._track.last is not None:
-            x, y = self._track.last[:2]
-        elif self._ground is not None and self._ground.filter.belief is not None:
-            x, y = self._ground.filter.point(OVERLAP * self._ground.side).position.tolist()
-        else:
+    def near_border(self) -> bool:
+        """True if the last registered place lies within a window's side of the map's border."""
+        if self._ground is None or self._place is None:
             return False
         west, south, east, north = self.basemap.bounds
-        return min(x - west, east - x, y - south, north - y) <= metres
+        x, y = self._place.tolist()
+        return bool(min(x - west, east - x, y - south, north - y) <= self._ground.side)

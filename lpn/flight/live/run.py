@@ -20,9 +20,8 @@ from lpn.flight.locate.located import LocatedFrame
 
 # Seconds without a frame after which the source counts as stalled.
 _STALLED = 5.0
-# Frames in a row without a place to use, or with one against their tags, after which a sentence says so; and windows from the
-# map's border within which it may be the reason.
-_REFUSED, _BORDER = 10, 1.0
+# Frames in a row without a place to use, or with one against their tags, after which a sentence says so.
+_REFUSED = 10
 # Seconds for which one look at the queue waits.
 _LOOK = 0.2
 
@@ -161,10 +160,9 @@ class LiveRun:
         if self._unplaced.total() != _REFUSED:
             return
         were = f"{_REFUSED} frames in a row were {' or '.join(sorted(self._unplaced, reverse=True))}"
-        sizes = self._locator.window_side
         if fix.best.state != "refused":
             self._say(f"{were}; the last one is placed, but {' and '.join(AGAINST[one] for one in fix.best.doubt)}.")
-        elif sizes is not None and self._locator.near_border(_BORDER * sizes):
+        elif fix.located.stages["sequence"].code == "beyond" or self._locator.near_border:
             self._say(f"{were} near the border of the map; the flight may have left it.")
         else:
             self._say(f"{were}; the last says: {fix.best.verdict.reason}")
@@ -173,9 +171,8 @@ class LiveRun:
 def live_answer(located: LocatedFrame) -> BestAnswer:
     """Return the answer that counts, as `lpn locate --best` has it: an accepted registration, else that of the sequence.
 
-    Both are moved below the camera as far as its tilt is known, see `below_camera`, and compared there with the frame's position.
-    A refused place of the sequence is told, too.
+    It is moved below the camera as far as its tilt is known, see `below_camera`. A refused place of the sequence is told, too.
     """
-    stages = {stage: below_camera(located.frame, answer) for stage, answer in located.stages.items()}
-    best = best_answer(replace(located, stages=stages), last="sequence")
-    return best if best.verdict.stage is not None else replace(best, answer=stages["sequence"])
+    best = best_answer(located, last="sequence")
+    answer = located.stages["sequence"] if best.verdict.stage is None else best.answer
+    return replace(best, answer=below_camera(located.frame, answer))

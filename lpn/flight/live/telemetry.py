@@ -101,20 +101,19 @@ class LogTelemetry(LiveTelemetry):
 class MavlinkLink(LiveTelemetry):
     """A link by MAVLink, read by a thread of its own.
 
-    Heading, tilt, and position count for 2 s, heights for 10 s.
+    The first system that sends a position is the vehicle. Heading, tilt, and position count for 2 s, heights for 10 s.
 
     Args:
         address: as pymavlink takes it, such as udp:127.0.0.1:14550, tcp:127.0.0.1:5760, or a serial device.
-        system: id of the vehicle; None takes the first that sends a position.
 
     Raises:
         InputError: if the address cannot be opened.
         ModuleNotFoundError: if pymavlink is not installed.
     """
 
-    def __init__(self, address: str, say: Say, system: int | None = None) -> None:
+    def __init__(self, address: str, say: Say) -> None:
         self._link = open_link(address)
-        self._telemetry = MavlinkTelemetry(system, needs_position=False)
+        self._telemetry = MavlinkTelemetry(needs_position=False)
         self._say, self._address = say, printable(address)
         self._entries: deque[TelemetryEntry] = deque(maxlen=_ENTRIES)
         self._lock, self._stop = threading.Lock(), threading.Event()
@@ -204,7 +203,7 @@ def open_link(address: str) -> Any:
         ) from error
 
 
-def open_telemetry(source: str | None, say: Say, system: int | None = None) -> LiveTelemetry:
+def open_telemetry(source: str | None, say: Say) -> LiveTelemetry:
     """Open a log or track if `source` is a file, else a MAVLink link; None has no telemetry.
 
     Raises:
@@ -220,4 +219,4 @@ def open_telemetry(source: str | None, say: Say, system: int | None = None) -> L
         raise InputError(
             f"There is no {printable(source)}; give a log, a track, or an address such as udp:127.0.0.1:14550."
         )
-    return MavlinkLink(source, say, system)
+    return MavlinkLink(source, say)

@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import combinations
 from typing import Literal
 
 from lpn.core.numbers import upper_bound
+from lpn.flight.locate.camera_place import below_camera, told_tilt
 from lpn.flight.locate.located import (
     BY_HAND,
     LocatedFlight,
@@ -22,8 +22,8 @@ from lpn.flight.locate.located import (
 TAG_RADIUS = 5.0
 # Answers contradict each other beyond this multiple of their common 1-sigma radius.
 SIGMAS = 3.0
-# A camera of unknown tilt nearly always looks at most this many degrees away from straight down.
-TILT = 15.0
+# A camera of unknown tilt nearly always looks at most so many degrees away from straight down; beyond others nothing is told.
+TILT, _MOST_TILT = 15.0, 85.0
 # The summary of a registration, which goes on with what contradicts it.
 PLACED = "Placed by its details"
 # The answers that may contradict a place, in words.
@@ -141,43 +141,45 @@ def disagreements(frames: Sequence[LocatedFrame]) -> list[Disagreement]:
     """Return the contradictions between accepted registration, accepted sequence, tag, and map, frame by frame.
 
     Two answers contradict each other if they lie farther apart than three times the root of the sum of their squared 1-sigma
-    radii. The map's error moves registration and sequence alike, so it counts against the tag alone, which has 5 m. An answer
-    that is the picture's middle is moved by an unknown tilt: the tangent of 15 degrees times the flying height, or times half of
-    the picture's width on the ground, is allowed in addition. A registration contradicts the map where the median of its
-    `MapAgreement` is more than three times its radius on this map.
+    radii. The map's error moves registration and sequence alike, so it counts against the tag alone, which has 5 m. A tag is
+    compared with the place below the camera, see `below_camera`. An answer that is the picture's middle all the same is moved by
+    an unknown tilt, see `_shift`, which is allowed in addition. A registration contradicts the map where the median of its
+    `MapAgreement` is more than three times the radius on this map of the photo's middle.
     """
     pairs = []
     for i, located in enumerate(frames):
-        places: dict[str, tuple[float, float, float, float, bool]] = {}
-        for stage in ("registration", "sequence"):
-            answer = located.stages.get(stage)
-            if answer is not None and answer.accepted and answer.x is not None and answer.y is not None:
-                places[stage] = answer.x, answer.y, answer.radius or 0.0, answer.own_radius, answer.camera
+        accepted = {
+            stage: answer
+            for stage in ("registration", "sequence")
+            if (answer := located.stages.get(stage)) is not None and answer.accepted and answer.x is not None
+        }
+        if len(accepted) == 2:
+            one, other = accepted.values()
+            metres = math.hypot(one.x - other.x, one.y - other.y)  # type: ignore[operator]
+            allowed = SIGMAS * math.hypot(one.own_radius, other.own_radius) + _shift(located) * (
+                one.camera != other.camera
+            )
+            pairs.append(Disagreement(i, "registration", "sequence", metres, allowed))
         if located.tag is not None:
-            places["tag"] = float(located.tag[0]), float(located.tag[1]), TAG_RADIUS, TAG_RADIUS, True
-        for (one, a), (other, b) in combinations(places.items(), 2):
-            metres = math.hypot(a[0] - b[0], a[1] - b[1])
-            tilt = _shift(located) if a[4] != b[4] else 0.0
-            radius = 2 if other == "tag" else 3
-            allowed = SIGMAS * math.hypot(a[radius], b[radius]) + tilt
-            if metres > allowed:
-                pairs.append(Disagreement(i, one, other, metres, allowed))
+            pairs += [Disagreement(i, stage, "tag", *beside_tag(located, answer)) for stage, answer in accepted.items()]
         if (misfit := map_misfit(located.stages.get("registration"), i)) is not None:
             pairs.append(misfit)
-    return pairs
+    return [one for one in pairs if one.metres > one.allowed]
 
 
-def tag_allowance(located: LocatedFrame) -> float:
-    """Return the metres that a registration and its tag may lie apart, see `disagreements`."""
-    answer = located.stages["registration"]
-    return SIGMAS * math.hypot(answer.radius or 0.0, TAG_RADIUS) + (0.0 if answer.camera else _shift(located))
+def beside_tag(located: LocatedFrame, answer: StageRecord) -> tuple[float, float]:
+    """Return the metres from an answer to the frame's tag, and those that they may lie apart, see `disagreements`."""
+    assert located.tag is not None
+    below = below_camera(located.frame, answer)
+    tilt = 0.0 if below.camera else _shift(located)
+    return below.distance(located.tag), SIGMAS * math.hypot(below.radius or 0.0, TAG_RADIUS) + tilt
 
 
 def map_misfit(answer: StageRecord | None, frame: int = 0) -> Disagreement | None:
     """Return that places away from the middle of a registered photo lie elsewhere on the map; None if not, or if too few tell."""
-    if answer is None or not answer.accepted or answer.agreement is None or answer.radius_on_map is None:
+    if answer is None or not answer.accepted or answer.agreement is None or answer.middle_on_map is None:
         return None
-    metres, allowed = answer.agreement.median, SIGMAS * answer.radius_on_map
+    metres, allowed = answer.agreement.median, SIGMAS * answer.middle_on_map
     return None if metres is None or metres <= allowed else Disagreement(frame, "registration", "map", metres, allowed)
 
 
@@ -304,8 +306,11 @@ def _first_refusal(*answers: StageRecord | None) -> str:
 
 
 def _shift(located: LocatedFrame) -> float:
-    """Return the metres by which an unknown tilt may move the picture's middle from below the camera."""
+    """Return the metres by which a tilt may move the picture's middle from below the camera: the told one, or an unknown one.
+
+    An unknown one is 15 degrees. The height is that of the flight, else half of the picture's width on the ground.
+    """
     answer = located.stages.get("registration")
     width = 0.0 if answer is None or answer.width is None else answer.width
     height = located.frame.flying_height or width / 2
-    return height * math.tan(math.radians(TILT))
+    return height * math.tan(math.radians(min(max(TILT, told_tilt(located.frame)), _MOST_TILT)))

@@ -91,6 +91,11 @@ def below_camera(frame: Frame, answer: StageRecord) -> StageRecord:
     )
 
 
+def told_tilt(frame: Frame) -> float:
+    """Return the degrees that a frame's camera looks away from straight down, as far as the frame tells; else 0."""
+    return 0.0 if frame.pitch is None else math.degrees(math.acos(rotation(0.0, frame.pitch, frame.roll or 0.0)[2, 2]))
+
+
 def told_tilt_error(frame: Frame) -> float:
     """Return the 1-sigma error in degrees that a frame's tilt counts with before the flight tells more."""
     return _AIRCRAFT_TILT_ERROR if frame.heading_source == "aircraft" else _TILT_ERROR

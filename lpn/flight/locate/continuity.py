@@ -135,11 +135,6 @@ def other_turn(turn: float, turns: Float64Array) -> float | None:
     return abs(float(wrap_degrees(turn - usual)))
 
 
-def are_alike(turns: Float64Array) -> bool:
-    """Return whether turns in degrees, (N,) with N > 0, lie within 5 degrees of each other; half turns count as none."""
-    return float(np.ptp(_half_turn(turns - turns[0]))) <= _TURNED
-
-
 def other_turns(turns: Float64Array) -> dict[int, float]:
     """Return which registrations of a flight are turned unlike the others, and by how many degrees, see `other_turn`.
 

@@ -92,14 +92,13 @@ class MapFeatures:
     Args:
         basemap: the map.
         matcher: describes it.
-        on_disk: whether features are kept on disk, too.
     """
 
-    def __init__(self, basemap: Map, matcher: Matcher, on_disk: bool = True) -> None:
+    def __init__(self, basemap: Map, matcher: Matcher) -> None:
         self._map, self.matcher = basemap, matcher
         identity = [FORMAT, basemap.digest(), matcher.name, matcher.version, _SIDE, _MARGIN, _LIMIT]
         self._digest = hashlib.sha256(json.dumps(identity).encode()).hexdigest()[:24]
-        self._folder: Path | None = cache_folder() / "locate" / "ground" / self._digest if on_disk else None
+        self._folder: Path | None = cache_folder() / "locate" / "ground" / self._digest
 
     def resolution(self, width: float) -> float:
         """Return the metres per pixel at which photos of a ground width are compared: a power of two of the map's half pixel."""

@@ -23,6 +23,7 @@ from lpn.flight.locate.errors import CONFIRMED_SHARE, Errors
 from lpn.flight.locate.matched_details import MatchedDetails
 from lpn.flight.locate.options import TOP
 from lpn.flight.locate.retrieval import MapRetrieval
+from lpn.flight.locate.words import Code, Reason
 from lpn.flight.maps import Map
 from lpn.retrieval import field_metrics
 
@@ -56,7 +57,7 @@ class StageRecord(msgspec.Struct, frozen=True, omit_defaults=True):
 
     Attributes:
         state: "accepted" if the position may be used, "refused" if not, "not verified" if the stage cannot tell.
-        sentence: what was found, or why it was refused.
+        finding: what the stage found, in words; with `code`, what a refused place would have been.
         x, y: metres east and north in the map's frame: of the camera where `camera`, else of the picture's middle.
         camera: whether the position is the camera's, which needs a pose, or a known tilt: of 15 degrees at most, while the flight
             goes on of 60.
@@ -66,7 +67,6 @@ class StageRecord(msgspec.Struct, frozen=True, omit_defaults=True):
         width: metres of ground across the picture.
         inliers: matches that agree.
         homography: from pixels to metres, 9 numbers by rows.
-        unverified: whether it is refused for one reason alone: nothing shows that the map is of this place.
         pose: of the camera; None where the matches do not tell it.
         map_error: 1-sigma error of the map in metres that the radius holds; it moves all places on the map alike.
         place_error: the part of it that is the error of the map's place on earth, as the map tells it; 0 if it does not.
@@ -74,10 +74,13 @@ class StageRecord(msgspec.Struct, frozen=True, omit_defaults=True):
         middle_radius: 1-sigma radius in metres of the ground at the photo's middle, where the position is the camera's; with the
             map's error, as `radius` has it. None where it is not known.
         details: the matches that agree with a registration, `inliers` in number, and a sample of them; None for other answers.
+        code: why it is refused, see `lpn.flight.locate.words`; "" where the finding says it.
+        numbers: of that reason.
+        alone: whether the details of the photo suffice without a flight, see `lpn.flight.locate.registration.proven`.
     """
 
     state: State
-    sentence: str
+    finding: str = msgspec.field(name="sentence")
     x: float | None = None
     y: float | None = None
     camera: bool = False
@@ -87,13 +90,39 @@ class StageRecord(msgspec.Struct, frozen=True, omit_defaults=True):
     width: float | None = None
     inliers: int | None = None
     homography: list[float] | None = None
-    unverified: bool = False
     pose: CameraPose | None = None
     map_error: float = 0.0
     place_error: float = 0.0
     agreement: MapAgreement | None = None
     middle_radius: float | None = None
     details: MatchedDetails | None = None
+    code: Code = ""
+    numbers: Mapping[str, float] = msgspec.field(default_factory=dict)
+    alone: bool = False
+
+    @property
+    def sentence(self) -> str:
+        """What was found, or why it was refused."""
+        return " ".join(filter(None, self.reason_and_note))
+
+    @property
+    def reason_and_note(self) -> tuple[str, str]:
+        """The sentence as a short reason, and the rest of it."""
+        if self.code == "unread":
+            return self.finding, ""
+        if why := Reason(self.code, self.numbers).sentence:
+            return why, self.finding
+        first, end, rest = self.finding.partition(". ")
+        return (f"{first}.", rest) if end else (self.finding, "")
+
+    @property
+    def unverified(self) -> bool:
+        """True if it is refused for one reason alone: nothing shows that the map is of this place."""
+        return self.code in ("unproven", "few")
+
+    def refused(self, code: Code, **numbers: float) -> StageRecord:
+        """Return the answer, refused for a reason."""
+        return msgspec.structs.replace(self, state="refused", code=code, numbers=numbers)
 
     @property
     def on_earth(self) -> bool:
@@ -104,6 +133,12 @@ class StageRecord(msgspec.Struct, frozen=True, omit_defaults=True):
     def radius_on_map(self) -> float | None:
         """The radius in metres without the error of the map's place on earth; None without a radius."""
         return None if self.radius is None else math.sqrt(max(self.radius**2 - self.place_error**2, 0.0))
+
+    @property
+    def middle_on_map(self) -> float | None:
+        """As `radius_on_map`, of the ground at the photo's middle, which owes nothing to the tilt."""
+        radius = self.radius if self.middle_radius is None else self.middle_radius
+        return None if radius is None else math.sqrt(max(radius**2 - self.place_error**2, 0.0))
 
     @property
     def own_radius(self) -> float:
@@ -391,12 +426,6 @@ class LocatedFlight:
         if len(read):
             figures |= {f"dis@{k}": float(field_metrics.distance_at(read, k).mean()) for k in depths}
         return figures | {f"ma@{m}": field_metrics.accuracy_within(distances[:, 0], m) for m in (20, 50, 100)}
-
-
-def short_reason(text: str) -> tuple[str, str]:
-    """Return the first sentence of a text, and the others."""
-    first, end, rest = text.partition(". ")
-    return (f"{first}.", rest) if end else (text, "")
 
 
 def checked_beside_middle(answer: StageRecord) -> Literal["yes", "no"]:

@@ -18,9 +18,9 @@ from lpn.flight.locate.beyond import places_beyond
 from lpn.flight.locate.corrections import Correction
 from lpn.flight.locate.index_windows import WindowIndex
 from lpn.flight.locate.located import LocatedFlight, LocatedFrame, tag_positions
-from lpn.flight.locate.map_proof import refuse_unproven
+from lpn.flight.locate.map_evidence import MapEvidence, judge_map
 from lpn.flight.locate.options import TOP, LocateOptions
-from lpn.flight.locate.ranked_stages import OVERLAP, confirm_sequence, enter_retrieval, enter_sequence
+from lpn.flight.locate.ranked_stages import OVERLAP, enter_retrieval, enter_sequence
 from lpn.flight.locate.registered_stage import FORMAT, refuse_contradicted, register_frames
 from lpn.flight.locate.registration import is_turned_over
 from lpn.flight.locate.retrieval import MapRetrieval, retrieve
@@ -136,11 +136,9 @@ def registered(
         located.basemap, located.flight, frames, options, model, located.retrieval, publish, located.shipped
     )
     side = None if located.retrieval is None else float(np.median(located.retrieval.sizes))
-    if side is not None:
-        if not located.shipped:  # a sequence that ships knows them
-            _know_frames_on_map(located, frames, options)
-        confirm_sequence(frames, side, located.basemap.bounds)
-    notes += refuse_unproven(frames, located.basemap.bounds, options.prior, side)
+    if not located.shipped:  # a sequence that ships knows them
+        _know_frames_on_map(located, frames, options)
+    notes += judge_map(frames, MapEvidence(located.basemap.bounds, options.prior, side))
     answers = [frame.by_hand or frame.stages["registration"] for frame in frames]
     places = np.array(
         [(a.x, a.y) if a.accepted and a.x is not None else (np.nan, np.nan) for a in answers], np.float64

@@ -5,9 +5,10 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections import deque
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from itertools import product
 from typing import Any
 
@@ -35,6 +36,7 @@ from lpn.flight.locate.options import LocateOptions
 from lpn.flight.locate.photo_pose import photo_pose
 from lpn.flight.locate.registration import (
     APART,
+    FREE_FACTOR,
     MIN_RATIO,
     MIN_SUPPORT,
     Expectation,
@@ -49,6 +51,7 @@ from lpn.flight.locate.registration import (
 )
 from lpn.flight.locate.retrieval import MapRetrieval, frame_identity, heading_is_certain
 from lpn.flight.locate.tilts import COMMON, tilt_error
+from lpn.flight.locate.words import Reason
 from lpn.flight.maps import Map
 from lpn.models.base import Model
 
@@ -68,7 +71,7 @@ _BEYOND = 0.05
 _SWAY = 0.1
 # Pitches at which a photo is levelled that tells none and is not placed as it is, and the field of view where that is not told.
 _TRIED_PITCHES = (-60.0, -42.0)
-# Flights of fewer frames do not show by themselves that the map is of their place.
+# The photos of flights of fewer are searched as those of no flight first, as so few show little together.
 FEWEST = 5
 # Levelled so, a photo needs so many times the usual support, as each try is a chance to agree with a wrong place.
 _TRIED_SUPPORT = 2.0
@@ -101,11 +104,8 @@ def register_frames(
     key = [FORMAT, _POSES, basemap.digest(), heights, names, asdict(searched), model and model.fingerprint, side]
     file = cache_folder() / "locate" / "registration" / f"{_digest([*key, flight.name])}.jsonl"
     records = LineRecords(file, StageRecord)
-    # So few photos show nothing together: without a tag on the map each proves the map alone, as a photo of no flight does.
-    alone = len(frames) < FEWEST and all(located.by_hand is None for located in frames)
-    widths: list[float] = []
-    ratios: list[float] = []
-    heading: float | None = None
+    few = len(frames) < FEWEST and all(located.by_hand is None for located in frames)
+    before = Before()
     trail = _digest(key)
     answers: list[StageRecord] = []
     map_error, place_error = basemap.total_error(options.map_error), basemap.place_error(options.map_error)
@@ -113,25 +113,18 @@ def register_frames(
         # An answer depends on the frames before it, whose widths it takes over.
         places = located.searched_places(options.prior is not None)
         around = None if places is None else places.tolist()
-        anywhere = alone and located.tag is None
-        identity = [frame_identity(located.frame), _plain(located.frame), around, *["anywhere"] * anywhere]
+        identity = [frame_identity(located.frame), _plain(located.frame), around, *["alone"] * few]
         trail = _digest([trail, *identity])
         answer = shipped.get(located.frame.name) or records.get(trail)
         if answer is None:
-            answer = register_frame(basemap, features, located, options, widths, ratios, retrieval, heading, anywhere)
+            answer = register_frame(basemap, features, located, options, before, side, few)
+            if few and not answer.accepted and located.tag is not None:
+                # The tag may show what the details alone do not.
+                answer = register_frame(basemap, features, located, options, before, side)
             records.append(trail, answer)
-        elif answer.accepted and answer.agreement is None:  # it was kept before places were compared
-            with suppress(PictureError):  # it is gone since then
-                answer = compared(basemap, answer, _photo(located.frame))
-                if answer.agreement is not None:
-                    records.append(trail, answer)
         answers.append(answer)
         located.stages["registration"] = with_map_error(answer, map_error, place_error)
-        if answer.accepted and answer.width is not None:
-            heading = answer.heading
-            widths.append(answer.width)
-            if (expected := ground_width(located.frame)) is not None:
-                ratios.append(answer.width / expected)
+        before.add(located.frame, answer)
         report_progress("Registering frames", i + 1, len(frames))
         on_frame(i + 1, len(frames))
     notes = refuse_contradicted(frames)
@@ -192,7 +185,7 @@ def with_map_error(answer: StageRecord, map_error: float, place_error: float) ->
         return answer
     on_earth = place_error > 0
     radius = math.hypot(answer.radius, map_error)
-    sentence = answer.sentence
+    sentence = answer.finding
     if answer.accepted:
         place = "camera's place" if answer.camera else "picture's middle"
         where = "earth" if on_earth else "the map"
@@ -203,7 +196,7 @@ def with_map_error(answer: StageRecord, map_error: float, place_error: float) ->
         sentence += f", of which {' and '.join(parts)}." if parts else "."
     middle = None if answer.middle_radius is None else math.hypot(answer.middle_radius, map_error)
     return msgspec.structs.replace(
-        answer, radius=radius, middle_radius=middle, sentence=sentence, map_error=map_error, place_error=place_error
+        answer, radius=radius, middle_radius=middle, finding=sentence, map_error=map_error, place_error=place_error
     )
 
 
@@ -227,7 +220,7 @@ def _refuse_turned(frames: list[LocatedFrame]) -> list[str]:
     found = continuity.other_turns(np.array([turn for *_, turn in turned], np.float64))
     for i, degrees in found.items():
         located, answer, _ = turned[i]
-        located.stages["registration"] = turned_away(answer, degrees, "other frames")
+        located.stages["registration"] = answer.refused("turned", degrees=degrees)
     if not found:
         return []
     least, most = _degrees(min(found.values())), _degrees(max(found.values()))
@@ -246,15 +239,6 @@ def _refuse_turned(frames: list[LocatedFrame]) -> list[str]:
 
 def _degrees(degrees: float) -> str:
     return f"{degrees:.1f}°" if degrees < 10 else f"{degrees:.0f}°"
-
-
-def turned_away(answer: StageRecord, degrees: float, others: str) -> StageRecord:
-    """Refuse a registration that lies by some degrees from where its heading and those of others, frames in words, have it."""
-    sentence = (
-        f"The photo fits the map here, but turned by {_degrees(degrees)} from where its heading and those of the {others} have "
-        "it: it may be an equal building."
-    )
-    return msgspec.structs.replace(answer, state="refused", sentence=sentence)
 
 
 def _refuse_jumps(frames: list[LocatedFrame]) -> list[str]:
@@ -289,11 +273,7 @@ def _refuse_jumps(frames: list[LocatedFrame]) -> list[str]:
             continue
         for i in jumps:
             located, answer = timed[i]
-            sentence = (
-                f"The photo fits the map here, but the drone flies up to {speeds[i - 1 : i + 1].max():.0f} m/s and would have "
-                "had to be faster to get here and back: it may be an equal building."
-            )
-            located.stages["registration"] = msgspec.structs.replace(answer, state="refused", sentence=sentence)
+            located.stages["registration"] = answer.refused("jump", speed=float(speeds[i - 1 : i + 1].max()))
     return notes
 
 
@@ -302,25 +282,16 @@ def register_frame(
     features: Sequence[MapFeatures],
     located: LocatedFrame,
     options: LocateOptions,
-    widths: list[float],
-    ratios: list[float],
-    retrieval: MapRetrieval | None,
-    heading: float | None = None,
+    before: Before,
+    side: float | None,
     anywhere: bool = False,
 ) -> StageRecord:
-    """Register one frame, and describe the answer in a sentence.
-
-    Args:
-        widths, ratios: of the accepted frames before: metres across the picture, and as a share of those that were expected.
-        heading: of the accepted frame before, in degrees.
-        anywhere: see `PhotoSearch`.
-    """
+    """Register one frame, and compare it with the map away from its middle; for the arguments see `PhotoSearch`."""
     try:
         photo = _photo(located.frame)
     except PictureError as error:
-        return StageRecord("refused", str(error))
-    side = None if retrieval is None else float(np.median(retrieval.sizes))
-    search = PhotoSearch(basemap, features, located, photo, options, widths, ratios, side, heading, anywhere=anywhere)
+        return StageRecord("refused", str(error), code="unread")
+    search = PhotoSearch(basemap, features, located, photo, options, before, side, anywhere=anywhere)
     return compared(basemap, register_photo(search), photo)
 
 
@@ -339,6 +310,30 @@ def compared(basemap: Map, answer: StageRecord, photo: UInt8Array) -> StageRecor
     return answer
 
 
+@dataclass(eq=False)
+class Before:
+    """What the registered frames so far tell of the next one.
+
+    Attributes:
+        widths: metres of ground across the last pictures.
+        ratios: of these widths to those that heights and fields of view tell.
+        heading: of the last frame, in degrees.
+    """
+
+    widths: deque[float] = field(default_factory=lambda: deque(maxlen=_LATEST))
+    ratios: deque[float] = field(default_factory=lambda: deque(maxlen=_RECENT))
+    heading: float | None = None
+
+    def add(self, frame: Frame, answer: StageRecord) -> None:
+        """Take over what an answer tells, if it is accepted."""
+        if not answer.accepted or answer.width is None:
+            return
+        self.heading = answer.heading
+        self.widths.append(answer.width)
+        if (expected := ground_width(frame)) is not None:
+            self.ratios.append(answer.width / expected)
+
+
 @dataclass(frozen=True, eq=False)
 class PhotoSearch:
     """A search of the map for one photo.
@@ -347,10 +342,8 @@ class PhotoSearch:
         features: of the map by each matcher, which are tried in this order.
         located: the frame, with the answers of earlier stages.
         photo: RGB (H, W, 3), without the distortion of its lens, see `Frame.undistorted`.
-        widths: metres of ground across the pictures that were registered before.
-        ratios: of these widths to those that heights and fields of view tell.
+        before: the frames that were registered before.
         side: of the windows that the frame's places come from, in metres; None if they do not come from windows.
-        heading: of the accepted frame before, in degrees.
         quick: try the width by height and field of view alone, where it is known, and no tilt that the photo does not tell.
         on_progress: called before each try of a matcher and a width; an exception that it raises ends the search.
         anywhere: the photo may be of another place than the map's; all matchers together must have more support then, and no
@@ -362,10 +355,8 @@ class PhotoSearch:
     located: LocatedFrame
     photo: UInt8Array
     options: LocateOptions
-    widths: Sequence[float] = ()
-    ratios: Sequence[float] = ()
+    before: Before = field(default_factory=Before)
     side: float | None = None
-    heading: float | None = None
     quick: bool = False
     on_progress: CountProgress | None = None
     anywhere: bool = False
@@ -380,9 +371,7 @@ def register_photo(search: PhotoSearch) -> StageRecord:
     """Register the photo of a search, and describe the answer in a sentence."""
     basemap, frame, options = search.basemap, search.located.frame, search.options
     if options.prior is not None and search.located.tag is None and search.side is None:
-        return StageRecord(
-            "refused", "The photo has no GPS tag to search around; leave --prior out to search the whole map."
-        )
+        return StageRecord("refused", "", code="no tag")
     answer = _searched(search, frame, search.quick)
     best, solved = _posed(search, answer)
     # On flat ground most photos from straight above have no pose either, and are placed well enough without one.
@@ -395,11 +384,16 @@ def register_photo(search: PhotoSearch) -> StageRecord:
         if clearest is not answer:
             answer = clearest
             best, solved = _posed(search, answer)
-    around_tag = answer.reach if answer.has_ground and search.side is None and options.prior is not None else None
+    how = ""
+    if answer.has_ground and search.side is None and options.prior is not None:
+        how = f" The search used the GPS tag: it saw the map in a square of {2 * answer.reach:.0f} m about it."
+    if answer.has_ground and not best.accepted and answer.widths:
+        least, most = min(answer.widths) / FREE_FACTOR, max(answer.widths) * FREE_FACTOR
+        how += f" Nothing tells how much ground it shows, so {least:.0f} to {most:.0f} m across were tried."
     tried = answer.pitch if frame.pitch is None else None
     placed = basemap.elevation is not None or answer.levelled is not None
     details = MatchedDetails.of(best, PhotoView(search.size, answer.levelled))
-    return _record(frame, search.size, best, around_tag, solved, placed, tried, details)
+    return _record(frame, search.size, best, how, solved, placed, tried, details, search.anywhere)
 
 
 @dataclass(frozen=True, eq=False)
@@ -411,6 +405,7 @@ class _SearchResult:
         reach: half the side of the squares that were searched, in metres.
         pitch: at which the photo was searched, in degrees; None if none was known or tried.
         has_ground: whether the map could be searched.
+        widths: of the ground that were tried where nothing tells it, in metres.
     """
 
     best: Registration
@@ -418,6 +413,7 @@ class _SearchResult:
     reach: float
     pitch: float | None
     has_ground: bool = True
+    widths: Sequence[float] = ()
 
 
 def _posed(search: PhotoSearch, answer: _SearchResult) -> tuple[Registration, CameraPose | str]:
@@ -458,8 +454,8 @@ def _searched(search: PhotoSearch, frame: Frame, quick: bool, near: Registration
     shown, valid, wider = (photo, None, 1.0) if levelled is None else (levelled.picture, levelled.valid, levelled.wider)
     grid = pixel_grid((shown.shape[1], shown.shape[0]), 9) if levelled is None else levelled.grid(25)
     known_width = ground_width(frame)
-    if known_width is not None and search.ratios:
-        known_width *= float(np.median(search.ratios[-_RECENT:]))
+    if known_width is not None and search.before.ratios:
+        known_width *= float(np.median(search.before.ratios))
     if near is not None and near.centre is not None and near.width is not None:
         centres, known_width = near.centre[None], near.width
     best: Registration | None = None
@@ -468,7 +464,7 @@ def _searched(search: PhotoSearch, frame: Frame, quick: bool, near: Registration
         best = None
         searches: dict[float, dict[str, tuple[Matcher, Ground]]] = {}
         rivals: list[Similarity] = []
-        tried = list(tried_widths(basemap, known_width, search.widths))
+        tried = list(tried_widths(basemap, known_width, search.before.widths))
         tries = list(product(features, tried[:1] if quick and known_width is not None else tried))
         for done, (kind, (width, known)) in enumerate(tries):
             if search.on_progress is not None:
@@ -477,19 +473,14 @@ def _searched(search: PhotoSearch, frame: Frame, quick: bool, near: Registration
             reach = AROUND * width + (search.options.prior or 0.0 if search.side is None else 0.5 * search.side)
             ground = kind.around(centres, reach, width)
             if ground is None:
-                reason = (
-                    f"More than {MAX_BLOCKS} blocks of {basemap.name} would have to be searched for this photo; give --model, or "
-                    "--prior with the metres around the GPS tag."
-                )
-                return _SearchResult(
-                    Registration(False, reason, kind.matcher.name), levelled, reach, frame.pitch, has_ground=False
-                )
+                refused = Registration(Reason("too large", {"blocks": MAX_BLOCKS}), kind.matcher.name)
+                return _SearchResult(refused, levelled, reach, frame.pitch, has_ground=False)
             if near is None:
                 expected = Expectation(
                     width if known else None,
                     frame.heading,
                     heading_is_certain(frame),
-                    _guess(search.located, search.heading),
+                    _guess(search.located, search.before.heading),
                 )
             else:
                 expected = Expectation(width, near.heading)
@@ -514,7 +505,8 @@ def _searched(search: PhotoSearch, frame: Frame, quick: bool, near: Registration
         assert best.centre is not None
         centres = best.centre[None]
     assert best is not None
-    return _SearchResult(best, levelled, searched, frame.pitch)
+    free = [] if known_width is not None else [width for width, _ in tried]
+    return _SearchResult(best, levelled, searched, frame.pitch, widths=free)
 
 
 def _guess(located: LocatedFrame, before: float | None) -> float | None:
@@ -544,7 +536,7 @@ def _reaches_out(answer: Registration, pixels: Float64Array, centres: Float64Arr
     return bool((off > reach).mean() > _BEYOND)
 
 
-def tried_widths(basemap: Map, known_width: float | None, widths: Sequence[float]) -> Iterator[tuple[float, bool]]:
+def tried_widths(basemap: Map, known_width: float | None, widths: Collection[float]) -> Iterator[tuple[float, bool]]:
     """Yield ground widths to try, and whether each is known: that of the height, that of the frames before, or a range."""
     if known_width is not None:
         yield known_width, True
@@ -552,7 +544,7 @@ def tried_widths(basemap: Map, known_width: float | None, widths: Sequence[float
         yield known_width, False
         return
     if widths:  # a flight that climbs or sinks moves away from it, so it is no more than a start
-        yield float(np.median(widths[-_LATEST:])), False
+        yield float(np.median(list(widths))), False
     largest = 0.8 * min(basemap.bounds[2] - basemap.bounds[0], basemap.bounds[3] - basemap.bounds[1])
     width = min(largest, 400.0)
     for _ in range(4):
@@ -564,26 +556,26 @@ def _record(
     frame: Frame,
     size: tuple[int, int],
     registration: Registration,
-    reach: float | None,
+    how: str,
     solved: CameraPose | str,
     placed: bool,
     tried: float | None,
     details: MatchedDetails | None,
+    alone: bool,
 ) -> StageRecord:
     """Return the record of a registration.
 
     Args:
-        reach: half the side of the square about the tag that was searched; None if none was.
+        how: sentences about the search, each with a space before it.
         solved: the pose of the camera, or why there is none.
         placed: whether the pose may give the position. On flat ground that of a photo from nearly straight above is worse than
             the middle of its picture.
         tried: the pitch in degrees at which the photo was levelled, without one in its file; None if it was not.
+        alone: whether it was registered as a photo of no flight.
     """
-    how = ""
-    if reach is not None:
-        how = f" The search used the GPS tag: it saw the map in a square of {2 * reach:.0f} m about it."
+    code, numbers = registration.refusal or Reason("")
     if registration.centre is None or registration.homography is None:
-        return StageRecord("refused", registration.reason + how)
+        return StageRecord("refused", how.strip(), code=code, numbers=numbers)
     place, radius = registration.centre, registration.radius
     if (below := camera_place(frame, size, registration)) is not None:
         place, radius = below
@@ -595,7 +587,7 @@ def _record(
         heading = solution.heading
     elif solution is not None and camera:
         by_tilt = "Its place rests on the tilt in the photo's file, which is surer than that of this pose."
-    sentence = registration.reason
+    sentence = ""
     if registration.accepted:
         agreed = (
             f"{registration.inliers} details matched by {registration.matcher} agree on {_AGREED[registration.model]}."
@@ -607,7 +599,7 @@ def _record(
         sentence = " ".join(part for part in (agreed, levelled, registration.turn_sentence, told, by_tilt) if part)
     return StageRecord(
         "accepted" if registration.accepted else "refused",
-        sentence + how,
+        (sentence + how).strip(),
         float(place[0]),
         float(place[1]),
         camera,
@@ -620,6 +612,9 @@ def _record(
         pose=solution,
         middle_radius=registration.radius if camera else None,
         details=details,
+        code=code,
+        numbers=numbers,
+        alone=registration.accepted and alone,
     )
 
 

@@ -17,8 +17,9 @@ import numpy.typing as npt
 
 from lpn.core.arrays import BoolArray, Float32Array, Float64Array, Int64Array, UInt8Array
 from lpn.core.homography import apply_homography, middle_pixel, translation
-from lpn.core.numbers import distance, wrap_degrees
+from lpn.core.numbers import wrap_degrees
 from lpn.flight.locate.matchers import Complex, Features, Matcher, mutual_within
+from lpn.flight.locate.words import Reason
 
 # Residuals up to this share of the ground width are inliers of a similarity. Tilt and relief of a flight at 50 m cause as much.
 _RADIUS = 0.015
@@ -28,7 +29,7 @@ _REACH = 0.1
 _TIGHT = 0.5
 # A width is plausible within this factor of the expected one, or of the tried one if none is expected.
 _WIDTH_FACTOR = 1.35
-_FREE_FACTOR = 2.0
+FREE_FACTOR = 2.0
 # Degrees by which the heading found may differ from a known one, or from that known one turned by 180.
 _HEADING_TOLERANCE = 40.0
 # Support is the sum of 1 - (residual / radius)^2 over the inliers, less what chance would give.
@@ -144,8 +145,7 @@ class Registration:
     """A photo laid over the map, or the reason why it is not.
 
     Attributes:
-        accepted: whether the position may be used.
-        reason: why it was refused, as a sentence; "" if it was accepted.
+        refusal: why it was refused; None if it was accepted.
         matcher: the name of the matcher.
         model: "similarity" or "homography".
         matches, inliers: guided matches, and those that agree with the model.
@@ -160,8 +160,7 @@ class Registration:
         matched: the matches, of which `inliers` agree; None where nothing was matched.
     """
 
-    accepted: bool
-    reason: str
+    refusal: Reason | None
     matcher: str
     model: str = "similarity"
     matches: int = 0
@@ -175,6 +174,16 @@ class Registration:
     covariance: Float64Array | None = None
     places: tuple[Similarity, ...] = ()
     matched: Matched | None = None
+
+    @property
+    def accepted(self) -> bool:
+        """True if the position may be used."""
+        return self.refusal is None
+
+    @property
+    def reason(self) -> str:
+        """Why it was refused, as a sentence; "" if it was accepted."""
+        return "" if self.refusal is None else self.refusal.sentence
 
     @property
     def radius(self) -> float | None:
@@ -260,11 +269,11 @@ def register(
         valid: pixels of the photo that show ground, (H, W); None for all.
     """
     tried = [expected.width] if expected.width else list(widths)
-    factor = _WIDTH_FACTOR if expected.width else _FREE_FACTOR
+    factor = _WIDTH_FACTOR if expected.width else FREE_FACTOR
     if not tried:
         raise ValueError("a width is needed, expected or to be tried")
     if len(ground.points) < 8:
-        return Registration(False, "The map has no detail where the photo may be.", matcher.name)
+        return Registration(Reason("no detail"), matcher.name)
     seeds: list[_Seed] = []
     known: dict[_Seed, _Candidate] = {}
     chosen: list[_Seed] = []
@@ -272,7 +281,7 @@ def register(
     at_given: _Candidate | None = None
     rival = _Rival()
     for turns, heading in _turns(matcher, expected):
-        if heading is None and expected.heading is not None and best is not None and not _doubt(best, runner_up):
+        if heading is None and expected.heading is not None and best is not None and _doubt(best, runner_up) is None:
             at_given, rival = best, runner_up
         for width in tried:
             for turn in turns:
@@ -292,7 +301,7 @@ def register(
         elif at_given.support > runner_up.support:
             runner_up = _Rival(at_given.support, at_given.b)
     if best is None:
-        return Registration(False, "Fewer than four features of the photo match the map.", matcher.name)
+        return Registration(Reason("no match"), matcher.name)
     others = (known[seed] for seed in chosen if known[seed] is not best)
     places = tuple(Similarity(candidate.a, candidate.b) for candidate in (best, *others))
     matched = Matched(best.u, best.m, ground, best.radius, best.seen)
@@ -333,9 +342,8 @@ def contested(
         for place in (own, *others)
     )
     at = int(np.argmax(others_support))
-    if not (reason := _rivalled(support, own.b, _Rival(others_support[at], others[at].b))):
-        return answer
-    return replace(answer, accepted=False, reason=reason, support=support)
+    refusal = _rivalled(support, own.b, _Rival(others_support[at], others[at].b))
+    return answer if refusal is None else replace(answer, refusal=refusal, support=support)
 
 
 def proven(
@@ -359,8 +367,7 @@ def proven(
     least = MIN_SUPPORT * (2 + len(others))
     if support >= least:
         return answer
-    reason = f"Its best place has a support of {support:.0f}, and a photo of anywhere needs {least:.0f}."
-    return replace(answer, accepted=False, reason=reason)
+    return replace(answer, refusal=Reason("anywhere", {"support": support, "needed": least}))
 
 
 def _support_at(
@@ -376,7 +383,11 @@ def _support_at(
 
 @dataclass(frozen=True, eq=False)
 class _Candidate:
-    """A similarity with its guided matches: photo points u, map points m, both (M,) complex, and its support."""
+    """A similarity with its guided matches: photo points u, map points m, both (M,) complex.
+
+    Attributes:
+        support: of the matches of the last round within the whole reach, `matches` in number.
+    """
 
     seen: _Described
     a: complex
@@ -384,6 +395,7 @@ class _Candidate:
     u: Complex
     m: Complex
     support: float
+    matches: int
 
     @property
     def radius(self) -> float:
@@ -533,17 +545,17 @@ def _guided(seed: _Seed, ground: Ground) -> _Candidate:
     near = np.abs(ground.points - (b.real, b.imag)).max(axis=1) < 0.8 * abs(a)
     places = (ground.points[near] @ (1, 1j)).astype(np.complex128)
     u = m = np.zeros(0, np.complex128)
-    support = 0.0
+    support, matches = 0.0, 0
     if len(places) < 4:
-        return _Candidate(seen, a, b, u, m, support)
+        return _Candidate(seen, a, b, u, m, support, matches)
     features = ground.descriptors[near]
     for reach in (_REACH, _REACH, _REACH / 2):
         pairs = mutual_within(a * seen.u + b, places, reach * abs(a), seen.features.descriptors, features)
         u, m = seen.u[pairs[:, 0]], places[pairs[:, 1]]
         a, b = _fitted(a, b, u, m)
         if reach == _REACH:
-            support = _counted(a, b, u, m, reach)
-    return _Candidate(seen, a, b, u, m, support)
+            support, matches = _counted(a, b, u, m, reach), len(u)
+    return _Candidate(seen, a, b, u, m, support, matches)
 
 
 def _fitted(a: complex, b: complex, u: Complex, m: Complex) -> tuple[complex, complex]:
@@ -584,10 +596,8 @@ def _concluded(
     centre, heading, ground_width = pose(full, width, height)
     turn = turn_between(expected.heading, heading)
     covariance = _covariance(homography, model, best, inliers, complex(*centre))
-    reason = _refusal(best, runner_up, inliers, ground_width, centre, turn, bounds)
     return Registration(
-        not reason,
-        reason,
+        _refusal(best, runner_up, inliers, ground_width, centre, turn, bounds),
         matcher.name,
         model,
         len(best.u),
@@ -665,28 +675,23 @@ def _covariance(
     return variance * spread + np.outer(between, between)
 
 
-def _doubt(best: _Candidate, runner_up: _Rival) -> str:
-    """Return why the support is too low for a place, as a sentence; "" if it is not."""
+def _doubt(best: _Candidate, runner_up: _Rival) -> Reason | None:
+    """Return why the support is too low for a place; None if it is not."""
     if best.support < MIN_SUPPORT:
-        return (
-            f"Only {max(best.support, 0):.0f} of {len(best.u)} matches agree on a place beyond chance, and {MIN_SUPPORT:.0f} are "
-            "needed."
-        )
+        support = max(best.support, 0.0)
+        return Reason("support", {"support": support, "matches": best.matches, "needed": MIN_SUPPORT})
     return _rivalled(best.support, best.b, runner_up)
 
 
-def _rivalled(support: float, b: complex, rival: _Rival) -> str:
-    """Return that another place has nearly as much support, as a sentence; "" if it has not.
+def _rivalled(support: float, b: complex, rival: _Rival) -> Reason | None:
+    """Return that another place has nearly as much support; None if it has not.
 
     Args:
         b: the place, see `_Rival`.
     """
     if support >= MIN_RATIO * rival.support:
-        return ""
-    return (
-        f"Two places of the map fit the photo, so neither counts: beyond chance, {support:.0f} details agree with the one, "
-        f"and {rival.support:.0f} with the other, {distance(abs(rival.b - b))} away."
-    )
+        return None
+    return Reason("rival", {"support": support, "other": rival.support, "metres": abs(rival.b - b)})
 
 
 def _refusal(
@@ -697,24 +702,21 @@ def _refusal(
     centre: Float64Array,
     turn: float | None,
     bounds: tuple[float, float, float, float] | None,
-) -> str:
-    """Return why a registration is refused, as a sentence; "" if it is not."""
-    if reason := _doubt(best, runner_up):
-        return reason
-    if turn is not None and abs(turn) > _FAR_TURN and best.support < _FAR_SUPPORT * MIN_SUPPORT:
-        return (
-            f"The picture would be turned by {abs(turn):.0f} degrees against its heading, which needs a support of "
-            f"{_FAR_SUPPORT * MIN_SUPPORT:.0f}, and this place has {best.support:.0f}."
-        )
+) -> Reason | None:
+    """Return why a registration is refused; None if it is not."""
+    if (refusal := _doubt(best, runner_up)) is not None:
+        return refusal
+    needed = _FAR_SUPPORT * MIN_SUPPORT
+    if turn is not None and abs(turn) > _FAR_TURN and best.support < needed:
+        return Reason("turned far", {"degrees": abs(turn), "needed": needed, "support": best.support})
     if (cells := _cells(best.u[inliers])) < MIN_CELLS:
-        count = int(inliers.sum())
-        return f"All {count} agreeing matches lie in {cells} of {_GRID**2} cells of the photo, too few to trust its centre."
+        return Reason("cells", {"inliers": int(inliers.sum()), "cells": cells, "all": _GRID**2})
     margin = _OFF_MAP * width
     if bounds is not None and not (
         bounds[0] - margin <= centre[0] <= bounds[2] + margin and bounds[1] - margin <= centre[1] <= bounds[3] + margin
     ):
-        return "The centre of the photo would lie off the map."
-    return ""
+        return Reason("off the map")
+    return None
 
 
 def _cells(u: Complex) -> int:

@@ -148,26 +148,27 @@ class SequenceResult:
         radii: 1-sigma radius in metres of each posterior, all windows included, about that position, (T,) float64.
         likeliest: window of the greatest posterior, all headings together, (T,) int64.
         first: windows that `keep` of `smooth` chose by each posterior, all headings together; of each frame (K,) int64.
-        probabilities: the posterior of `likeliest`, (T,) float64.
         headings: the likeliest heading in that window in degrees, (T,) float64; NaN where none is known.
         nearby: posterior of all places near the position, (T,) float64.
         beyond: posterior of all places beyond the map that are not near the position, (T,) float64.
         own: window of each frame's best score, (T,) int64.
         moved: metres from that window to `positions`, (T,) float64.
-        log_likelihood: log of the probability of the scores.
     """
 
     positions: Float64Array
     radii: Float64Array
     likeliest: Int64Array
     first: list[Int64Array]
-    probabilities: Float64Array
     headings: Float64Array
     nearby: Float64Array
     beyond: Float64Array
     own: Int64Array
     moved: Float64Array
-    log_likelihood: float
+
+    def point(self, frame: int) -> SequencePoint:
+        """Return where a frame was taken."""
+        values = self.radii, self.headings, self.nearby, self.beyond
+        return SequencePoint(self.positions[frame], *(float(of_frames[frame]) for of_frames in values))
 
     def sentence(self, frame: int) -> str:
         """Say how far the place lies from the frame's own answer; the sentence holds for a refused place, too."""
@@ -308,31 +309,24 @@ def smooth(
         InputError: if the shapes do not fit.
     """
     chain = _Chain(log_emissions, _Steps(headings, places, times, motion, beyond))
-    gained: dict[int, float] = {}
-
-    def ahead(t: int, before: Float64Array | None) -> Float64Array:
-        belief, gained[t] = chain.forward(t, before)
-        return belief
-
     frames, states = len(headings), len(places)
     windows = states - beyond
-    positions, radii, probabilities, nearby, outside, found_headings = (
+    positions, radii, nearby, outside, found_headings = (
         np.empty((frames, 2)),
-        *(np.empty(frames) for _ in range(5)),
+        *(np.empty(frames) for _ in range(4)),
     )
     likeliest, own = np.empty(frames, np.int64), np.empty(frames, np.int64)
     first: list[Int64Array] = []
     behind = np.ones((states, len(headings[-1])))
-    for t, forward in _backwards(ahead, frames):
+    for t, forward in _backwards(lambda t, before: chain.forward(t, before)[0], frames):
         if t < frames - 1:
             behind = chain.step(t).pull(behind * chain.emission(t + 1)[0])
             behind /= behind.max()
         joint = forward * behind
         joint /= joint.sum()
         shares = joint[:windows].sum(axis=1)
-        best = likeliest[t] = shares.argmax()
+        likeliest[t] = shares.argmax()
         first.append(keep(shares))
-        probabilities[t] = shares[best]
         point = _point(joint, places, headings[t], near, beyond)
         positions[t], radii[t], found_headings[t], nearby[t], outside[t] = point
         own[t] = log_emissions(t)[:windows].max(axis=1).argmax()
@@ -341,13 +335,11 @@ def smooth(
         radii,
         likeliest,
         first[::-1],
-        probabilities,
         found_headings,
         nearby,
         outside,
         own,
         np.linalg.norm(positions - places[own], axis=1),
-        sum(gained.values()),
     )
 
 
@@ -386,16 +378,17 @@ class ForwardFilter:
     """The forward half of forward-backward, frame by frame, for a flight that goes on: it knows no frame to come.
 
     Args:
-        places: centres of the windows in metres, (N, 2).
+        places: centres of the windows, and places beyond the map behind them, in metres, (N + B, 2).
         motion: how the flight moves.
+        beyond: number of places beyond the map, B.
 
     Attributes:
-        belief: probability of each place at each heading, (N, K), given all that was weighed; None before the first frame.
+        belief: probability of each place at each heading, (N + B, K), given all that was weighed; None before the first frame.
         headings: of the belief in degrees, (K,); NaN, as the only one, where none is known.
     """
 
-    def __init__(self, places: Float64Array, motion: MotionModel) -> None:
-        self._places, self._motion, self._grid = places, motion, _Grid(places)
+    def __init__(self, places: Float64Array, motion: MotionModel, beyond: int = 0) -> None:
+        self._places, self._motion, self._grid, self._beyond = places, motion, _Grid(places, beyond), beyond
         self.belief: Float64Array | None = None
         self.headings = np.array([math.nan])
 
@@ -415,7 +408,7 @@ class ForwardFilter:
         self.headings = headings
 
     def weigh(self, log_likelihoods: Float64Array) -> None:
-        """Multiply the belief by likelihoods, whose logs are (N, K) or (N, 1), and normalise it."""
+        """Multiply the belief by likelihoods, whose logs are (N + B, K) or (N + B, 1), and normalise it."""
         assert self.belief is not None
         joint = self.belief * np.exp(log_likelihoods - log_likelihoods.max())
         self.belief = joint / joint.sum()
@@ -423,7 +416,7 @@ class ForwardFilter:
     def point(self, near: float) -> SequencePoint:
         """Return where the drone is; `near` is as for `smooth`."""
         assert self.belief is not None
-        return _point(self.belief, self._places, self.headings, near, 0)
+        return _point(self.belief, self._places, self.headings, near, self._beyond)
 
 
 def usual_step(times: npt.ArrayLike) -> float:

@@ -88,7 +88,7 @@ def enter_corrections(basemap: Map, frames: list[LocatedFrame], corrections: Map
         centre, heading, width = pose(matrix, *size)
         turn = turn_between(frame.heading, heading)
         laid = Registration(
-            True, "", BY_HAND, "homography", 0, 0, 0.0, matrix, centre, heading, width, turn, np.zeros((2, 2))
+            None, BY_HAND, "homography", 0, 0, 0.0, matrix, centre, heading, width, turn, np.zeros((2, 2))
         )
         below = camera_place(frame, size, laid)
         x, y = (centre if below is None else below[0]).tolist()

@@ -28,7 +28,6 @@ from lpn.flight.locate.located import (
     StageRecord,
     TrackState,
     checked_beside_middle,
-    short_reason,
 )
 from lpn.flight.maps import Map
 
@@ -179,7 +178,8 @@ def _point(
     elif stage == "registration" and answer.accepted:
         values["checked_beside_middle"] = checked_beside_middle(answer)
     moment = _moment(frame.time)
-    reason, note = short_reason(located.by_hand_sentence if stage == BY_HAND else answer.sentence)
+    told_by = StageRecord(answer.state, located.by_hand_sentence) if stage == BY_HAND else answer
+    reason, note = told_by.reason_and_note
     values |= {
         "radius_on_map_m": answer.radius_on_map,
         "radius_on_earth_m": answer.radius if answer.on_earth else None,

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import msgspec
@@ -72,6 +73,20 @@ def test_the_middle_of_a_picture_may_be_moved_by_an_unknown_tilt() -> None:
     assert [one.other for one in disagreements([located(tag=None, **both)])] == ["sequence"]
 
 
+@pytest.mark.parametrize(
+    ("pitch", "metres", "doubted"),
+    [(-50.0, 83.9, False), (-50.0, 83.9 + 60.0, True), (-50.0, 0.0, True), (-20.0, 200.0, False), (None, 83.9, True)],
+)
+def test_a_tag_is_compared_with_the_place_below_a_camera_of_known_tilt(
+    pitch: float | None, metres: float, doubted: bool
+) -> None:
+    """From 100 m a camera that looks 40 degrees ahead shows ground that lies 83.9 m before it; beyond 60 it may be anywhere."""
+    frame = replace(FRAME, pitch=pitch, roll=0.0)
+    answer = msgspec.structs.replace(registration(metres, camera=False), heading=90.0)
+    found = disagreements([LocatedFrame(frame, TAG, {"registration": answer})])
+    assert bool(found) == doubted
+
+
 def test_answers_that_were_refused_or_not_verified_contradict_nothing() -> None:
     retrieval = StageRecord("not verified", "", 500.0, 0.0)
     far = StageRecord("refused", "", 500.0, 0.0, radius=1.0)
@@ -109,11 +124,11 @@ def test_a_tag_outweighs_the_sequence() -> None:
 
 
 def test_places_beside_the_middle_that_lie_elsewhere_on_the_map_contradict_the_registration() -> None:
-    def judged(*metres: float, radius: float = 5.0) -> tuple[bool | None, str]:
+    def judged(*metres: float, radius: float = 5.0, middle: float | None = None) -> tuple[bool | None, str]:
         agreement = MapAgreement([(0.1, 0.1, one, 0.0) for one in metres], 20.0)
         # The map's place on earth has an error of 4 m, which moves photo and map alike: 3 m are left.
         answer = msgspec.structs.replace(
-            registration(3.0, radius=radius), place_error=4.0, map_error=4.0, agreement=agreement
+            registration(3.0, radius=radius), place_error=4.0, map_error=4.0, agreement=agreement, middle_radius=middle
         )
         one = located(registration=answer, sequence=sequence(5.0))
         verdict = belief(one, disagreements([one]))
@@ -124,6 +139,7 @@ def test_places_beside_the_middle_that_lie_elsewhere_on_the_map_contradict_the_r
     assert judged(9.1, 9.1, 9.2) == doubted
     assert judged(15.0, 15.0) == (True, "Placed by its details"), "two places tell too little"
     assert judged(15.0, 15.0, 15.0, radius=9.0)[0], "the radius holds it"
+    assert judged(15.0, 15.0, 15.0, radius=9.0, middle=5.0) == doubted, "the error of the tilt moves no ground"
     assert judged(16.0, 14.0, 15.0, 0.1) == doubted, "one place that agrees does not help"
 
 

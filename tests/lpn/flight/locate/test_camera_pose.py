@@ -26,8 +26,10 @@ from lpn.flight.locate.matchers import Matcher, SiftMatcher
 from lpn.flight.locate.options import LocateOptions
 from lpn.flight.locate.pipeline import locate
 from lpn.flight.locate.pose_errors import pose_errors
+from lpn.flight.locate.registered_stage import Before
 from lpn.flight.locate.registration import Expectation, Ground, Registration, register
 from lpn.flight.locate.tracks import full_track
+from lpn.flight.locate.words import Reason
 from lpn.flight.maps import Map, open_map
 from lpn.flight.maps.elevation import ElevationFile
 from lpn.flight.maps.folder import build_map
@@ -235,12 +237,12 @@ def test_a_photo_that_tells_no_tilt_is_levelled_at_tilts_that_are_tried(
     ) -> Registration:
         if rest[-1] is not None:
             return register(matcher, photo, ground, expected, *rest)
-        return Registration(False, "It fits nowhere.", "SIFT", support=rival, centre=np.array([90.0, 90.0]))
+        return Registration(Reason("no match"), "SIFT", support=rival, centre=np.array([90.0, 90.0]))
 
     monkeypatch.setattr(registered_stage, "register", register_levelled)
     frame = Frame("a.png", tmp_path / "a.png", *SIZE, height_above_ground=80.0, heading=heading, fov=FOV)
     features = [MapFeatures(town, SiftMatcher())]
-    answer = registered_stage.register_frame(town, features, LocatedFrame(frame, None), LocateOptions(), [], [], None)
+    answer = registered_stage.register_frame(town, features, LocatedFrame(frame, None), LocateOptions(), Before(), None)
     # Another place that a photo fits as well with another tilt is a rival.
     assert answer.accepted == (rival == 0)
     if answer.accepted:
@@ -249,4 +251,4 @@ def test_a_photo_that_tells_no_tilt_is_levelled_at_tilts_that_are_tried(
         assert answer.pose.pitch == pytest.approx(pitch, abs=0.5)
         assert np.linalg.norm([answer.pose.east - place[0], answer.pose.north - place[1]]) < 1.0
     else:
-        assert answer.sentence == "It fits nowhere."
+        assert answer.code == "no match"

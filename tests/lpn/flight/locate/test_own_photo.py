@@ -51,10 +51,16 @@ def test_a_photo_of_which_nothing_is_known_is_placed_by_its_details(town: Map, f
     assert progress[0] == (0, 4)
 
 
-def test_a_photo_of_another_land_is_refused(town: Map, features: list[MapFeatures]) -> None:
-    own = register_own_photo(town, features, photo(of=1), FLOWN, [])
-    assert not own.answer.accepted
-    assert own.answer.sentence
+@pytest.mark.parametrize(
+    ("frame", "tried"),
+    [(FLOWN, ""), (None, "Nothing tells how much ground it shows, so 9 to 246 m across were tried.")],
+)
+def test_a_photo_of_another_land_is_refused(
+    town: Map, features: list[MapFeatures], frame: Frame | None, tried: str
+) -> None:
+    own = register_own_photo(town, features, photo(of=1), frame, [])
+    assert (own.answer.state, own.answer.finding) == ("refused", tried)
+    assert own.answer.reason_and_note[0]
 
 
 @pytest.mark.slow
@@ -86,7 +92,7 @@ def test_all_matchers_together_must_support_a_photo_of_anywhere(
 ) -> None:
     supports = iter(others)
     monkeypatch.setattr(registration, "_support_at", lambda *_: next(supports))
-    of_flight = Registration(True, "", "XFeat", support=own, places=(Similarity(70 + 0j, 20 - 30j),))
+    of_flight = Registration(None, "XFeat", support=own, places=(Similarity(70 + 0j, 20 - 30j),))
     nothing = Ground(np.zeros((0, 2)), np.zeros((0, 1), np.float32), 1.0)
     answer = registration.proven(of_flight, photo(), [(SiftMatcher(), nothing) for _ in others])
     assert answer.accepted == accepted

@@ -89,7 +89,7 @@ def test_a_place_at_another_heading_replaces_one_with_little_support_and_does_no
         return [registration._Seed(seen, 80 + 0j, complex(x), supports[x]) for x in places]  # type: ignore[arg-type]
 
     def guided(seed: registration._Seed, _: Ground) -> registration._Candidate:
-        return registration._Candidate(seed.seen, seed.a, seed.b, u, seed.a * u + seed.b, seed.support)
+        return registration._Candidate(seed.seen, seed.a, seed.b, u, seed.a * u + seed.b, seed.support, len(u))
 
     monkeypatch.setattr(registration, "_seeds", seeds)
     monkeypatch.setattr(registration, "_guided", guided)
@@ -112,7 +112,7 @@ def test_a_heading_far_from_the_expected_one_needs_twice_the_support(
         return [registration._Seed(arguments[1], 80 + 0j, 0j, support)]  # type: ignore[arg-type]
 
     def guided(seed: registration._Seed, _: Ground) -> registration._Candidate:
-        return registration._Candidate(seed.seen, seed.a, seed.b, u, seed.a * u + seed.b, seed.support)
+        return registration._Candidate(seed.seen, seed.a, seed.b, u, seed.a * u + seed.b, seed.support, len(u))
 
     monkeypatch.setattr(registration, "_seeds", seeds)
     monkeypatch.setattr(registration, "_guided", guided)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 import tracemalloc
 from collections.abc import Sequence
 from dataclasses import replace
@@ -22,6 +23,7 @@ from lpn.flight.locate.sequence import (
     FINER,
     SPEEDS,
     TEMPERATURES,
+    ForwardFilter,
     MotionModel,
     SequenceResult,
     _Grid,
@@ -122,7 +124,7 @@ def _random(seed: int, headings: Sequence[np.ndarray], scale: float = 1.0) -> li
 @pytest.mark.parametrize("motion", [MOTION, PAUSED])
 def test_posteriors_are_those_of_all_paths(motion: MotionModel, headings: list[np.ndarray]) -> None:
     emitted = [emissions(one, temperature=0.5, floor=0.01) for one in _random(0, headings)]
-    shares, total = _brute(emitted, headings, TIMES, motion)
+    shares, _ = _brute(emitted, headings, TIMES, motion)
     posterior = np.array([one.sum(axis=1) for one in shares])
     found = smooth(
         emitted.__getitem__, headings, PLACES, TIMES, motion, keep=lambda one: np.argsort(-one, kind="stable")[:3]
@@ -130,10 +132,10 @@ def test_posteriors_are_those_of_all_paths(motion: MotionModel, headings: list[n
     np.testing.assert_array_equal(found.first, np.argsort(-posterior, axis=1, kind="stable")[:, :3])
     np.testing.assert_allclose(found.positions, posterior @ PLACES, rtol=1e-9)
     np.testing.assert_array_equal(found.likeliest, posterior.argmax(axis=1))
-    np.testing.assert_allclose(found.probabilities, posterior.max(axis=1), rtol=1e-9)
     best = [own[one[i].argmax()] for own, one, i in zip(headings, shares, found.likeliest, strict=True)]
     np.testing.assert_array_equal(found.headings, best)
-    assert found.log_likelihood == pytest.approx(total, rel=1e-12)
+    at_one = smooth(emitted.__getitem__, headings, PLACES, TIMES, motion, near=1e-6)
+    np.testing.assert_allclose(at_one.nearby, posterior.max(axis=1), rtol=1e-9)
     np.testing.assert_allclose(found.nearby, 1)
     spread = posterior @ (PLACES**2).sum(axis=1) - ((posterior @ PLACES) ** 2).sum(axis=1)
     np.testing.assert_allclose(found.radii, np.sqrt(spread / 2), rtol=1e-6, atol=1e-6)
@@ -145,16 +147,25 @@ def test_places_beyond_the_map_are_states_of_all_paths_and_no_positions(headings
     for one in emitted:
         np.testing.assert_allclose(np.exp(one[3:]) * 3 * one.shape[1], np.exp(1.5 * 0.8))
         assert np.exp(one[:3]).sum() == pytest.approx(1)
-    shares, total = _brute(emitted, headings, TIMES, PAUSED, 2)
+    shares, _ = _brute(emitted, headings, TIMES, PAUSED, 2)
     posterior = np.array([one.sum(axis=1) for one in shares])
     found = smooth(emitted.__getitem__, headings, PLACES, TIMES, PAUSED, 50.0, beyond=2)
-    assert found.log_likelihood == pytest.approx(total, rel=1e-12)
     np.testing.assert_array_equal(found.likeliest, posterior[:, :3].argmax(axis=1))
-    np.testing.assert_allclose(found.probabilities, posterior[:, :3].max(axis=1), rtol=1e-9)
     far = np.linalg.norm(PLACES - found.positions[:, None], axis=2) > 50
     np.testing.assert_allclose(found.beyond, (posterior * far)[:, 3:].sum(axis=1), rtol=1e-9)
     np.testing.assert_allclose(found.nearby, (posterior * ~far).sum(axis=1), rtol=1e-9)
     assert found.beyond.max() > 0.01
+
+
+@pytest.mark.parametrize("headings", FLIGHTS)
+def test_a_flight_that_goes_on_knows_of_its_last_frame_as_much_as_a_whole_one(headings: list[np.ndarray]) -> None:
+    emitted = [emissions(one[:3], 0.5, 0.01, 2, 0.8) for one in _random(4, headings)]
+    whole = smooth(emitted.__getitem__, headings, PLACES, TIMES, PAUSED, 50.0, beyond=2)
+    forward = ForwardFilter(PLACES, PAUSED, 2)
+    for elapsed, of_frame, logs in zip([math.nan, *np.diff(TIMES)], headings, emitted, strict=True):
+        forward.predict(elapsed, of_frame)
+        forward.weigh(logs)
+    np.testing.assert_allclose(np.hstack(forward.point(50.0)), np.hstack(whole.point(len(TIMES) - 1)), rtol=1e-9)
 
 
 def test_frames_without_evidence_do_not_speak_for_leaving_the_map() -> None:
@@ -189,10 +200,9 @@ def test_steps_of_unknown_time_go_anywhere_and_turn_anywhere() -> None:
     headings = [MIXED[1], MIXED[2]]
     times = np.array([0.0, np.nan])
     emitted = [emissions(one) for one in _random(5, headings)]
-    shares, total = _brute(emitted, headings, times)
-    found = smooth(emitted.__getitem__, headings, PLACES, times, MOTION)
-    assert found.log_likelihood == pytest.approx(total, rel=1e-12)
-    np.testing.assert_allclose(found.probabilities, [one.sum(axis=1).max() for one in shares], rtol=1e-9)
+    shares, _ = _brute(emitted, headings, times)
+    found = smooth(emitted.__getitem__, headings, PLACES, times, MOTION, near=1e-6)
+    np.testing.assert_allclose(found.nearby, [one.sum(axis=1).max() for one in shares], rtol=1e-9)
 
 
 def test_coordinates_that_names_rounded_to_a_centimetre_are_one() -> None:
@@ -247,12 +257,12 @@ def test_headings_tell_two_equal_places_apart() -> None:
         of_frame[[20 + 2 * t, 20 - 2 * t], 1] = 1.0
     headings = [turns] * 9
     motion = MotionModel(5.0, 10.0, along=ALONG)
-    found = smooth(lambda t: emissions(scores[t], 0.1), headings, places, times, motion)
+    found = smooth(lambda t: emissions(scores[t], 0.1), headings, places, times, motion, near=1e-6)
     np.testing.assert_array_equal(found.headings, 90)
     np.testing.assert_array_equal(found.likeliest, 20 + 2 * np.arange(9))
-    assert found.probabilities.min() > 0.9
-    anywhere = smooth(lambda t: emissions(scores[t], 0.1), headings, places, times, MotionModel(5.0, 10.0))
-    assert anywhere.probabilities[1:].max() < 0.6
+    assert found.nearby.min() > 0.9
+    anywhere = smooth(lambda t: emissions(scores[t], 0.1), headings, places, times, MotionModel(5.0, 10.0), near=1e-6)
+    assert anywhere.nearby[1:].max() < 0.6
 
 
 def test_scores_are_in_units_of_their_frame_and_window() -> None:
@@ -501,7 +511,7 @@ def test_steps_of_like_seconds_and_headings_are_computed_once(monkeypatch: pytes
     made.clear()
     found = smooth(lambda t: emissions(scores[t]), turns, PLACES, times, plain[0])
     assert made == [2.0, 5.0]
-    assert found.log_likelihood == smoothed.log_likelihood
+    np.testing.assert_array_equal(found.positions, smoothed.positions)
     monkeypatch.setattr("lpn.flight.locate.sequence._HELD_STEPS", 0)
     made.clear()
     found = smooth(lambda t: emissions(scores[t]), turns, PLACES, times, plain[0])

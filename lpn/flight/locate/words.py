@@ -1,0 +1,67 @@
+"""The words of refusals: a verdict is a state, a code, and numbers, and this table alone says them.
+
+A name in braces is a number of the verdict, with its format.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Literal, NamedTuple
+
+from lpn.core.numbers import SIGMA
+
+Code = Literal[
+    "", "unread", "no tag", "too large", "no detail", "no match", "support", "rival", "anywhere", "turned far", "cells",
+    "off the map", "wide", "unsure", "beyond", "unproven", "few", "turned", "jump", "unreachable",
+]  # fmt: skip
+
+_EQUAL = "it may be an equal building."
+_WORDS: Mapping[Code, str] = {
+    "no tag": "The photo has no GPS tag to search around; leave --prior out to search the whole map.",
+    "too large": "More than {blocks:.0f} blocks of the map would have to be searched for this photo; give --model, or --prior "
+    "with the metres around the GPS tag.",
+    "no detail": "The map has no detail where the photo may be.",
+    "no match": "Fewer than four features of the photo match the map.",
+    "support": "Only {support:.0f} of {matches:.0f} matches agree on a place beyond chance, and {needed:.0f} are needed.",
+    "rival": "Two places of the map fit the photo, so neither counts: beyond chance, {support:.0f} details agree with the one, "
+    "and {other:.0f} with the other, {metres:,.0f} m away.",
+    "anywhere": "Its best place has a support of {support:.0f}, and a photo of anywhere needs {needed:.0f}.",
+    "turned far": "The picture would be turned by {degrees:.0f} degrees against its heading, which needs a support of "
+    "{needed:.0f}, and this place has {support:.0f}.",
+    "cells": "All {inliers:.0f} agreeing matches lie in {cells:.0f} of {all:.0f} cells of the photo, too few to trust its "
+    "centre.",
+    "off the map": "The centre of the photo would lie off the map.",
+    "wide": f"Its radius of {{radius:.0f}} m ({SIGMA}) is larger than a piece of the map, {{side:.0f}} m wide.",
+    "unsure": "The frame lies within {metres:.0f} m of this place with a probability of {probability:.2f}, and {needed:.2f} are "
+    "needed.",
+    "beyond": "Where the drone can have been, the map resembles this photo and its neighbours too little. By these scores it was "
+    "beyond the map's edge, or so near it that no piece of the map shows the photo whole, with a probability of "
+    "{probability:.2f}.",
+    "unproven": "Nothing shows that the map is of this place: that takes steps along the headings that are more probable than "
+    "others, or registrations that agree with the sequence more often than by chance.",
+    "few": "Only {photos:.0f} of {all:.0f} photos fit this map (different views: {views:.0f}), as by chance on a map of another "
+    "place, and nothing confirms it.",
+    "turned": f"The photo fits the map here, but turned by {{degrees:.1f}}° from where its heading and those of the other frames "
+    f"have it: {_EQUAL}",
+    "jump": "The photo fits the map here, but the drone flies up to {speed:.0f} m/s and would have had to be faster to get here "
+    f"and back: {_EQUAL}",
+    "unreachable": "The photo fits the map here, but the drone hardly can have flown here since the last registered frame: "
+    f"{_EQUAL}",
+}
+
+
+class Reason(NamedTuple):
+    """Why an answer is refused.
+
+    Attributes:
+        code: of the reason.
+        numbers: that its words hold, by name.
+    """
+
+    code: Code
+    numbers: Mapping[str, float] = {}
+
+    @property
+    def sentence(self) -> str:
+        """The reason in words; "" of a code without any."""
+        return _WORDS.get(self.code, "").format(**self.numbers)

@@ -1,0 +1,201 @@
+"""Registrations that a map of another place would have by chance."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+
+from lpn.flight.files import Frame
+from lpn.flight.locate.agreement import MapAgreement
+from lpn.flight.locate.located import LocatedFrame, StageRecord, WindowRecord
+from lpn.flight.locate.map_evidence import ENOUGH, MapEvidence, judge_map
+
+BOUNDS = (-500.0, -500.0, 500.0, 500.0)
+
+
+def flight(
+    places: dict[int, tuple[float, float]], frames: int = 20, tagged: int = 0, tag: tuple[float, float] = (0.0, 0.0)
+) -> list[LocatedFrame]:
+    """Frames of which some are registered at places, as pictures of 60 m, and the first ones have a tag."""
+    made = []
+    for i in range(frames):
+        located = LocatedFrame(Frame(f"{i}", Path("a"), 40, 30), np.array(tag) if i < tagged else None)
+        answer = StageRecord("refused", "Too few.")
+        if i in places:
+            answer = StageRecord("accepted", "It fits.", *places[i], radius=1.0, width=60.0)
+        located.stages["registration"] = answer
+        made.append(located)
+    return made
+
+
+def accepted(frames: list[LocatedFrame]) -> int:
+    return sum(located.stages["registration"].accepted for located in frames)
+
+
+SCATTERED = {i: (97.0 * i % 800 - 400, 231.0 * i % 800 - 400) for i in range(0, 20, 4)}
+TRACK = {i: (40.0 * i, 0.0) for i in range(5)}
+
+
+NEAR = {i: (160.0 * i - 400 + 8, 10.0) for i in range(5)}
+
+
+def tagged(frames: list[LocatedFrame], tags: dict[int, tuple[float, float]], camera: bool = True) -> list[LocatedFrame]:
+    """Give frames tags; a place that is not the camera's may lie 8 m farther from them here."""
+    for i, tag in tags.items():
+        frames[i].tag = np.array(tag)
+        answer = frames[i].stages["registration"]
+        frames[i].stages["registration"] = msgspec.structs.replace(answer, camera=camera)
+    return frames
+
+
+def followed(frames: list[LocatedFrame]) -> list[LocatedFrame]:
+    """Give frames a sequence along the track."""
+    for i, located in enumerate(frames):
+        located.stages["sequence"] = StageRecord("refused", "Near.", 40.0 * i, 0.0, code="unproven")
+    return frames
+
+
+def off(metres: float, agreeing: int) -> list[LocatedFrame]:
+    """Scattered places, of whose tags some lie so many metres off and the others 200."""
+    tags = {i: (x, y + (metres if k < agreeing else 200.0)) for k, (i, (x, y)) in enumerate(SCATTERED.items())}
+    return tagged(flight(SCATTERED), tags)
+
+
+def apart(metres: float) -> list[LocatedFrame]:
+    """Two registered photos of 20 that lie so many metres apart, with tags."""
+    return tagged(flight({3: (0.0, 0.0), 8: (metres, 0.0)}), {3: (0.0, 10.0), 8: (metres, 10.0)})
+
+
+FORGED = {i: (160.0 * i - 400, 0.0) for i in NEAR}
+# A photo without a tag beside each with one, of the same view.
+PAIRS = {2 * i + more: (x + more, y) for i, (x, y) in NEAR.items() for more in (0, 1)}
+
+
+@pytest.mark.parametrize(
+    ("frames", "prior", "side", "kept"),
+    [
+        (flight({}), None, None, 0),
+        # As many as by chance, with tags that merely lie on the map, and more than by chance.
+        (flight(SCATTERED), None, None, 0),
+        (flight(SCATTERED, tagged=20), None, None, 0),
+        (flight({i: (90.0 * i - 400, 400.0 * (i % 2)) for i in range(10)}), None, None, 10),
+        (flight({i: (90.0 * i - 400, 0.0) for i in range(4)}, 5), None, None, 4),
+        (flight({i: (90.0 * i - 400, 0.0) for i in range(3)}, 5), None, None, 0),
+        # Neighbours overlap, but a drone that hovers over what fits by chance shows one view, or the same things.
+        (flight(TRACK), None, None, 5),
+        (flight({i: (14.0 * (i % 2), 0.0) for i in range(20)}), None, None, 0),
+        (flight({i: (16.0 * (i % 2), 0.0) for i in range(20)}), None, None, 0),
+        # A tag has 5 m, and a registration of a camera 1 m here, so that they may lie 15 m apart.
+        (off(14.0, 3), None, None, 5),
+        (off(14.0, 2), None, None, 5),
+        (off(40.0, 5), None, None, 0),
+        # One that agrees proves a large map alone, and on a narrow search it does not.
+        (tagged(flight({0: (0.0, 0.0)}, 8), {0: (3.0, 4.0)}), None, None, 1),
+        (tagged(flight({0: (0.0, 0.0)}, 1), {0: (3.0, 4.0)}), None, None, 1),
+        (tagged(flight({0: (0.0, 0.0)}, 1), {0: (3.0, 4.0)}), 15.0, None, 0),
+        (tagged(flight({0: (0.0, 0.0)}, 1), {0: (300.0, 4.0)}), None, None, 0),
+        # Tags that the search used prove what chance does not: each agrees by chance in every second draw within 15 m.
+        (tagged(flight(NEAR), FORGED, False), None, None, 5),
+        (tagged(flight(NEAR), FORGED, False), 100.0, None, 5),
+        (tagged(flight(NEAR), FORGED, False), 15.0, None, 0),
+        (tagged(flight(TRACK), {i: (40.0 * i, 22.0) for i in TRACK}, False), 15.0, None, 0),
+        (tagged(flight(PAIRS), {2 * i + 1: tag for i, tag in FORGED.items()}), 100.0, None, 10),
+        # Photos of the same things agree once.
+        (apart(24.0), 60.0, None, 0),
+        (apart(40.0), 60.0, None, 2),
+        # Neighbours prove the map only where a model has much ground searched.
+        (followed(flight(TRACK)), None, 50.0, 0),
+        (followed(flight(TRACK)), None, 600.0, 5),
+    ],
+)
+def test_a_map_is_that_of_the_flight_where_all_evidence_together_says_so(
+    frames: list[LocatedFrame], prior: float | None, side: float | None, kept: int
+) -> None:
+    places = accepted(frames)
+    notes = judge_map(frames, MapEvidence(BOUNDS, prior, side))
+    assert accepted(frames) == kept
+    assert len(notes) == (kept < places)
+    refused = [located.stages["registration"] for located in frames if located.stages["registration"].unverified]
+    assert len(refused) == places - kept
+    for answer in refused:
+        assert answer.x is not None
+        assert answer.sentence.startswith(f"Only {places} of {len(frames)} photos fit this map (different views: ")
+        assert answer.sentence.endswith(" It fits.")
+    if notes:
+        assert "check that the map is of the flight's place" in notes[0]
+
+
+def test_a_view_is_known_by_its_middle_and_not_by_the_camera() -> None:
+    frames = flight(dict.fromkeys(range(20), (0.0, 0.0)))
+    for i, located in enumerate(frames):  # the camera turns about its place
+        answer = located.stages["registration"]
+        laid = [1.5, 0.0, 40.0 * i, 0.0, -1.5, 0.0, 0.0, 0.0, 1.0]
+        located.stages["registration"] = msgspec.structs.replace(answer, camera=True, homography=laid)
+    assert judge_map(frames, MapEvidence(BOUNDS)) == []
+
+
+def test_places_that_the_map_contradicts_away_from_their_middle_prove_nothing() -> None:
+    frames = flight(TRACK)
+    misfit = MapAgreement.of(np.full((4, 2), 0.5), np.full((4, 2), 9.0), 20.0)
+    for i in TRACK:
+        answer = frames[i].stages["registration"]
+        frames[i].stages["registration"] = msgspec.structs.replace(answer, agreement=misfit)
+    judge_map(frames, MapEvidence(BOUNDS))
+    assert accepted(frames) == 0
+
+
+@pytest.mark.parametrize("known", ["sequence", "by hand", "alone"])
+def test_an_accepted_sequence_a_correction_and_details_that_suffice_alone_show_the_map(known: str) -> None:
+    frames = flight({0: (0.0, 0.0)})
+    found = StageRecord("accepted", "Found.", 0.0, 0.0, alone=known == "alone")
+    if known == "by hand":
+        frames[3].by_hand = found
+    else:
+        frames[3].stages["sequence" if known == "sequence" else "registration"] = found
+    assert judge_map(frames, MapEvidence(BOUNDS)) == []
+    assert frames[0].stages["registration"].accepted
+
+
+def test_what_the_sequence_holds_back_is_accepted_as_it_was_found() -> None:
+    frames = followed(flight(TRACK))
+    judge_map(frames, MapEvidence(BOUNDS, side=600.0))
+    assert {(one.stages["sequence"].state, one.stages["sequence"].sentence) for one in frames} == {
+        ("accepted", "Near.")
+    }
+
+
+@pytest.mark.parametrize(("ground", "most"), [(60.0, 0), (400.0, 2)])
+def test_false_registrations_about_the_sequence_s_answers_hardly_ever_prove_the_map(ground: float, most: int) -> None:
+    """A fifth of the photos fits anywhere that was searched about a track of the sequence; exp(-3) of 40 flights are 2."""
+    generator, side, half, proven = np.random.default_rng(0), 50.0, ground / 2, 0
+    for _ in range(40):
+        frames = flight({}, frames=60)
+        track = np.cumsum(generator.normal(0.0, 20.0, (60, 2)), axis=0).clip(-half, half)
+        for located, place in zip(frames, track, strict=True):
+            located.stages["sequence"] = StageRecord("refused", "Near.", place[0], place[1], code="unproven")
+            east, north = (place + generator.uniform(-40.0, 40.0, 2)).clip(-half, half)
+            if generator.random() < 0.2:
+                answer = StageRecord("accepted", "By chance.", east, north, radius=1.0, width=60.0)
+                located.stages["registration"] = answer
+        judge_map(frames, MapEvidence((-half, -half, half, half), side=side))
+        proven += accepted(frames) > 0
+    assert proven <= most
+
+
+@pytest.mark.parametrize(("searched", "proven"), [(None, True), (20.0, False)])
+def test_a_search_that_cannot_fail_to_agree_proves_nothing(searched: float | None, proven: bool) -> None:
+    """Photos of 20 m that overlap beside the answers of windows of 99 m, each after one that fits nowhere."""
+    evidence = MapEvidence((-500.0, -500.0, 500.0, 500.0), side=99.0)
+    for i in range(40):
+        located, lost = flight({0: (25.0 * i - 480.0, 3.0)}, 2)
+        located.stages["sequence"] = StageRecord("accepted", "Near.", 25.0 * i - 480.0, 0.0)
+        answer = located.stages["registration"]
+        located.stages["registration"] = msgspec.structs.replace(answer, width=20.0)
+        if searched is None:
+            located.windows = [WindowRecord(east, -400.0, 99.0, 0.0, 0.0, [], []) for east in (-400.0, 400.0)]
+        for one in (located, *[lost] * 6):
+            evidence.add(one, searched)
+    assert (evidence.log_odds > ENOUGH) == proven
