@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from statistics import median
 
 from explorer.flight.service import FlightSnapshot
@@ -77,9 +78,8 @@ def agreement(seen: FlightSnapshot, frame: int, measured: MapAgreement | None) -
 
 
 def _first(text: str) -> str:
-    """Return the first sentence of a text."""
-    first, end, _ = text.partition(". ")
-    return f"{first}." if end else text
+    """Return the first sentence of a text; a full stop within a name, such as IMG. 12.jpg, ends none."""
+    return re.split(r"(?<=\.) (?=[A-Z])", text, maxsplit=1)[0]
 
 
 def _side(across: float, down: float) -> str:
