@@ -324,10 +324,6 @@ def test_queries_without_a_label_and_part_weights_do_not_count(tmp_path: Path) -
         ),
         ("failures FOLDER --map FILE", "file.mp4 is a video or its subtitles; make a flight of it"),
         ("failures FLIGHT", "flight is a flight; give the map under it as --map"),
-        (
-            "failures index",
-            "There is nothing at index; give the path of the source, which says itself what it is: lpn failures SOURCE",
-        ),
         ("failures", "There is no SOURCE; give its path first"),
         ("failures RESULT", "r.mat holds no pictures; give the data set that it was computed on as --data"),
         ("evaluate nowhere", "There is no data set folder at nowhere; check the path."),  # and no model is named first
