@@ -32,14 +32,6 @@ class Count:
 
 
 @dataclass(frozen=True)
-class BrokenPicture:
-    """A picture that cannot be read: its path below the root, and the reason."""
-
-    file: str
-    why: str
-
-
-@dataclass(frozen=True)
 class MissingCounterparts:
     """Places of a list, or queries of a task, without a counterpart: the list or task, their names, and how many there are."""
 
@@ -81,7 +73,7 @@ class DataSetReport:
     counts: tuple[Count, ...]
     looked_at: int
     decoded: bool
-    broken: tuple[BrokenPicture, ...]
+    broken: tuple[LeftOut, ...]
     left_out: tuple[LeftOut, ...]
     lacking: tuple[MissingCounterparts, ...]
     gaps: tuple[MissingCounterparts, ...]
@@ -129,7 +121,7 @@ def check_dataset(dataset: Dataset, decode: bool = True) -> DataSetReport:
         ),
         looked_at=len(files),
         decoded=decode,
-        broken=tuple(BrokenPicture(_below(dataset.root, file), why) for file, why in errors.items()),
+        broken=tuple(LeftOut(_below(dataset.root, file), why) for file, why in errors.items()),
         left_out=(*dataset.left_out, *dataset.unread()),
         lacking=tuple(item for is_gap, item in missing if not is_gap),
         gaps=tuple(item for is_gap, item in missing if is_gap),

@@ -21,7 +21,7 @@ from lpn.core.files import cache_folder, check_writable, printable
 Severity = Literal["OK", "note", "problem"]
 # Modules whose names differ from their packages'.
 _MODULES = {"opencv-python-headless": "cv2", "pillow": "PIL"}
-_LITTLE_MEMORY, _LITTLE_DISK, _MIN_DISK = 1 << 30, 1 << 30, 50 << 20
+_LITTLE_DISK, _MIN_DISK = 1 << 30, 50 << 20
 
 
 @dataclass(frozen=True)
@@ -165,15 +165,6 @@ def _has_nvidia_driver() -> bool:
 
 def _machine() -> Iterator[Finding]:
     yield Finding("cores", "OK", f"{resources.usable_cores()} of {os.cpu_count() or 1} can be used")
-    if (memory := resources.memory()) is None:
-        return
-    total, free = memory
-    message = f"{free / 1e9:.1f} of {total / 1e9:.1f} GB are free"
-    if free < _LITTLE_MEMORY:
-        remedy = "close other programs; the explorer takes about half a GB, trainings more"
-        yield Finding("memory", "note", message, remedy)
-    else:
-        yield Finding("memory", "OK", message)
 
 
 def _cache() -> Iterator[Finding]:

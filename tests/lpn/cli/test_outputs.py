@@ -24,7 +24,6 @@ SEARCH = ["search", "--index", "none", "--model", "none.onnx", "--picture", "a.j
         *((PAIR, "--png", name, ".png") for name in ("out.pdf", "out.svg", "out.jpg", "out")),
         (PAIR, "--json", "why.csv", ".json"),
         (["explain", *MODEL, "--over", "rotation", "--query", "0001/01"], "--csv", "t.json", ".csv"),
-        (["explain", *MODEL, "--over", "rotation", "--query", "0001/01"], "--png", "t.pdf", ".png"),
         (["failures", *MODEL], "--csv", "f.xlsx", ".csv"),
         (["report", *MODEL], "--out", "r.pdf", ".html or .htm"),
         (["models"], "--json", "m.txt", ".json"),

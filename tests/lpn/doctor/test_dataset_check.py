@@ -49,7 +49,7 @@ def test_broken_and_missing_pictures_are_named_and_end_with_status_1(
         status, found = doctor(root, tmp_path, *more)
         assert (status, found["healthy"]) == (1, False)
         assert found["broken"] == [
-            {"file": "test/query_drone/0007/image-01.png", "why": "is cut short or damaged"},
+            {"file": "test/query_drone/0007/image-01.png", "why": "is cut short or damaged", "published": False},
         ]
         assert [(item["name"], item["names"], item["of"]) for item in found["lacking"]] == [
             ("train/drone", ["0002"], 6),
