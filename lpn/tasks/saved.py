@@ -48,16 +48,6 @@ _CLAUSES = ("descriptors as saved",)
 _COLUMNS = {"file", "side", "label", "latitude", "longitude"}
 
 
-def published_task(saved: PublishedResult, dataset: Dataset) -> Task:
-    """Return the task of a published result on its pictures, whose parts have the norms of exact contributions.
-
-    Raises:
-        LPNError: when the data set lacks the result's pictures, or its descriptors do not consist of parts of equal norm.
-    """
-    saved.check_norms()
-    return saved_task(saved, dataset)
-
-
 def saved_task(saved: PublishedResult, dataset: Dataset | None = None) -> Task:
     """Return the task of a published result, whatever its norms; without a data set, labels tell what is true.
 

@@ -49,7 +49,6 @@ SEARCH = ["search", "--index", "none", "--model", "none.onnx", "--picture", "a.j
             "t.pdf",
             ".md, .tex, .csv, .html, or .htm",
         ),
-        (["compare", "none", "--map", "none.tif", "--model", "none.onnx", "other.onnx"], "--page", "page.docx", ".md"),
         (["locate", *FLOWN], "--out", "track.shp", ".geojson, .gpx, .kml, or .csv"),
         (["export", "--model", "none.pth"], "--out", "model.pt", ".onnx"),
     ],
