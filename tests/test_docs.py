@@ -220,7 +220,7 @@ def test_a_command_that_no_parser_takes_is_named_with_its_line_and_the_parsers_s
 ```bash
 python -m lpn train --data ROOT --out run ... [--epochs many]
 lpn evaluate ROOT --model lpn.onnx [--csls K] --task TASK
-lpn evaluate index --index tiles --model lpn.onnx
+lpn evaluate tiles --over rotation --model lpn.onnx
 lpn describe --model lpn.onnx
 lpn evaluate --model lpn.onnx --data ROOT
 lpn compare --model n4.onnx n1.onnx
@@ -237,7 +237,7 @@ lpn explain --model lpn.onnx --query drone.jpg --match tile.jpg
     assert "--learning-speed" in found[0]
     assert "lpn has no command 'exploit'" in found[1]
     assert "--epochs" in found[2]
-    assert "the source, which says itself what it is: lpn evaluate SOURCE" in found[3]
+    assert "--over" in found[3]
     assert "--out" in found[4]
     assert all(text.endswith("there is no SOURCE") for text in found[5:])
     assert unknown_options(

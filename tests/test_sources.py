@@ -81,7 +81,7 @@ def options(
             *arrays[1],
         ],
         ("compare", "index"): [index, folder / "again", "--data", data, *model],
-        ("compare", "flight"): [*flown, *model, one_part_model_file, "--page", folder / "page.html"],
+        ("compare", "flight"): [*flown, *model, one_part_model_file],
         ("evaluate", "published"): [saved, "--n-parts", "4"],
         ("explore", "flight"): [*flown, *model, "--no-register"],
     }
@@ -94,12 +94,10 @@ def options(
 
 def _output(command: str, source: str, folder: Path) -> tuple[list[str], Path]:
     """Return further options of a command, and the file that they make it write."""
-    # A flight's comparison writes a page, which has tables of its own.
-    table = [] if source == "flight" else ["--table", str(folder / "table.md")]
     query = {"flight": "05.png", "arrays": "0009/image-01"}.get(source, "0009")
     return {
         "evaluate": (["--json"], folder / "figures.json"),
-        "compare": (["--resamples", "20", *table, "--json"], folder / "figures.json"),
+        "compare": (["--resamples", "20", "--table", str(folder / "table.md"), "--json"], folder / "figures.json"),
         "failures": (["--csv"], folder / "failures.csv"),
         "report": (["--query", query, "--out"], folder / "report.html"),
         "explain": (["--over", "rotation", "--query", query, "--step", "90", "--csv"], folder / "sweep.csv"),
@@ -134,7 +132,7 @@ def test_each_command_takes_a_task_from_each_source(
         assert status == 0, told.err
         assert file.stat().st_size > 100
         tables = [one for one in tmp_path.glob("table.md") if "| A | B | figure |" in one.read_text("utf-8")]
-        assert len(tables) == (command == "compare" and source != "flight")
+        assert len(tables) == (command == "compare")
 
 
 def test_sources_of_one_model_have_the_same_figures(options: Callable[[str, str], list[str]], tmp_path: Path) -> None:
@@ -181,6 +179,7 @@ def test_arrays_stand_beside_a_data_set(options: Callable[[str, str], list[str]]
     ("words", "said"),
     [
         ("DATA DATA2 --page page.md", "A page is about one data set, and 2 are given; give one, or leave --page out."),
+        ("DATA INDEX --data DATA --page page.md", "A page is about a data set, and an index is given; write a --table"),
         (
             "DATA SAVED --calibrate",
             "is a result of the published test code, and --calibrate fits a data set; leave it out.",
@@ -210,18 +209,11 @@ def test_what_would_be_compared_unlike_is_refused(
     assert not (tmp_path / "page.md").exists()
 
 
-def test_beside_an_index_a_data_set_is_ranked_plain_and_a_page_names_the_scoring(
-    options: Callable[[str, str], list[str]], tmp_path: Path
-) -> None:
-    root, (index, *more) = options("failures", "data")[0], options("failures", "index")
+def test_beside_an_index_a_data_set_is_ranked_plain(options: Callable[[str, str], list[str]]) -> None:
+    root, index = (options("failures", source)[0] for source in ("data", "index"))
     beside, alone = (CompareCommand(source=source)._sources().values() for source in ((root, index), (root,)))
     assert [one.options.calibrate for one in beside] == [False, None]
     assert [one.options.calibrate for one in alone] == [None]
-    given = ["compare", root, index, *more, "--csls", "3", "--resamples", "20"]
-    assert main([*given, "--page", str(tmp_path / "page.md"), "--json", str(tmp_path / "page.json")]) == 0
-    models = json.loads((tmp_path / "page.json").read_text())["models"]
-    assert list(models) == [f"{Path(one).name}, CSLS" for one in (root, index)]
-    assert all(one["megabytes"] for one in models.values())
 
 
 def test_the_model_that_ships_is_told_once(
@@ -324,10 +316,6 @@ def test_queries_without_a_label_and_part_weights_do_not_count(tmp_path: Path) -
         ),
         ("failures FOLDER --map FILE", "file.mp4 is a video or its subtitles; make a flight of it"),
         ("failures FLIGHT", "flight is a flight; give the map under it as --map"),
-        (
-            "failures index",
-            "There is nothing at index; give the path of the source, which says itself what it is: lpn failures SOURCE",
-        ),
         ("failures", "There is no SOURCE; give its path first"),
         ("failures RESULT", "r.mat holds no pictures; give the data set that it was computed on as --data"),
         ("evaluate nowhere", "There is no data set folder at nowhere; check the path."),  # and no model is named first

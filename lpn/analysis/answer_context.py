@@ -115,8 +115,8 @@ def answers_alike(
     return AlikeAnswers(len(alike), int(np.count_nonzero(ranking.first[alike] == 0)))
 
 
-def found_by_lead(ranking: Retrieval, known: BoolArray | None = None, groups: int = 10) -> list[LeadGroup]:
-    """Return how many queries of like leads are found, in equal groups from the smallest lead; none where queries are few.
+def found_by_lead(ranking: Retrieval, known: BoolArray | None = None) -> list[LeadGroup]:
+    """Return how many queries of like leads are found, in ten equal groups from the smallest lead; none where queries are few.
 
     Args:
         ranking: of all queries.
@@ -125,7 +125,7 @@ def found_by_lead(ranking: Retrieval, known: BoolArray | None = None, groups: in
     rows = np.flatnonzero(np.isfinite(ranking.gap) if known is None else np.isfinite(ranking.gap) & known)
     if len(rows) < FEWEST_GRADED:
         return []
-    parts = np.array_split(rows[np.argsort(ranking.gap[rows], kind="stable")], groups)
+    parts = np.array_split(rows[np.argsort(ranking.gap[rows], kind="stable")], 10)
     found = ranking.first == 0
     return [LeadGroup(float(np.median(ranking.gap[of])), len(of), int(np.count_nonzero(found[of]))) for of in parts]
 

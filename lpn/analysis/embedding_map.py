@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from lpn.core.arrays import Float64Array, Int64Array
 from lpn.core.errors import InputError, MissingPackageError
-from lpn.retrieval.metrics import flat_sides
+from lpn.retrieval.metrics import checked_sides
 
 # Maximum number of pictures from which the axes are computed.
 SAMPLE = 2000
@@ -48,7 +48,7 @@ def pca(queries: npt.ArrayLike, gallery: npt.ArrayLike, sample: int = SAMPLE) ->
     """
     if sample < 2:
         raise InputError(f"The sample for the PCA is {sample}; expected 2 pictures or more.")
-    sides = flat_sides(queries, gallery)
+    sides, _ = checked_sides(queries, gallery)
     total = len(sides[0]) + len(sides[1])
     chosen = np.unique(np.linspace(0, total - 1, min(sample, total)).astype(np.int64))
     split = np.searchsorted(chosen, len(sides[0]))
@@ -87,7 +87,7 @@ def umap(queries: npt.ArrayLike, gallery: npt.ArrayLike, neighbours: int = 15, s
         MissingPackageError: when umap-learn is not installed.
         InputError: as for `metrics.evaluate`, or when there are not more pictures than neighbours.
     """
-    sides = flat_sides(queries, gallery)
+    sides, _ = checked_sides(queries, gallery)
     total = len(sides[0]) + len(sides[1])
     if not 2 <= neighbours < total:
         raise InputError(

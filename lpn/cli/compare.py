@@ -94,8 +94,8 @@ class CompareCommand:
     json: Path | None = None
     """File to write everything to, as JSON."""
     page: Path | None = None
-    """Page to write in place of one table: all tasks, both galleries, parts, speed, and size of each model. It is HTML,
-    Markdown, LaTeX, or CSV, as the name ends in .html, .md, .tex, or .csv."""
+    """Page about a data set to write in place of one table: all tasks, both galleries, parts, speed, and size of each model. It
+    is HTML, Markdown, LaTeX, or CSV, as the name ends in .html, .md, .tex, or .csv."""
     turns: Annotated[tuple[float, ...], tyro.conf.arg(metavar="DEGREES")] = ()
     """Turns of all queries, counter-clockwise, that the page measures as well (Table IV)."""
     weathers: bool = False
@@ -243,55 +243,32 @@ class CompareCommand:
         if self.task or self.without_distractors:
             raise InputError("A page has all tasks and galleries; leave --task and --without-distractors out.")
         sources = self._sources()
-        if saved := next((name for name, source in sources.items() if "model" not in source.takes), None):
-            raise InputError(f"{saved} holds descriptors, and a page needs networks; leave it out.")
+        if other := next((one.noun for one in sources.values() if not isinstance(one, DataSource)), None):
+            raise InputError(f"A page is about a data set, and {other} is given; write a --table in place of it.")
+        if len(self.source) > 1:
+            raise InputError(
+                f"A page is about one data set, and {len(self.source)} are given; give one, or leave --page out."
+            )
         if len(sources) < 2:
             raise InputError(f"A comparison takes two models or more; found {len(sources)}.")
         check_outputs((page, *_ENDINGS), (self.json, ".json"))
-        files = {name: model_file(source.options.file) for name, source in sources.items()}
-        sizes = {name: file.stat().st_size for name, file in files.items() if file.is_file()}
-        if all(isinstance(source, DataSource) for source in sources.values()):
-            if len(self.source) > 1:
-                raise InputError(
-                    f"A page is about one data set, and {len(self.source)} are given; give one, or leave --page out."
-                )
-            networks = {name: source.options.load() for name, source in sources.items()}
-            dataset = open_dataset(Path(self.source[0]))
-            chosen = alike_calibrations(list(networks.values()), dataset, self.calibrate)
-            calibrations = {scored_name(name, one, self.csls): one for name, one in zip(networks, chosen, strict=True)}
-            sizes = {title: sizes[name] for title, name in zip(calibrations, networks, strict=True) if name in sizes}
-            models = dict(zip(calibrations, networks.values(), strict=True))
-            read, names, title = (
-                descriptor_reader(dataset.root),
-                common_tasks(models, dataset),
-                dataset.root.resolve().name,
-            )
+        networks = [source.options.load() for source in sources.values()]
+        dataset = open_dataset(Path(self.source[0]))
+        chosen = alike_calibrations(networks, dataset, self.calibrate)
+        titles = [scored_name(name, one, self.csls) for name, one in zip(sources, chosen, strict=True)]
+        models, calibrations = dict(zip(titles, networks, strict=True)), dict(zip(titles, chosen, strict=True))
+        files = [model_file(source.options.file) for source in sources.values()]
+        read = descriptor_reader(dataset.root)
 
-            def opened(name: str, task: str) -> Task:
-                listed = lazy_task(models[name], dataset, task, read)
-                return by_csls(calibrated(listed, calibrations[name]), self.csls)
-        else:
-            if self.turns or self.weathers:
-                raise InputError("--turns and --weathers are of a data set's queries; leave them out.")
-            located = {}
-            for name, source in sources.items():
-                one = source.open()
-                title = scored_name(name, one.task.calibration, one.task.neighbours)
-                located[title] = one
-                sizes |= {title: sizes[name]} if name in sizes else {}
-            models = {name: one.network for name, one in located.items() if one.network is not None}
-            first = next(iter(located.values())).task
-            names, title = [first.name], first.data_name
-
-            def opened(name: str, task: str) -> Task:
-                del task
-                return located[name].task
+        def opened(name: str, task: str) -> Task:
+            listed = lazy_task(models[name], dataset, task, read)
+            return by_csls(calibrated(listed, calibrations[name]), self.csls)
 
         board = leaderboard(
-            title,
+            dataset.root.resolve().name,
             models,
-            sizes,
-            names,
+            {title: file.stat().st_size for title, file in zip(titles, files, strict=True) if file.is_file()},
+            common_tasks(models, dataset),
             opened,
             self.turns,
             self.weathers,

@@ -41,20 +41,15 @@ def commands() -> dict[str, type[Any]]:
     return dict(sorted(found.items()))
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
+def main(arguments: Sequence[str] | None = None, stopped: Callable[[int], object] = lambda status: status) -> int:
     """Run the command line, and return the exit status.
 
     It is 0; 1 if doctor or describe with Ray found damage; 2 after an error of the user; or 128 plus the number of
     the signal that stopped the command. A command whose reader closes the pipe (`lpn doctor | head -1`) ends without a word, with
-    128 plus the number of SIGPIPE.
-    """
-    return _run_until_unread(arguments, lambda status: status)
+    128 plus the number of SIGPIPE. SIGPIPE itself stays ignored, as Python has it: it would end a server when a browser leaves.
 
-
-def _run_until_unread(arguments: Sequence[str] | None, stopped: Callable[[int], Any]) -> int:
-    """Run `_run_until_stopped`, and end silently once the pipe that it prints to is closed.
-
-    SIGPIPE itself stays ignored, as Python has it: it would end a server when a browser leaves.
+    Args:
+        stopped: called with the status while signals are still handled, if one stopped the command.
     """
     try:
         try:
@@ -88,8 +83,7 @@ def _reader_left(stream: TextIO) -> bool:
     return False
 
 
-def _run_until_stopped(arguments: Sequence[str] | None, stopped: Callable[[int], Any]) -> int:
-    """Run `main`; if a signal stopped it, call `stopped` with the status while signals are still handled."""
+def _run_until_stopped(arguments: Sequence[str] | None, stopped: Callable[[int], object]) -> int:
     for stream in (sys.stdout, sys.stderr):
         # A terminal that cannot encode a character must not raise.
         if isinstance(stream, io.TextIOWrapper):
@@ -195,7 +189,7 @@ def _help() -> str:
 
 def run() -> None:
     """The console script; after a stop it waits for no thread that still computes."""
-    sys.exit(_run_until_unread(None, exit_now))
+    sys.exit(main(None, exit_now))
 
 
 if __name__ == "__main__":

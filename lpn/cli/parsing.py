@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import MISSING, field, fields, is_dataclass, make_dataclass
-from pathlib import Path
 from types import NoneType, UnionType
 from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
 
@@ -15,8 +14,6 @@ from lpn.core.errors import InputError
 from lpn.sources.options import ADVANCED
 
 HELP, HELP_ALL = "--help", "--help-all"
-# Words that named the kind of a source before it said so itself.
-_FORMER_WORDS = ("data", "published", "arrays", "index", "flight")
 # The mark of an option that help leaves out.
 _SUPPRESSED = get_args(tyro.conf.Suppress[int])[1:]
 # While it is entered, `tyro.cli` lists the words of `Literal[...] | None` in their own order and without None.
@@ -47,19 +44,11 @@ def parse(command: type[Any], arguments: Sequence[str], program: str, default: A
     Args:
         command: a dataclass. Its `MODES`, if it has any, are the dataclasses that stand in its place where an option is given.
         default: what the options are without arguments; by default those of the dataclass.
-
-    Raises:
-        InputError: if a word names the kind of a source.
     """
     given = {argument.partition("=")[0] for argument in arguments}
     for option, mode in modes(command).items():
         if option in given:
             command, program = mode, f"{program} {option}"
-    word = arguments[0] if arguments and "source" in {one.name for one in fields(command)} else ""
-    if word in _FORMER_WORDS and not Path(word).exists():
-        raise InputError(
-            f"There is nothing at {word}; give the path of the source, which says itself what it is: {program} SOURCE."
-        )
     description = command.__doc__ or ""
     if HELP_ALL in given:
         arguments = [HELP]

@@ -39,17 +39,12 @@ class Sweep(SourceOptions):
     """Weight of each part, such as 1,1,1,0; equal by default."""
     csv: Path | None = None
     """File to write the table to, as CSV."""
-    png: Path | None = None
-    """File to draw the curves to, as PNG; needs matplotlib, of the extra train."""
 
     def run(self) -> None:
         from lpn.core.consoles import wide_console
         from lpn.core.files import check_outputs, write_atomic
-        from lpn.drawing.plots import pyplot
 
-        check_outputs((self.csv, ".csv"), (self.png, ".png"))
-        if self.png is not None:
-            pyplot()  # fail before the long computation
+        check_outputs((self.csv, ".csv"))
         console = wide_console()
         opened = open_source(self, [self.query], part_values(self.weights))
         task, model = opened.task, opened.model
@@ -63,8 +58,6 @@ class Sweep(SourceOptions):
         _print(profile, title, task.views, console)
         if self.csv is not None:
             write_atomic(self.csv, profile.to_csv())
-        if self.png is not None:
-            write_atomic(self.png, _draw(profile, title))
 
 
 def _swept(task: Task, model: Model, options: Sweep) -> SweepResult:
@@ -136,32 +129,3 @@ def _sentence(begin: str, profile: SweepResult, point: SweepPoint) -> str:
     ranks, score = gain
     before = f"instead of {point.rank + ranks}" if ranks else "as before"
     return f"{begin} {when}: {subject} rank {point.rank} {before}, score {point.score:.3f} ({signed(score)})."
-
-
-def _draw(profile: SweepResult, title: str) -> bytes:
-    """Draw scores, part cosines, and rank over the transform as a PNG file."""
-    from lpn.drawing.plots import encode, pyplot
-    from lpn.explain.sweeps import UNITS, swept_label, swept_value
-
-    figure, (above, below) = pyplot().subplots(2, 1, figsize=(8, 6), sharex=True, height_ratios=(2, 1))
-    along = [swept_value(profile.over, point.change) for point in profile.points]
-    for part, cosines in enumerate(zip(*(point.cosines for point in profile.points), strict=True), 1):
-        if len(profile.points[0].cosines) > 1:
-            above.plot(along, cosines, linewidth=1, label=f"cosine of part {part}")
-    above.plot(along, [point.score for point in profile.points], color="black", linewidth=2.5, label="score")
-    above.plot(along, [point.top_score for point in profile.points], color="grey", linestyle=":", label="top score")
-    above.set(title=title, ylabel=f"score of\n{_subject(profile)}")
-    above.legend(fontsize="small", loc="upper left", bbox_to_anchor=(1, 1))
-    below.plot(along, [point.rank for point in profile.points], color="black", marker=".")
-    unit = UNITS[profile.over].strip()
-    below.set(ylabel="its rank", xlabel=f"{profile.over} ({unit})" if unit else profile.over)
-    if not unit:
-        below.set_xticks(along, [swept_label(profile.over, number) for number in along], rotation=30, ha="right")
-    last = max(10, *(point.rank for point in profile.points))
-    ticks = [tick * 10**power for power in range(7) for tick in (1, 2, 5) if tick * 10**power <= last]
-    below.set_yscale("log")
-    below.minorticks_off()
-    below.set_yticks(ticks, [str(tick) for tick in ticks])
-    below.set_ylim(last * 1.2, 0.8)
-    figure.tight_layout()
-    return encode(figure, dpi=120)

@@ -13,7 +13,6 @@ import numpy.typing as npt
 AnyArray = npt.NDArray[Any]
 BoolArray = npt.NDArray[np.bool_]
 UInt8Array = npt.NDArray[np.uint8]
-UInt64Array = npt.NDArray[np.uint64]
 Int8Array = npt.NDArray[np.int8]
 Int64Array = npt.NDArray[np.int64]
 IntegerArray = npt.NDArray[np.integer]

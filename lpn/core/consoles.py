@@ -6,7 +6,6 @@ import re
 import sys
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
-from functools import partial
 from typing import IO, Any, TextIO
 
 from rich import console as rich_console
@@ -135,11 +134,10 @@ def _stage_lines() -> Listener:
 
     def report(stage: str, done: int, total: int) -> None:
         if stage not in lines:
-            lines[stage] = at_intervals(_LINES, partial(_write_line, stage))
+            lines[stage] = at_intervals(
+                _LINES,
+                lambda done, total: print(f"{stage}: {done:,} of {total:,}", file=sys.stderr, flush=True),
+            )
         lines[stage](done, total)
 
     return report
-
-
-def _write_line(stage: str, done: int, total: int) -> None:
-    print(f"{stage}: {done:,} of {total:,}", file=sys.stderr, flush=True)

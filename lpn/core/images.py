@@ -5,24 +5,24 @@ from __future__ import annotations
 import io
 import struct
 import warnings
+from contextlib import suppress
 from pathlib import Path
 from typing import BinaryIO, cast
 
 import cv2
 import numpy as np
-from PIL import Image, ImageOps, TiffImagePlugin
+from PIL import Image, TiffImagePlugin
 
 from lpn.core.arrays import AnyArray, Float32Array, UInt8Array
 from lpn.core.errors import PictureError
 from lpn.core.files import printable
 from lpn.core.resources import usable_cores
 
-# OpenCV's own messages about damaged files would add to ours.
+# OpenCV's own messages about damaged videos would add to ours.
 if hasattr(cv2, "setLogLevel"):  # OpenCV 4
     cv2.setLogLevel(0)
 else:
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
-
 
 SUFFIXES = (".jpg", ".jpeg", ".png", ".webp", ".bmp", ".gif", ".tif", ".tiff")
 KINDS = "JPEG, PNG, WebP, BMP, GIF, or TIFF"
@@ -34,18 +34,18 @@ OTHER_SUFFIXES = (
 # Drones take pictures of up to 8192 x 6144 pixels.
 MAX_PIXELS = 64_000_000
 PNG = b"\x89PNG\r\n\x1a\n"
-_JPEG = b"\xff\xd8"
-_TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
-# Pillow reads these where OpenCV does not: GIF before OpenCV 4.11, and TIFF with further compressions.
-_BY_PILLOW = (b"GIF8", *_TIFF)
 # Pillow raises these on damaged files.
 _DAMAGED = (
     OSError, ValueError, SyntaxError, EOFError, RuntimeError, OverflowError, MemoryError, LookupError, TypeError, struct.error
 )  # fmt: skip
-# The largest of the upper 8 bits, rounded, of numbers of 12: such a picture is black to the eye.
+# The largest of the upper 8 of 16 bits where the lowest 12 are used at most: such a picture is black to the eye.
 _BLACK = 16
-# OpenCV's flags by the factor that they divide width and height by.
-_REDUCED = {2: cv2.IMREAD_REDUCED_COLOR_2, 4: cv2.IMREAD_REDUCED_COLOR_4, 8: cv2.IMREAD_REDUCED_COLOR_8}
+_ORIENTATION = 0x0112
+# What the orientations of EXIF, from 2 on, ask for.
+_TURNS = (
+    *(Image.Transpose.FLIP_LEFT_RIGHT, Image.Transpose.ROTATE_180, Image.Transpose.FLIP_TOP_BOTTOM),
+    *(Image.Transpose.TRANSPOSE, Image.Transpose.ROTATE_270, Image.Transpose.TRANSVERSE, Image.Transpose.ROTATE_90),
+)
 
 _HEIC = (b"heic", b"heix", b"hevc", b"heim", b"heis", b"mif1", b"msf1")
 # A number for red, green, and blue.
@@ -55,145 +55,79 @@ MEAN: Triple = (0.485, 0.456, 0.406)
 STD: Triple = (0.229, 0.224, 0.225)
 
 
-def load_picture(path: str | Path) -> UInt8Array:
-    """Read a picture file as upright RGB (EXIF orientation applied): (H, W, 3) uint8.
+def load_picture(path: str | Path, upright: bool = True) -> UInt8Array:
+    """Read a picture file as RGB, (H, W, 3) uint8.
+
+    Args:
+        upright: apply the EXIF orientation, which the released test code does not.
 
     Raises:
         PictureError: if the file does not exist or is not a readable picture.
     """
-    data, name = _read(Path(path))
-    return decode_picture(data, name)
-
-
-def load_without_orientation(path: str | Path) -> UInt8Array:
-    """Read a picture file as the released test code does: by Pillow, without its EXIF orientation; (H, W, 3) uint8 RGB.
-
-    Raises:
-        PictureError: as `load_picture`.
-    """
-    data, name = _read(Path(path))
-    if (found := header_error(io.BytesIO(data))) is not None:
-        raise PictureError(f"{name} {found}; expected a {KINDS} file of at most {MAX_PIXELS // 1_000_000} megapixels.")
-    return _first_frame(data, name, KINDS)
-
-
-def _read(path: Path) -> tuple[bytes, str]:
-    """Return a file's bytes, and its name for messages."""
+    name = printable(str(path))
     try:
-        return path.read_bytes(), printable(str(path))
+        data = Path(path).read_bytes()
     except OSError as error:
-        raise PictureError(
-            f"The picture {printable(str(path))} cannot be read ({error.strerror or error}); check the path."
-        ) from error
+        raise PictureError(f"The picture {name} cannot be read ({error.strerror or error}); check the path.") from error
+    return decode_picture(data, name, upright=upright)
 
 
-def decode_picture(data: bytes, name: str, kinds: str = KINDS, side: int | None = None) -> UInt8Array:
+def decode_picture(
+    data: bytes, name: str, kinds: str = KINDS, side: int | None = None, upright: bool = True
+) -> UInt8Array:
     """Decode the bytes of a picture file, of an animation the first frame; `name` and `kinds` are used in messages only.
 
     Args:
         side: pixels of the longer side that the caller needs; a picture at least four times as long is decoded at 1/2, 1/4, or
             1/8 of its size, at least twice as long as needed, which saves memory. None decodes every pixel.
+        upright: see `load_picture`.
 
     Raises:
-        PictureError: if they are not a picture, or one of more than 64 megapixels, or one of few bits in numbers of 16 that would
-            be black.
+        PictureError: if they are not a picture, or one of more than 64 megapixels, or one of 16 bits that would be black.
     """
     if (flaw := header_error(io.BytesIO(data))) is not None:
         raise PictureError(f"{name} {flaw}; expected a {kinds} file of at most {MAX_PIXELS // 1_000_000} megapixels.")
-    factor = 1 if side is None else _reduction(data, side)
     try:
-        decoded = None if _overruns(data) else _decode(data, factor, name)
-    except (cv2.error, MemoryError):
-        decoded = None
-    if decoded is None and data.startswith(_BY_PILLOW):
-        return _first_frame(data, name, kinds, upright=True)
-    if decoded is None or decoded.ndim != 3 or decoded[..., 0].size > MAX_PIXELS:
-        raise PictureError(f"{name} is cut short or damaged; expected a whole {kinds} file, so copy it again.")
-    return cast(UInt8Array, cv2.cvtColor(decoded, cv2.COLOR_BGR2RGB, dst=decoded))
-
-
-def _reduction(data: bytes, side: int) -> int:
-    """Return 1, 2, 4, or 8: how many times smaller a picture may be decoded so that twice `side` pixels remain."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", Image.DecompressionBombWarning)
-        with Image.open(io.BytesIO(data)) as header:
-            longer = max(header.size)
-    return max(factor for factor in (1, *_REDUCED) if factor == 1 or longer >= 2 * factor * side)
-
-
-def _decode(data: bytes, factor: int, name: str) -> UInt8Array | None:
-    """Return upright BGR at 1 / factor of the size, None for a damaged file."""
-    bits, inverted, planar = _layout(data)
-    # Only libjpeg decodes less than every pixel; OpenCV would shrink the others without anti-aliasing.
-    scaled = factor > 1 and data.startswith(_JPEG)
-    # OpenCV misreads 16 bits of a TIFF whose colours lie in separate planes, or whose 0 is white; 8 bits it reads right.
-    whole_numbers = not (data.startswith(_JPEG) or inverted or planar)
-    flags = (_REDUCED[factor] if scaled else cv2.IMREAD_COLOR) | (cv2.IMREAD_ANYDEPTH if whole_numbers else 0)
-    whole = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
-    decoded = None if whole is None else _eight_bits(whole)
-    if decoded is not None and bits == 16 and not whole_numbers:
-        _check_upper_bits(decoded, inverted, name)
-    if decoded is None or factor == 1 or scaled:
-        return decoded
-    height, width = (max(length // factor, 1) for length in decoded.shape[:2])
-    return cast(UInt8Array, cv2.resize(decoded, (width, height), interpolation=cv2.INTER_AREA))
-
-
-def _layout(data: bytes) -> tuple[int, bool, bool]:
-    """Return the bits of a number in a TIFF or PNG, 8 for others; whether 0 is white; and whether colours are separate planes."""
-    if data.startswith(PNG):
-        return data[24], False, False
-    if not data.startswith(_TIFF):
-        return 8, False, False
-    with Image.open(io.BytesIO(data)) as header:
-        tags = cast(TiffImagePlugin.TiffImageFile, header).tag_v2
-        bits = tags.get(TiffImagePlugin.BITSPERSAMPLE, (1,))
-        several = tags.get(TiffImagePlugin.SAMPLESPERPIXEL, 1) > 1
-        planar = several and tags.get(TiffImagePlugin.PLANAR_CONFIGURATION, 1) == 2
-        return max(bits), tags.get(TiffImagePlugin.PHOTOMETRIC_INTERPRETATION) == 0, planar
-
-
-def _eight_bits(numbers: AnyArray) -> UInt8Array | None:
-    """Return whole numbers of 8 or 16 bits as 8 bits; None for other numbers.
-
-    Sensors keep 10 or 12 bits, and programs 8, in numbers of 16, of which the upper 8 bits would be a black picture. Numbers of
-    which all are below 4096 have the range of 12 bits, and those of which all are below 256 that of 8: a bound at which only a
-    picture changes its range that is black in the larger one, so that all others of a sensor are equally bright.
-    """
-    if numbers.dtype != np.uint16:
-        return cast(UInt8Array, numbers) if numbers.dtype == np.uint8 else None
-    largest = int(numbers.max())
-    shift = next((shift for shift in (0, 4) if largest >> shift < 256), 8)
-    return (numbers >> shift).astype(np.uint8)
-
-
-def _check_upper_bits(picture: UInt8Array, inverted: bool, name: str) -> None:
-    """Refuse a picture of the upper 8 of 16 bits that is black, or white where 0 is white, for want of the lower ones."""
-    if (255 - int(picture.min()) if inverted else int(picture.max())) <= _BLACK:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # about metadata
+            with Image.open(io.BytesIO(data)) as file:
+                tags = getattr(file, "tag_v2", {})
+                sixteen = data[24] == 16 if file.format == "PNG" else 16 in tags.get(TiffImagePlugin.BITSPERSAMPLE, ())
+                white_is_0 = tags.get(TiffImagePlugin.PHOTOMETRIC_INTERPRETATION) == 0
+                picture = _decoded(file, side, upright, white_is_0)
+    except _DAMAGED as error:
+        tiff = data.startswith((b"II", b"MM"))
+        raise PictureError(
+            f"{name} is cut short or damaged{', or compressed in a way that is not read here' if tiff else ''}; expected a "
+            f"whole {kinds} file, so {'save it with deflate or LZW, or copy' if tiff else 'copy'} it again."
+        ) from error
+    if sixteen and (255 - int(picture.min()) if white_is_0 else int(picture.max())) <= _BLACK:
         raise PictureError(
             f"{name} has numbers of 16 bits and uses the lowest 12 at most, of which nothing would be seen, as only the upper 8 "
-            "are read from this kind of file; save it with 8 bits."
+            "are read; save it with 8 bits."
         )
-
-
-def _first_frame(data: bytes, name: str, kinds: str, upright: bool = False) -> UInt8Array:
-    """Decode the first frame by Pillow; `upright` applies the EXIF orientation."""
-    try:
-        with Image.open(io.BytesIO(data)) as animation:
-            frame = ImageOps.exif_transpose(animation) if upright else animation
-            bits, inverted, _ = _layout(data)
-            if frame.mode.startswith("I;16") and (grey := _eight_bits(np.asarray(frame).astype(np.uint16))) is not None:
-                return np.repeat((255 - grey if inverted else grey)[..., None], 3, axis=2)
-            picture = np.asarray(frame.convert("RGB"))
-    except _DAMAGED as error:
-        tiff = ", or compressed in a way that is not read here" if data.startswith(_TIFF) else ""
-        raise PictureError(
-            f"{name} is cut short or damaged{tiff}; expected a whole {kinds} file, so "
-            + ("save it with deflate or LZW, or copy it again." if tiff else "copy it again.")
-        ) from error
-    if bits == 16:
-        _check_upper_bits(picture, inverted, name)
     return picture
+
+
+def _decoded(file: Image.Image, side: int | None, upright: bool, white_is_0: bool) -> UInt8Array:
+    """Return the pixels of a file, of 16 bits the upper 8; see `decode_picture`."""
+    width, height = file.size
+    factor = next((n for n in (8, 4, 2) if side is not None and max(width, height) >= 2 * n * side), 1)
+    if factor > 1:  # JPEG alone decodes less than every pixel
+        file.draft(None, (max(width // factor, 1), max(height // factor, 1)))
+    reduced = file.size != (width, height)
+    file.load()  # TIFF turns itself
+    frame, orientation = file, 1
+    if upright:
+        with suppress(*_DAMAGED):  # damaged EXIF is no damage of the pixels
+            orientation = file.getexif().get(_ORIENTATION, 1)
+    if orientation in range(2, 9):
+        frame = frame.transpose(_TURNS[orientation - 2])
+    if frame.mode.startswith("I"):
+        grey = (np.asarray(frame) >> 8).astype(np.uint8)
+        frame = Image.fromarray(255 - grey if white_is_0 else grey)
+    colours = frame.convert("RGB")
+    return np.array(colours if reduced or factor == 1 else colours.reduce(factor))
 
 
 def header_error(file: BinaryIO) -> str | None:
@@ -203,7 +137,7 @@ def header_error(file: BinaryIO) -> str | None:
     """
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", Image.DecompressionBombWarning)
+            warnings.simplefilter("ignore")
             with Image.open(file) as header:
                 width, height = header.size
                 heights = header.format == "TIFF" and header.mode in ("I", "F")
@@ -217,18 +151,6 @@ def header_error(file: BinaryIO) -> str | None:
     if heights:
         return "has numbers with signs or decimals in place of colours, as heights of the ground have, so save it with 8 bits"
     return None
-
-
-def _overruns(data: bytes) -> bool:
-    """Return whether a PNG chunk claims to be longer than the file; OpenCV would allocate as much memory, up to 2 GB."""
-    position = len(PNG)
-    while data.startswith(PNG) and position + 8 <= len(data):
-        if data[position + 4 : position + 8] == b"IEND":
-            return False
-        position += 12 + int.from_bytes(data[position : position + 4], "big")
-        if position > len(data):
-            return True
-    return False
 
 
 def other_kind(start: bytes) -> str | None:

@@ -1,4 +1,4 @@
-"""The cores, memory, and ports that this process can use."""
+"""The cores and ports that this process can use, and the memory that it gives back."""
 
 from __future__ import annotations
 
@@ -49,24 +49,6 @@ def usable_cores() -> int:
         except (OSError, ValueError, ZeroDivisionError):  # "max" means no limit
             continue
     return cores
-
-
-def memory() -> tuple[int, int] | None:
-    """Return the total and free memory of this process in bytes, page cache counted as free; None if unknown."""
-    try:
-        facts = dict(line.split(":", 1) for line in Path("/proc/meminfo").read_text().splitlines())
-        total, free = (int(facts[name].split()[0]) * 1024 for name in ("MemTotal", "MemAvailable"))
-    except (OSError, ValueError, KeyError, IndexError):
-        return None
-    for group in _cgroups():
-        try:
-            limit, used = (int((group / name).read_text()) for name in ("memory.max", "memory.current"))
-            facts = dict(line.split() for line in (group / "memory.stat").read_text().splitlines())
-            page_cache = sum(int(facts[name]) for name in ("active_file", "inactive_file"))
-        except (OSError, ValueError, KeyError):  # "max" means no limit
-            continue
-        total, free = min(total, limit), min(free, max(limit - used + page_cache, 0))
-    return total, free
 
 
 def _cgroups() -> list[Path]:

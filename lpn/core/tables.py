@@ -53,7 +53,6 @@ class Column:
         values: (N,) float64, NaN if unknown, or (N,) object of str, "" if unknown.
         unit: of numbers, such as "m"; may be empty.
         about: what the values mean, in words; may be empty.
-        also: further names by which a filter may call it, unless another column has that name.
     """
 
     name: str
@@ -61,7 +60,6 @@ class Column:
     values: AnyArray
     unit: str = ""
     about: str = ""
-    also: tuple[str, ...] = ()
 
     def text(self, row: int) -> str:
         """Return a value as text: numbers with up to four decimals, "" if unknown."""
@@ -128,17 +126,15 @@ class Table:
         return np.arange(len(self))
 
     def column(self, name: str) -> Column:
-        """Return a column by its name, or else by one that it has besides, case ignored.
+        """Return a column by its name, case ignored.
 
         Raises:
             InputError: if there is none; the message lists the columns.
         """
         wanted = name.strip().casefold()
-        columns = self.columns.values()
-        named = [column for column in columns if column.name.casefold() == wanted]
-        named += [column for column in columns if wanted in map(str.casefold, column.also)]
-        if named:
-            return named[0]
+        for column in self.columns.values():
+            if column.name.casefold() == wanted:
+                return column
         raise InputError(f"There is no column {name.strip()!r}; the columns are {', '.join(self.columns)}.")
 
     def sort(self, rows: Int64Array, column: str, descending: bool = False) -> Int64Array:

@@ -47,19 +47,18 @@ _UNITS = {"latitude": "°", "longitude": "°", "altitude": "m", "heading": "°",
 _OPERATOR_CHARACTERS = set('<>=!~"')
 
 
-def columns(root: Path, paths: Sequence[str], taken: Sequence[str] = (), positions: bool = True) -> list[Column]:
+def columns(root: Path, paths: Sequence[str], taken: Sequence[str] = ()) -> list[Column]:
     """Return all known metadata of some pictures; columns without any value are left out.
 
     Args:
         root: the data set's folder.
         paths: the pictures, below it.
         taken: column names that metadata.csv must not use.
-        positions: read those of `geo.csv`.
 
     Raises:
         DataError: if a file cannot be used; the message names its line.
     """
-    all_columns = [*(_positions(root, paths) if positions else ()), *_world(root, paths)]
+    all_columns = [*_positions(root, paths), *_world(root, paths)]
     all_columns += _custom(root, paths, [*taken, *(column.name for column in all_columns), "path", TAGS, NOTE])
     return [column for column in all_columns if column.known.any()]
 

@@ -61,8 +61,8 @@ def describe(
     check_whole(files, "pictures")
 
     def prepare(row: int) -> Float32Array:
-        load = images.load_without_orientation if change.released else images.load_picture
-        return prepare_row(model, load(files[row]), rows[row], change, view)
+        picture = images.load_picture(files[row], upright=not change.released)
+        return prepare_row(model, picture, rows[row], change, view)
 
     def fill(partial: PartialStore) -> None:
         broken: dict[int, PictureError] = {}

@@ -6,21 +6,17 @@ import hashlib
 from collections import defaultdict
 from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import asdict, dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 from lpn.core.consoles import Console
-from lpn.core.demo import own_file
 from lpn.core.errors import DataError
 from lpn.core.files import first_few, printable
 from lpn.core.progress import report_progress
 from lpn.core.text_tables import TextTable
 from lpn.core.views import views_of
-from lpn.datasets import Dataset, LeftOut, Picture, Size, geo, metadata
+from lpn.datasets import Dataset, LeftOut, Picture, Size, geo
 from lpn.datasets.integrity import check_positions, lists_of, picture_errors
-from lpn.tasks import notes
-from lpn.tasks.query_outcomes import reserved
 from lpn.training.training_set import trainable
 
 
@@ -33,14 +29,6 @@ class Count:
     places: int
     full_pictures: int | None
     full_places: int | None
-
-
-@dataclass(frozen=True)
-class BrokenPicture:
-    """A picture that cannot be read: its path below the root, and the reason."""
-
-    file: str
-    why: str
 
 
 @dataclass(frozen=True)
@@ -77,7 +65,6 @@ class DataSetReport:
         shared: places in both train and test.
         positions: what the positions cover, and where they are from; None without any.
         gap: what is wrong with them, or None.
-        refused: why a list of the queries, such as that of lpn failures, refuses a file beside the pictures.
     """
 
     root: str
@@ -86,7 +73,7 @@ class DataSetReport:
     counts: tuple[Count, ...]
     looked_at: int
     decoded: bool
-    broken: tuple[BrokenPicture, ...]
+    broken: tuple[LeftOut, ...]
     left_out: tuple[LeftOut, ...]
     lacking: tuple[MissingCounterparts, ...]
     gaps: tuple[MissingCounterparts, ...]
@@ -94,13 +81,12 @@ class DataSetReport:
     shared: tuple[int, ...]
     positions: str | None
     gap: str | None
-    refused: tuple[str, ...]
 
     @property
     def healthy(self) -> bool:
         """True if nothing is broken; a subset, gaps, duplicates, and damage of the published data set do not count."""
         missing = [item for item in self.left_out if not item.published]
-        return not (self.broken or missing or self.lacking or self.shared or self.gap or self.refused)
+        return not (self.broken or missing or self.lacking or self.shared or self.gap)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the contents of the JSON file."""
@@ -135,7 +121,7 @@ def check_dataset(dataset: Dataset, decode: bool = True) -> DataSetReport:
         ),
         looked_at=len(files),
         decoded=decode,
-        broken=tuple(BrokenPicture(_below(dataset.root, file), why) for file, why in errors.items()),
+        broken=tuple(LeftOut(_below(dataset.root, file), why) for file, why in errors.items()),
         left_out=(*dataset.left_out, *dataset.unread()),
         lacking=tuple(item for is_gap, item in missing if not is_gap),
         gaps=tuple(item for is_gap, item in missing if is_gap),
@@ -143,7 +129,6 @@ def check_dataset(dataset: Dataset, decode: bool = True) -> DataSetReport:
         shared=tuple(sorted(_places(lists, "train/") & _places(lists, test))) if labelled else (),
         positions=positions,
         gap=gap,
-        refused=tuple(dict.fromkeys(_refused(dataset, gap is None, positions is not None))),
     )
 
 
@@ -221,21 +206,6 @@ def _positions(dataset: Dataset) -> tuple[str | None, str | None]:
     return (f"Each of the {len(pictures)} test pictures has a position, by {source}.", None) if source else (None, None)
 
 
-def _refused(dataset: Dataset, positions: bool, distances: bool) -> Iterable[str]:
-    """Read what stands beside the queries as the commands that list them do, `geo.csv` only if asked to; yield their errors."""
-    reads: list[Callable[[], object]] = [lambda: notes.read_notes(own_file(dataset.root, notes.NAME))]
-    for task in dataset.tasks():
-        queries = dataset.queries(views_of(task)[0])
-        taken = reserved(dataset.truth(task), distances, dataset.columns(queries))
-        paths = geo.names_below(dataset.root, queries)
-        reads.append(partial(metadata.columns, dataset.root, paths, taken, positions))
-    for read in reads:
-        try:
-            read()
-        except DataError as error:
-            yield str(error)
-
-
 def _below(root: Path, file: Path) -> str:
     return printable(file.relative_to(root).as_posix())
 
@@ -255,7 +225,7 @@ def print_report(report: DataSetReport, console: Console) -> None:
         lines += [f"  {line}" for item in report.gaps for line in _some(item.what, item.names, 12)]
     lines += _some("places are in train and in test", [f"{label:04d}" for label in report.shared])
     lines += _some("groups of files in one list are equal", [" = ".join(group) for group in report.duplicates])
-    lines += [text for text in (report.gap or report.positions, *report.refused) if text]
+    lines += [text for text in (report.gap or report.positions,) if text]
     lines.append("Nothing is broken." if report.healthy else "Something is broken: see above.")
     title, head = f"{report.root} is {report.title}.", ("pictures of", "pictures", "places")
     TextTable(head, counts, title, "\n".join(lines)).print(console)

@@ -15,14 +15,13 @@ from pathlib import Path
 from typing import Any, Literal
 
 from lpn.core import requirements, resources
-from lpn.core.demo import DEMO_BASELINE
-from lpn.core.errors import LPNError, OutputError
+from lpn.core.errors import OutputError
 from lpn.core.files import cache_folder, check_writable, printable
 
 Severity = Literal["OK", "note", "problem"]
 # Modules whose names differ from their packages'.
 _MODULES = {"opencv-python-headless": "cv2", "pillow": "PIL"}
-_LITTLE_MEMORY, _LITTLE_DISK, _MIN_DISK = 1 << 30, 1 << 30, 50 << 20
+_LITTLE_DISK, _MIN_DISK = 1 << 30, 50 << 20
 
 
 @dataclass(frozen=True)
@@ -166,15 +165,6 @@ def _has_nvidia_driver() -> bool:
 
 def _machine() -> Iterator[Finding]:
     yield Finding("cores", "OK", f"{resources.usable_cores()} of {os.cpu_count() or 1} can be used")
-    if (memory := resources.memory()) is None:
-        return
-    total, free = memory
-    message = f"{free / 1e9:.1f} of {total / 1e9:.1f} GB are free"
-    if free < _LITTLE_MEMORY:
-        remedy = "close other programs; the explorer takes about half a GB, trainings more"
-        yield Finding("memory", "note", message, remedy)
-    else:
-        yield Finding("memory", "OK", message)
 
 
 def _cache() -> Iterator[Finding]:
@@ -194,42 +184,12 @@ def _cache() -> Iterator[Finding]:
 
 
 def _demo(demo: Path) -> Iterator[Finding]:
-    if error := _demo_error(demo):
-        restore = "restore assets of the checkout (git checkout -- assets), or install lpn-explorer again"
-        yield Finding("demo", "problem", error.rstrip("."), restore)
-    else:
-        yield Finding("demo", "OK", "model, descriptors, and pictures are undamaged")
-
-
-def _demo_error(demo: Path) -> str | None:
-    if not demo.is_dir():
-        return "its files are missing"
-    import lpn
-    from lpn.descriptors import open_store
-    from lpn.descriptors.cache import STORES
     from lpn.doctor.verify import verify
 
-    for verdict in verify(demo):
-        if not verdict.whole:
-            return verdict.message
-    try:
-        for name, stores in (("lpn.onnx", demo / STORES), (DEMO_BASELINE.name, demo / STORES / "baseline")):
-            if name == DEMO_BASELINE.name and not (demo / name).is_file():
-                continue
-            fingerprint = lpn.load(demo / name, "cpu").fingerprint
-            for store in sorted(stores.iterdir()):
-                if not store.is_dir() or store.name in ("baseline", "calibrated"):
-                    continue
-                manifest, inside = open_store(store).manifest, store.relative_to(demo)
-                if manifest.fingerprint != fingerprint:
-                    return f"{name} is not the model that {inside} was made with, so one of them is damaged"
-                role = store.name.partition("_")[0]
-                for row in manifest.rows:
-                    picture = demo / "test" / f"{role}_{manifest.view}" / row.file
-                    if not picture.is_file() or picture.stat().st_size != row.size:
-                        return f"{picture.relative_to(demo)} is missing, or is not the packaged file (its size differs)"
-    except LPNError as error:
-        return str(error)
-    except FileNotFoundError as error:
-        return f"{error.filename} is missing"
-    return None
+    damage = "its files are missing" if not demo.is_dir() else ""
+    damage = damage or next((verdict.message for verdict in verify(demo) if not verdict.whole), "")
+    if damage:
+        restore = "restore assets of the checkout (git checkout -- assets), or install lpn-explorer again"
+        yield Finding("demo", "problem", damage.rstrip("."), restore)
+    else:
+        yield Finding("demo", "OK", "models and descriptors are undamaged")

@@ -29,14 +29,12 @@ class VerifiedFile:
     Attributes:
         path: the file or folder.
         message: the end of a sentence about it.
-        whole: False if it is damaged, or empty.
-        empty: True if nothing is damaged, but it holds nothing.
+        whole: False if it is damaged, or holds nothing.
     """
 
     path: Path
     message: str
     whole: bool
-    empty: bool = False
 
 
 def verify(path: Path) -> Iterator[VerifiedFile]:
@@ -70,7 +68,7 @@ def _verify_index(folder: Path) -> VerifiedFile:
         more = f"; {left}, so add them again with lpn index" if left else ""
         return VerifiedFile(folder, f"is what was written{more}", True)
     again = "see that the disk has space, and add them again with lpn index"
-    return VerifiedFile(folder, f"is empty: {left or 'no tile was added'}; {again}.", False, True)
+    return VerifiedFile(folder, f"is empty: {left or 'no tile was added'}; {again}.", False)
 
 
 def _find(folder: Path) -> Iterator[Path]:

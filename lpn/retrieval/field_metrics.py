@@ -24,8 +24,8 @@ from lpn.retrieval.inner_products import Scores
 from lpn.retrieval.metrics import checked_sides
 
 # Decay of DenseUAV's SDM, per degree, and of GTA-UAV's, per metre.
-_DENSEUAV_DECAY = 5000.0
-_GTA_UAV_DECAY = 0.001
+DENSEUAV_DECAY = 5000.0
+GTA_UAV_DECAY = 0.001
 # The equatorial radius of WGS 84 in metres, which DenseUAV's evaluation takes for a sphere's.
 _EQUATOR = 6_378_137.0
 
@@ -41,22 +41,19 @@ def recall_at(hits: npt.ArrayLike, k: int) -> float:
     return float(100 * values[:, :k].any(axis=1).mean()) if len(values) else 0.0
 
 
-def sdm_denseuav(degrees: npt.ArrayLike, k: int) -> Float64Array:
-    """Return DenseUAV's SDM@K of each query, 0 .. 1, from distances of `degree_distances` (Dai et al., 2023), (Q,).
+def sdm(distances: npt.ArrayLike, k: int, decay: float) -> Float64Array:
+    """Return SDM@K of each query, 0 .. 1, see this module, (Q,).
+
+    Args:
+        distances: by `degree_distances` for `DENSEUAV_DECAY`, in metres for `GTA_UAV_DECAY`.
 
     Raises:
         InputError: if k is not between 1 and R.
     """
-    return _sdm(degrees, k, _DENSEUAV_DECAY)
-
-
-def sdm_gta_uav(metres: npt.ArrayLike, k: int) -> Float64Array:
-    """Return GTA-UAV's SDM@K of each query, 0 .. 1, from distances in metres (Ji et al., 2024), (Q,).
-
-    Raises:
-        InputError: if k is not between 1 and R.
-    """
-    return _sdm(metres, k, _GTA_UAV_DECAY)
+    values = np.asarray(distances, np.float64)
+    _check_depth(values.shape, k)
+    weights = np.arange(k, 0, -1, dtype=np.float64)
+    return cast(Float64Array, np.exp(-decay * values[:, :k]) @ weights / weights.sum())
 
 
 def distance_at(metres: npt.ArrayLike, k: int) -> Float64Array:
@@ -149,19 +146,12 @@ def field_figures(
         degrees = degree_distances(starts, ends)
         top = great_circle(query_places, ends[:, 0])
         depths = [k for k in (1, 3, 5, 10) if k <= order.shape[1]]
-        figures = {f"sdm_denseuav@{k}": float(sdm_denseuav(degrees, k).mean()) for k in depths}
+        figures = {f"sdm_denseuav@{k}": float(sdm(degrees, k, DENSEUAV_DECAY).mean()) for k in depths}
         return figures | {f"ma@{metres}": accuracy_within(top, metres) for metres in (5, 10, 20, 50, 100)}
     metres = geo.geodesic(starts, ends) if measured_by == "UAV-VisLoc" else np.linalg.norm(starts - ends, axis=2)
     depths = [k for k in (1, 3, 5) if k <= order.shape[1]]
-    figures = {f"sdm_gta_uav@{k}": float(sdm_gta_uav(metres, k).mean()) for k in depths}
+    figures = {f"sdm_gta_uav@{k}": float(sdm(metres, k, GTA_UAV_DECAY).mean()) for k in depths}
     return figures | {f"dis@{k}": float(distance_at(metres, k).mean()) for k in depths}
-
-
-def _sdm(distances: npt.ArrayLike, k: int, decay: float) -> Float64Array:
-    values = np.asarray(distances, np.float64)
-    _check_depth(values.shape, k)
-    weights = np.arange(k, 0, -1, dtype=np.float64)
-    return cast(Float64Array, np.exp(-decay * values[:, :k]) @ weights / weights.sum())
 
 
 def _check_depth(shape: tuple[int, ...], k: int) -> None:

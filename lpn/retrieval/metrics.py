@@ -28,7 +28,6 @@ __all__ = [
     "checked_labels",
     "checked_sides",
     "evaluate",
-    "flat_sides",
     "known_queries",
     "retrieve",
     "without_distractors",
@@ -181,15 +180,14 @@ def check_truth(truth: Sequence[Truth], queries: int, gallery: int) -> None:
             )
 
 
-def flat_sides(query: npt.ArrayLike, gallery: npt.ArrayLike) -> tuple[AnyArray, AnyArray]:
-    """Return the descriptors of both sides as (Q, F) and (G, F); InputError if `evaluate` would refuse them."""
-    return checked_sides(query, gallery)[0]
-
-
 def checked_sides(
     query: npt.ArrayLike, gallery: npt.ArrayLike
 ) -> tuple[tuple[AnyArray, AnyArray], tuple[Float64Array, Float64Array]]:
-    """Return what `flat_sides` returns, and bounds on the norms of the rows."""
+    """Return the descriptors of both sides as (Q, F) and (G, F), and bounds on the norms of the rows.
+
+    Raises:
+        InputError: if `evaluate` would refuse them.
+    """
     (queries, of_query), (tiles, of_tile) = _flat(query, "query"), _flat(gallery, "gallery")
     if queries.shape[1] != tiles.shape[1]:
         raise InputError(

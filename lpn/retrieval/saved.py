@@ -16,7 +16,6 @@ Plain arrays of any model are (N, D), (N, n, D), or (N, D, n), floats of any pre
 from __future__ import annotations
 
 import logging
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -194,7 +193,6 @@ def load_saved(path: str | Path, n_parts: int = 1) -> PublishedResult:
     saved = PublishedResult(name, *query[:2], *gallery[:2], query[2], gallery[2])
     if n_parts > 1:
         saved.check_norms()
-    _warn_about_order(saved)
     return saved
 
 
@@ -232,28 +230,6 @@ def _published_side(
             )
     parts = array.astype(np.float32, copy=False).reshape(count, length // n_parts, n_parts).transpose(0, 2, 1)
     return np.ascontiguousarray(parts), labels.astype(np.int64), None if paths is None else tuple(paths)
-
-
-def _warn_about_order(saved: PublishedResult) -> None:
-    """Warn where folders of places hold pictures of several labels: the order of the paths is not that of the rows.
-
-    The folders of a side are those of places if none holds more pictures than one label has, whatever their order.
-    """
-    labels_of: dict[str, Counter[int]] = {}
-    for paths, labels in ((saved.query_paths, saved.query_labels), (saved.gallery_paths, saved.gallery_labels)):
-        pairs = zip(paths or (), labels.tolist(), strict=paths is not None)
-        rows = [(path.split("/")[-2], label) for path, label in pairs if "/" in path and label != JUNK]
-        largest = [max(Counter(values).values()) for values in zip(*rows, strict=True)]
-        if rows and largest[0] <= largest[1]:
-            for folder, label in rows:
-                labels_of.setdefault(folder, Counter())[label] += 1
-    others = {folder: counts.total() - max(counts.values()) for folder, counts in labels_of.items()}
-    if mixed := [folder for folder, other in others.items() if other]:
-        log.warning(
-            "%d paths in %s lie in a folder of another label, such as %s: if the paths are in another order than the "
-            "descriptors, wrong pictures are shown.",
-            sum(others.values()), saved.name, printable(mixed[0]),
-        )  # fmt: skip
 
 
 def _pictures_of_rows(

@@ -63,7 +63,7 @@ def map_means(model: Model, pictures: Sequence[Picture], view: View, side: int =
     model.check_view(view)
     means, device = [], next(network.parameters()).device
     for picture in tracked(f"Describing {view} pictures, as released", pictures, len(pictures)):
-        shrunk = images.shrink_to(images.load_without_orientation(picture.path), side, picture.box)
+        shrunk = images.shrink_to(images.load_picture(picture.path, upright=False), side, picture.box)
         batch = torch.from_numpy(images.normalise(shrunk)[None]).to(device)
         with exact_inference():
             means.append(network.features(batch, view).mean((2, 3)).cpu().numpy())

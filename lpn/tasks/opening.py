@@ -272,15 +272,12 @@ def new_calibration(model: Model, dataset: Dataset) -> Calibration:
         InputError: when the model's branches have roles, so that a task decides its descriptors, or pictures are too few.
         LPNError: when pictures cannot be read.
     """
-    if model.contract.roles == "role":
-        raise InputError(
-            f"{model.contract.method} describes a view otherwise as query than as gallery, and a calibration is for all tasks; "
-            "leave --calibrate out."
-        )
     tasks = offered_tasks(model, dataset)
     if not tasks:
         raise no_task_error(model, dataset)
     check_test_split(dataset, tasks)
+    if reason := no_calibration(model, dataset):
+        raise InputError(f"{reason.rstrip('.')}; leave --calibrate out.")
     return calibrate(model, _lists(model, dataset), descriptors.descriptor_reader(dataset.root))
 
 

@@ -171,23 +171,6 @@ def table(
     return Table(paths, columns).with_columns(metadata.columns(root, paths, taken))
 
 
-def reserved(truth: Sequence[Truth] | None, distances: bool, more: Sequence[Column]) -> list[str]:
-    """Return the column names that no metadata.csv of a task may have; `part` and margins only some models forbid.
-
-    Args:
-        truth: see `listed_columns`.
-        distances: the table has the column `distance`.
-        more: see `table`.
-    """
-    has = {
-        "distance": distances,
-        "overlap": any(lists.overlaps is not None for lists in truth or ()),
-        "semi": any(len(lists.semi) for lists in truth or ()),
-    }
-    names = [*OUTCOME_COLUMNS, *(f"margin_{part}" for part in range(1, 100)), *(column.name for column in more)]
-    return [name for name in names if has.get(name, True)]
-
-
 def compared_ranks(table: Table, rank: Int64Array) -> list[Column]:
     """Columns `rank A` and `rank B` of a table: its own ranks, and those of a second model.
 

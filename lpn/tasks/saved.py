@@ -48,23 +48,10 @@ _CLAUSES = ("descriptors as saved",)
 _COLUMNS = {"file", "side", "label", "latitude", "longitude"}
 
 
-def published_task(saved: PublishedResult, dataset: Dataset) -> Task:
-    """Return the task of a published result on its pictures, whose parts have the norms of exact contributions.
-
-    Raises:
-        LPNError: when the data set lacks the result's pictures, or its descriptors do not consist of parts of equal norm.
-    """
-    saved.check_norms()
-    return saved_task(saved, dataset)
-
-
-def saved_task(saved: PublishedResult, dataset: Dataset | None = None, name: str | None = None) -> Task:
+def saved_task(saved: PublishedResult, dataset: Dataset | None = None) -> Task:
     """Return the task of a published result, whatever its norms; without a data set, labels tell what is true.
 
     Rings are drawn as University-1652's LPN divides them, and for panoramas as the published CVUSA models do.
-
-    Args:
-        name: to display; by default the result's.
 
     Raises:
         DataError: when the data set lacks the result's pictures, or without one, no query has a label of the gallery.
@@ -85,7 +72,7 @@ def saved_task(saved: PublishedResult, dataset: Dataset | None = None, name: str
     return Task(
         name=saved.task if dataset is None else "-to-".join(views),
         model=None,
-        model_name=name or saved.name,
+        model_name=saved.name,
         data_name=printable(root.resolve().name),
         root=root,
         contract=contract,

@@ -34,6 +34,8 @@ if TYPE_CHECKING:
     from lpn.tasks.measure import Result
 
 
+# Ranks the gallery for one described query under part weights.
+RankUnderWeights = Callable[[Float32Array], Ranking]
 # How a gallery is ranked: by descriptors as they are, by calibrated ones, and by calibrated ones under CSLS.
 Scoring = Literal["plain", "calibrated", "csls"]
 SCORINGS: Final[tuple[Scoring, ...]] = ("plain", "calibrated", "csls")
@@ -312,13 +314,30 @@ class Task:
     def start_search(
         self, query: int | None, descriptor: Float32Array, lengths: Float32Array | None = None
     ) -> RankUnderWeights:
-        """Compare a described query, (n, D), with the gallery.
+        """Compare a described query, (n, D), with the gallery, and return a function that ranks it under part weights.
+
+        The part cosines are computed once. Weights sum to one, (n,); those of the last call return its ranking again.
 
         Args:
             query: its position; None if it is not of the data set.
             lengths: see `Ranking`.
         """
-        return RankUnderWeights(self, query, descriptor, lengths)
+        cosines = scoring.part_cosines(descriptor, self.gallery_descriptors)
+        # A region's score has no constants, and so none of CSLS.
+        tiles = None if lengths is not None else self.csls_tiles
+        terms = None if tiles is None else CslsTerms.of_query(cosines, tiles, self.neighbours)
+        label, truth = self.label_and_truth(query)
+        last: tuple[bytes, Ranking] | None = None
+
+        def rank(weights: Float32Array) -> Ranking:
+            nonlocal last
+            found = last
+            if found is None or found[0] != weights.tobytes():
+                ranking = retrieval.rank(cosines, weights, self.gallery_labels, label, truth, lengths, terms)
+                found = last = weights.tobytes(), ranking
+            return found[1]
+
+        return rank
 
     def ranks_under(self, query: int | None, weights: Float32Array | None = None) -> Callable[[Float32Array], Ranking]:
         """A function that ranks the gallery for other descriptors (n, D) of a query, as a sweep needs.
@@ -336,33 +355,6 @@ class Task:
         figures = {title: self.metrics[name] for name, title in names.items()}
         caption = f"{self.data_name}, {self.name}: {len(self.query_labels):,} queries, {self.gallery_description}"
         return percentages(caption, "model", {self.model_name: figures})
-
-
-class RankUnderWeights:
-    """Ranks a gallery for one described query; the part cosines are computed once, and serve all weights."""
-
-    def __init__(self, task: Task, query: int | None, descriptor: Float32Array, lengths: Float32Array | None) -> None:
-        self._task, self._query, self._lengths = task, query, lengths
-        self._cosines = scoring.part_cosines(descriptor, task.gallery_descriptors)
-        # A region's score has no constants, and so none of CSLS.
-        tiles = None if lengths is not None else task.csls_tiles
-        self._csls = None if tiles is None else CslsTerms.of_query(self._cosines, tiles, task.neighbours)
-        self._last: tuple[bytes, Ranking] | None = None
-
-    def __call__(self, weights: Float32Array) -> Ranking:
-        """Rank under weights that sum to one, (n,); the weights of the last call return its ranking again."""
-        if self._last is None or self._last[0] != weights.tobytes():
-            label_and_truth = self._task.label_and_truth(self._query)
-            ranking = retrieval.rank(
-                self._cosines,
-                weights,
-                self._task.gallery_labels,
-                *label_and_truth,
-                lengths=self._lengths,
-                csls=self._csls,
-            )
-            self._last = weights.tobytes(), ranking
-        return self._last[1]
 
 
 def descriptor_clauses(contract: Contract) -> tuple[str, ...]:

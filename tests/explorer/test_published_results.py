@@ -15,7 +15,7 @@ from lpn.datasets import open_dataset
 from lpn.models.base import normalise
 from lpn.retrieval.saved import PublishedResult
 from lpn.sources import SourceOptions
-from lpn.tasks.saved import published_task
+from lpn.tasks.saved import saved_task
 from tests.explorer.conftest import TASK, RefusedError, answered
 from tools.fixtures import layouts, small_worlds
 from tools.fixtures.published_results import save_result
@@ -98,7 +98,7 @@ def test_listed_true_tiles_grade_a_saved_result(layout: Callable[[Path], Path], 
     lists = dataset.truth(task)
     assert lists is not None
     names = [picture.name for picture in dataset.gallery(views_of(task)[1])]
-    opened = open_tasks([published_task(saved, open_dataset(root))])
+    opened = open_tasks([saved_task(saved, open_dataset(root))])
     assert list(opened.tasks) == [task]
     ranking, found = opened.rankings[task], opened.tasks[task]
     assert found.truth is not None
@@ -126,4 +126,4 @@ def test_a_gallery_picture_with_two_rows_is_refused_where_lists_tell_the_truth(t
     assert saved.gallery_paths is not None
     twice = replace(saved, gallery_paths=(saved.gallery_paths[1], *saved.gallery_paths[1:]))
     with pytest.raises(InputError, match="twice in its gallery"):
-        open_tasks([published_task(twice, open_dataset(root))])
+        open_tasks([saved_task(twice, open_dataset(root))])

@@ -87,7 +87,7 @@ def fly(folder: Path) -> tuple[str, str]:
 COMMANDS = {
     "failures": (["{data}", "--model", "{model}", "--where", "weather ~ rain", "--csv", "{out}.csv"], 0),
     "evaluate": (["{data}", "--model", "{model}"], 0),
-    "doctor --data": (["--data", "{data}"], 1),
+    "doctor --data": (["--data", "{data}"], 0),
     "doctor --model": (["--data", "{data}", "--model", "{model}"], 0),
     "doctor opts.yaml": (["--model", "{broken}/net.pth"], 2),
     "compare": (

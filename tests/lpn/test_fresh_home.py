@@ -17,6 +17,7 @@ import lpn
 from explorer.app import App
 from explorer.opening import open_model
 from lpn.cli.main import main
+from lpn.drawing.plots import pyplot
 
 root, folder = sys.argv[1:]
 query = next(Path(root).glob("test/query_drone/*/*.png"))
@@ -24,10 +25,11 @@ model = lpn.load("city-lpn")
 assert model.part_embeddings(model.prepare(lpn.load_picture(query), "drone")[None], "drone").shape[1] == model.n_parts
 given = [root, "--model", "city-lpn"]
 assert main(["evaluate", *given, "--task", "drone-to-satellite"]) == 0
-swept = ["--over", "rotation", "--query", query.parent.name, "--step", "90", "--png", f"{folder}/sweep.png"]
+swept = ["--over", "rotation", "--query", query.parent.name, "--step", "90", "--csv", f"{folder}/sweep.csv"]
 assert main(["explain", *given, *swept]) == 0
 assert main(["report", *given, "--query", query.parent.name, "--out", f"{folder}/report.html"]) == 0
 main(["doctor"])
+pyplot()
 App(open_model(Path(root), Path("city-lpn")), "127.0.0.1", 0).close()
 """
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +20,7 @@ from tools.world.atlas import Atlas, Settings, make_atlas
 from tools.world.cameras import Site
 from tools.world.city import City
 from tools.world.geometry import turned, within
+from tools.world.glb import Primitive, glb
 
 
 @pytest.fixture(scope="module")
@@ -145,3 +147,16 @@ def test_metres_of_the_model_are_metres_between_positions(atlas: Atlas) -> None:
     origin = geo.on_plane([Position(site.latitude, site.longitude)], tiles)[0]
     found = geo.on_plane(places, tiles) - origin
     np.testing.assert_allclose(found, [(1500, -1200), (300, 1200), (2000, 2000)], atol=1.0)
+
+
+def test_triangles_come_back_as_they_were_written() -> None:
+    rng = np.random.default_rng(1)
+    vertices = rng.uniform(-900, 700, (40, 3))
+    colours = rng.integers(0, 256, (40, 3)).astype(np.uint8)
+    one = Primitive("one", vertices, rng.integers(0, 40, (25, 3)), colours)
+    other = replace(one, name="other", vertices=vertices + np.array([10, 20, 30]))
+    scene = trimesh.load(io.BytesIO(glb([one, other], {})), file_type="glb", process=False)
+    np.testing.assert_array_equal(scene.geometry["one"].faces, one.faces)
+    np.testing.assert_array_equal(scene.geometry["one"].visual.vertex_attributes["color"][:, :3], colours)
+    back = parts(glb([one, other], {}))
+    np.testing.assert_allclose(back["other"], vertices + np.array([10, 20, 30]), atol=0.02)

@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 from lpn.core import images
 from lpn.core.arrays import Float32Array, Float64Array
 from lpn.core.errors import InputError
-from lpn.core.glb import MOST_VERTICES, Primitive, glb
 from lpn.datasets.city_model import MAX_BYTES
 from tools.world import light, paint, solids, textures
 from tools.world.atlas import Atlas
 from tools.world.cameras import TILE, Site, Tile
 from tools.world.city import City
+from tools.world.glb import MOST_VERTICES, Primitive, glb
 from tools.world.meshes import BAYS, STOREYS
 from tools.world.solids import PLAIN, TREE_BYTES, Solid, Solids
 

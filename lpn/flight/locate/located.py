@@ -422,7 +422,9 @@ class LocatedFlight:
             figures |= {
                 f"sequence recall@{k} apart": 100 * float(np.mean([any(own[:k]) for own in likely])) for k in (1, TOP)
             }
-        figures |= {f"sdm@{k}": float(field_metrics.sdm_gta_uav(distances, k).mean()) for k in depths}
+        figures |= {
+            f"sdm@{k}": float(field_metrics.sdm(distances, k, field_metrics.GTA_UAV_DECAY).mean()) for k in depths
+        }
         if len(read):
             figures |= {f"dis@{k}": float(field_metrics.distance_at(read, k).mean()) for k in depths}
         return figures | {f"ma@{m}": field_metrics.accuracy_within(distances[:, 0], m) for m in (20, 50, 100)}

@@ -48,12 +48,14 @@ class ResultSource(SavedSource):
 
     def task(self) -> Task:
         from lpn.datasets import open_dataset
-        from lpn.tasks.saved import published_task
+        from lpn.tasks.saved import saved_task
         from lpn.tasks.task import no_pictures
 
         if self.options.data is None:
             raise no_pictures(printable(self.options.path.name))
-        return published_task(self.load(), open_dataset(self.options.data))
+        saved, dataset = self.load(), open_dataset(self.options.data)
+        saved.check_norms()  # as the contributions of parts require
+        return saved_task(saved, dataset)
 
     def to_measure(self) -> list[Task]:
         from lpn.datasets import open_dataset

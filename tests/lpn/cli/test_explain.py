@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -126,11 +127,18 @@ def test_a_query_of_a_source_is_explained_by_its_name_beside_its_top_match(
     ):
         assert main.main([*given, "--query", "0009", *options]) == 0
         assert json.loads(file.read_text())["match"] == str(task.gallery[int(ranking.order[0])].path)
+    # A picture that is no query of the source is searched for as the user's own.
+    own = shutil.copy(query.path, tmp_path / "own.png")
+    assert main.main([*given, "--query", str(own)]) == 0
+    found = json.loads(file.read_text())
+    assert (found["match"], found["score"]) == (first["match"], pytest.approx(first["score"], abs=1e-4))
     for wrong, said in (
         (["--query", "nowhere"], "has no query nowhere; did you mean 0007?"),
-        (["--query", str(query.path)], "Nothing says which tile to compare with; give it as --match."),
+        (["--query", "0009", "--match", str(own)], "own.png is no tile of places; give the name of one"),
     ):
         assert main.main([*given, *wrong]) == 2
         assert said in capsys.readouterr().err
+    assert main.main(["explain", "--query", str(own)]) == 2
+    assert "Nothing says which tile to compare with; give it as --match." in capsys.readouterr().err
     assert main.main(["explain", "--query", str(query.path), "--match", str(query.path), "--csls", "3"]) == 2
     assert "--csls is of a source, and none is given; name it: lpn explain SOURCE." in capsys.readouterr().err

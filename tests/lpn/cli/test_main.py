@@ -116,7 +116,6 @@ def test_everything_but_training_works_without_torch(data: Path, model_file: Pat
             ["evaluate", "--model", "MODEL"],
             "There is no SOURCE; give its path first: that of an index of a map's windows, ",
         ),
-        (["evaluate", "index", "--index", "x"], "the source, which says itself what it is: lpn evaluate SOURCE"),
         (["evaluate", "x.mat"], "no saved result at x.mat"),
         (["evaluate", "x.mat", "--n-parts", "0"], "number of parts is 0"),
         (["explore", "x.mat", "--data", "DATA"], "no saved result at x.mat"),

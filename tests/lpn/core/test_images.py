@@ -9,7 +9,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from PIL import Image
+from PIL import Image, ImageOps
 
 from lpn.core import images
 from lpn.core.errors import PictureError
@@ -71,40 +71,29 @@ def test_webp_is_read_as_what_it_shows(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("suffix", [".bmp", ".gif", ".tif", ".tiff"])
-def test_further_kinds_are_read_by_every_version_of_opencv(suffix: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_further_kinds_are_read(suffix: str) -> None:
     shown = Image.fromarray(small_worlds.place(3)).convert("P")
     whole = io.BytesIO()
     shown.save(whole, {".bmp": "BMP", ".gif": "GIF"}.get(suffix, "TIFF"))
     np.testing.assert_array_equal(images.decode_picture(whole.getvalue(), suffix), np.asarray(shown.convert("RGB")))
     assert suffix in images.SUFFIXES
-    if suffix == ".gif":
-        monkeypatch.setattr(cv2, "imdecode", lambda *_: None)
-        np.testing.assert_array_equal(images.decode_picture(whole.getvalue(), "a"), np.asarray(shown.convert("RGB")))
-        with pytest.raises(PictureError, match="a is cut short or damaged"):
-            images.decode_picture(whole.getvalue()[:800], "a")
+    with pytest.raises(PictureError, match=r"a is (cut short|not a picture)"):
+        images.decode_picture(whole.getvalue()[:800], "a")
 
 
-@pytest.mark.parametrize(("bits", "shift"), [(8, 0), (10, 4), (12, 4), (14, 8), (16, 8)])
+@pytest.mark.parametrize("bits", [8, 12, 14, 16])
 @pytest.mark.parametrize("suffix", [".tif", ".png"])
 @pytest.mark.parametrize("channels", [1, 3])
-def test_few_bits_in_numbers_of_sixteen_are_no_black_picture(bits: int, shift: int, suffix: str, channels: int) -> None:
+def test_the_upper_bits_of_sixteen_are_read_and_none_is_refused(bits: int, suffix: str, channels: int) -> None:
     picture = small_worlds.place(3)[..., :channels].astype(np.uint16)
-    picture[0, 0] = 255
     numbers = picture << (bits - 8)
     data = cv2.imencode(suffix, numbers[..., ::-1])[1].tobytes()
-    np.testing.assert_array_equal(
-        images.decode_picture(data, "a"), np.broadcast_to(numbers >> shift, (*picture.shape[:2], 3))
-    )
-
-
-def test_one_bright_pixel_makes_no_picture_of_a_sensor_darker() -> None:
-    numbers = small_worlds.place(3).astype(np.uint16) * 3 + 256
-    seen = []
-    for brightest in (1023, 1024, 4095):
-        numbers[0, 0] = brightest
-        seen.append(images.decode_picture(cv2.imencode(".png", numbers)[1].tobytes(), "a")[1:])
-    assert (seen[0] == seen[1]).all()
-    assert (seen[0] == seen[2]).all()
+    if bits <= 12:
+        with pytest.raises(PictureError, match=r"uses the lowest 12 .* save it with 8 bits"):
+            images.decode_picture(data, "a")
+        return
+    shape = (*picture.shape[:2], 3)
+    np.testing.assert_array_equal(images.decode_picture(data, "a"), np.broadcast_to(numbers >> 8, shape))
 
 
 @pytest.mark.parametrize("tiled", [False, True])
@@ -118,14 +107,12 @@ def test_sixteen_bits_keep_planes_apart_and_white_white(
 ) -> None:
     truth = small_worlds.place(3)[..., :channels]
     inverted = photometric == "miniswhite"
-    # Few bits cannot be read of colours in planes, of colours that only Pillow decompresses, nor where 0 is white.
-    refused = (channels == 3 and (interleave == "band" or compress == "zstd")) or (inverted and compress == "deflate")
     for bits in (16, 12):
         numbers = (255 - truth if inverted else truth).astype(np.uint16) << (bits - 8)
         write_tiff(
             tmp_path / "a.tif", numbers, interleave=interleave, photometric=photometric, compress=compress, tiled=tiled
         )
-        if refused and bits == 12:
+        if bits == 12:
             with pytest.raises(PictureError, match=r"a\.tif has numbers of 16 bits and uses the lowest 12 at most"):
                 images.load_picture(tmp_path / "a.tif")
             continue
@@ -144,17 +131,7 @@ def write_tiff(file: Path, numbers: np.ndarray, **options: object) -> None:
         written.write(np.moveaxis(numbers, 2, 0))
 
 
-@pytest.mark.parametrize("suffix", [".tif", ".png"])
-def test_few_bits_of_colours_are_refused_as_released(suffix: str, tmp_path: Path) -> None:
-    picture = small_worlds.place(3).astype(np.uint16)
-    for bits in (12, 16):
-        cv2.imwrite(str(tmp_path / f"{bits}{suffix}"), picture[..., ::-1] << (bits - 8))
-    np.testing.assert_array_equal(images.load_without_orientation(tmp_path / f"16{suffix}"), picture)
-    with pytest.raises(PictureError, match="save it with 8 bits"):
-        images.load_without_orientation(tmp_path / f"12{suffix}")
-
-
-def test_a_tiff_that_opencv_does_not_decompress_is_read_upright(tmp_path: Path) -> None:
+def test_a_tiff_is_read_upright(tmp_path: Path) -> None:
     exif = Image.Exif()
     exif[0x0112] = 6
     Image.fromarray(small_worlds.place(3)[:40]).save(tmp_path / "a.tif", compression="zstd", exif=exif)
@@ -179,17 +156,26 @@ def test_a_tiff_whose_pixels_lie_at_no_place_is_damaged(kind: int) -> None:
 @pytest.mark.parametrize("kind", [np.float32, np.int32])
 def test_heights_are_no_picture_and_called_so(kind: type, tmp_path: Path) -> None:
     Image.fromarray(np.full((20, 20), 312, kind)).save(tmp_path / "dsm.tif")
-    for load in (images.load_picture, images.load_without_orientation):
-        with pytest.raises(PictureError, match="heights of the ground"):
-            load(tmp_path / "dsm.tif")
+    with pytest.raises(PictureError, match="heights of the ground"):
+        images.load_picture(tmp_path / "dsm.tif")
 
 
-def test_exif_orientation_is_obeyed(tmp_path: Path) -> None:
+@pytest.mark.parametrize("orientation", range(10))
+def test_exif_orientation_is_obeyed_unless_told_otherwise(orientation: int, tmp_path: Path) -> None:
     picture = Image.fromarray(small_worlds.place(4)[:40])
     exif = picture.getexif()
-    exif[0x0112] = 6
-    picture.save(tmp_path / "turned.jpg", exif=exif)
-    assert images.load_picture(tmp_path / "turned.jpg").shape == (small_worlds.SIZE, 40, 3)
+    exif[0x0112] = orientation
+    picture.save(tmp_path / "turned.png", exif=exif)
+    with Image.open(tmp_path / "turned.png") as saved:
+        expected = np.asarray(ImageOps.exif_transpose(saved))
+    np.testing.assert_array_equal(images.load_picture(tmp_path / "turned.png"), expected)
+    np.testing.assert_array_equal(images.load_picture(tmp_path / "turned.png", upright=False), np.asarray(picture))
+
+
+def test_damaged_exif_is_no_damage_of_the_picture(tmp_path: Path) -> None:
+    picture = Image.fromarray(small_worlds.place(4))
+    picture.save(tmp_path / "a.png", exif=b"Exif\0\0II*\0\x08\0\0\0\xff\xff\x12\x01")
+    np.testing.assert_array_equal(images.load_picture(tmp_path / "a.png"), np.asarray(picture))
 
 
 def test_what_is_not_a_picture_gets_one_sentence(tmp_path: Path) -> None:

@@ -3,23 +3,18 @@
 from __future__ import annotations
 
 import gzip
-import io
 import json
 import struct
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
-import trimesh
 
 from lpn.core.errors import DataError
-from lpn.core.glb import Primitive, glb
 from lpn.datasets.city_model import MAX_BYTES, NAME, PACKED, city_model
 from tools.fixtures import small_worlds
-from tools.fixtures.glb_parts import header, parts
+from tools.fixtures.glb_parts import header
 
 
 def test_a_model_may_be_compressed(tmp_path: Path) -> None:
@@ -93,16 +88,3 @@ def test_the_origin_may_be_the_asset_s(tmp_path: Path) -> None:
     read = city_model(tmp_path)
     assert read is not None
     assert read.origin.latitude == -12.5
-
-
-def test_triangles_come_back_as_they_were_written() -> None:
-    rng = np.random.default_rng(1)
-    vertices = rng.uniform(-900, 700, (40, 3))
-    colours = rng.integers(0, 256, (40, 3)).astype(np.uint8)
-    one = Primitive("one", vertices, rng.integers(0, 40, (25, 3)), colours)
-    other = replace(one, name="other", vertices=vertices + np.array([10, 20, 30]))
-    scene = trimesh.load(io.BytesIO(glb([one, other], {})), file_type="glb", process=False)
-    np.testing.assert_array_equal(scene.geometry["one"].faces, one.faces)
-    np.testing.assert_array_equal(scene.geometry["one"].visual.vertex_attributes["color"][:, :3], colours)
-    back = parts(glb([one, other], {}))
-    np.testing.assert_allclose(back["other"], vertices + np.array([10, 20, 30]), atol=0.02)

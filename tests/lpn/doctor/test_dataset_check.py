@@ -49,7 +49,7 @@ def test_broken_and_missing_pictures_are_named_and_end_with_status_1(
         status, found = doctor(root, tmp_path, *more)
         assert (status, found["healthy"]) == (1, False)
         assert found["broken"] == [
-            {"file": "test/query_drone/0007/image-01.png", "why": "is cut short or damaged"},
+            {"file": "test/query_drone/0007/image-01.png", "why": "is cut short or damaged", "published": False},
         ]
         assert [(item["name"], item["names"], item["of"]) for item in found["lacking"]] == [
             ("train/drone", ["0002"], 6),
@@ -73,61 +73,13 @@ def test_positions_are_checked(tmp_path: Path) -> None:
     assert "no position for 1 of 12 pictures" in found["gap"]
 
 
-def test_a_fault_of_positions_is_told_once_and_in_each_line(tmp_path: Path) -> None:
+def test_a_line_of_positions_that_no_picture_needs_is_read_too(tmp_path: Path) -> None:
     root = small_worlds.map_dataset(small_worlds.make_dataset(tmp_path / "places", train=2, test=3))
     lines = (root / "geo.csv").read_text().splitlines()
-    of_query = next(line for line in lines if "query_drone" in line)
-    (root / "geo.csv").write_text("\n".join(line for line in lines if line != of_query))
-    (root / "metadata.csv").write_text(f"path,weather\n{of_query.split(',')[0]},rain,1\n")
-    status, found = doctor(root, tmp_path)
-    assert status == 1
-    assert "no position for 1 of 12 pictures" in found["gap"]
-    assert found["refused"] == ["Line 2 of metadata.csv has 3 values; expected 2: path,weather."]
-    (root / "metadata.csv").unlink()
-    # A line that no picture needs is read too.
     (root / "geo.csv").write_text("\n".join([*lines, f"elsewhere.png,north{',' * (lines[0].count(',') - 1)}"]))
     status, found = doctor(root, tmp_path)
-    assert (status, found["refused"]) == (1, [])
+    assert status == 1
     assert f"Line {len(lines) + 1} of geo.csv has the latitude 'north'" in found["gap"]
-
-
-def test_only_names_of_columns_that_the_tables_have_are_refused(tmp_path: Path) -> None:
-    root = small_worlds.make_dataset(tmp_path / "places", train=2, test=3)
-    queries = "test/query_drone/0003/image-01.png", "test/query_satellite/0003/0003.png"
-    (root / "metadata.csv").write_text("\n".join(["path,distance,semi", *(f"{path},1,2" for path in queries)]))
-    assert doctor(root, tmp_path)[1]["refused"] == []
-    assert "'distance', which there is already" in doctor(small_worlds.map_dataset(root), tmp_path)[1]["refused"][0]
-
-
-@pytest.mark.parametrize(
-    ("name", "text", "said"),
-    [
-        (
-            "metadata.csv",
-            'path,"=HYPERLINK(""x"")"\ntest/query_drone/0003/image-01.png,1\n',
-            "expected a name without any of",
-        ),
-        ("metadata.csv", "path,margin_2\ntest/query_drone/0003/image-01.png,1\n", "which there is already"),
-        ("metadata.csv", "path,weather\ntest/query_drone/0003/image-01.png\n", "has 1 values; expected 2"),
-        ("metadata.csv", "path,weather\nelsewhere.png,rain\n", "names none of the 2 queries"),
-        ("notes.csv", "path,note\n", "expected path,tags,note"),
-        ("notes.csv", "path,tags,note\na.png,!,\n", "cannot be used: The tag '!' is not a word"),
-    ],
-)
-def test_what_lists_of_queries_refuse_is_found(
-    name: str, text: str, said: str, tmp_path: Path, model_file: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    root = small_worlds.make_dataset(tmp_path / "places", train=2, test=2)
-    (root / name).write_text(text)
-    assert main.main(["failures", str(root), "--model", str(model_file)]) == 2
-    refused = capsys.readouterr().err
-    assert said in refused
-    status, found = doctor(root, tmp_path)
-    assert (status, found["healthy"]) == (1, False)
-    assert f"lpn: {found['refused'][0]}\n" == refused
-    assert said in " ".join(capsys.readouterr().out.split())
-    (root / name).unlink()
-    assert doctor(root, tmp_path)[1]["refused"] == []
 
 
 def test_equal_files_and_shared_places_are_found(tmp_path: Path) -> None:

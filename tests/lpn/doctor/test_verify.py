@@ -32,7 +32,8 @@ def test_an_index_without_a_tile_is_called_empty(tmp_path: Path, capsys: pytest.
     ExactIndex.create(tmp_path / "index", KIND).close()
     assert said(capsys, tmp_path) == (
         1,
-        f"EMPTY: {tmp_path}/index is empty: no tile was added; see that the disk has space, and add them again with lpn index.",
+        f"DAMAGED: {tmp_path}/index: is empty: no tile was added; see that the disk has space, and add them again with lpn "
+        "index.",
     )
 
 
@@ -49,7 +50,7 @@ def test_an_index_on_a_full_disk_is_called_empty_or_tells_what_is_missing(
         status, line = said(capsys, tmp_path / "index")
         assert (status, line) == (
             1,
-            f"EMPTY: {tmp_path}/index is empty: {left}; see that the disk has space, and add them again with lpn index.",
+            f"DAMAGED: {tmp_path}/index: is empty: {left}; see that the disk has space, and add them again with lpn index.",
         )
         index.add(NAMES, VECTORS)
         assert said(capsys, tmp_path / "index") == (0, f"{tmp_path}/index is what was written.")

@@ -36,7 +36,7 @@ def ranked(golden: dict[str, Any], k: int, drop_junk: bool) -> np.ndarray:
 def test_sdm_of_denseuav(golden: dict[str, Any], k: int) -> None:
     tiles = np.array(golden["gallery_lat_lon"])[ranked(golden, 10, drop_junk=True)]
     degrees = field_metrics.degree_distances(np.array(golden["query_lat_lon"])[:, None], tiles)
-    found = field_metrics.sdm_denseuav(degrees, k)
+    found = field_metrics.sdm(degrees, k, field_metrics.DENSEUAV_DECAY)
     np.testing.assert_allclose(found, golden["denseuav"]["sdm"][str(k)]["per_query"], atol=1e-7)
     assert found.mean() == pytest.approx(golden["denseuav"]["sdm"][str(k)]["mean"], abs=1e-7)
     for query, row in zip(golden["query_lat_lon"], tiles, strict=True):
@@ -72,7 +72,7 @@ def test_sdm_and_dis_of_game4loc(golden: dict[str, Any], name: str) -> None:
     else:
         metres = geo.geodesic(np.array(golden["query_lat_lon"])[:, None], np.array(golden["gallery_lat_lon"])[order])
     for i, k in enumerate((1, 3, 5)):
-        sdm, distance = field_metrics.sdm_gta_uav(metres, k), field_metrics.distance_at(metres, k)
+        sdm, distance = field_metrics.sdm(metres, k, field_metrics.GTA_UAV_DECAY), field_metrics.distance_at(metres, k)
         np.testing.assert_allclose(sdm, np.array(golden[name]["sdm_per_query"])[:, i], rtol=1e-9)
         np.testing.assert_allclose(distance, np.array(golden[name]["dis_per_query"])[:, i], rtol=1e-9)
         assert sdm.mean() == pytest.approx(golden[name]["sdm"][str(k)])
@@ -146,6 +146,6 @@ def test_nearest_is_the_head_of_the_sorted_gallery(k: int) -> None:
 
 def test_wrong_shapes_are_refused() -> None:
     with pytest.raises(InputError, match="K is 4"):
-        field_metrics.sdm_gta_uav(np.zeros((2, 3)), 4)
+        field_metrics.sdm(np.zeros((2, 3)), 4, 1.0)
     with pytest.raises(InputError, match="expected that of the top answer"):
         field_metrics.accuracy_within(np.zeros((2, 3)), 4)

@@ -68,7 +68,7 @@ def test_pictures_are_read_without_their_orientation_and_turned_to_the_nearest_p
     exif = Image.Exif()
     exif[0x0112] = 6  # a camera that was held upright
     Image.fromarray(picture).save(tmp_path / "a.png", exif=exif)
-    assert np.array_equal(images.load_without_orientation(tmp_path / "a.png"), picture)
+    assert np.array_equal(images.load_picture(tmp_path / "a.png", upright=False), picture)
     assert np.array_equal(images.load_picture(tmp_path / "a.png"), np.rot90(picture, 3))
     turned = images.rotate_nearest(picture, 45)
     # Only values of the picture, and black corners; bicubic makes new ones.

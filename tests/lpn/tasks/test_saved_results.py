@@ -202,56 +202,6 @@ def test_damaged_files_get_a_sentence(tmp_path: Path) -> None:
     assert all("r.mat" in sentence for sentence in said)
 
 
-@pytest.mark.parametrize(("shift", "told"), [(0, False), (1, True), (7, True)])
-def test_paths_in_another_order_than_labels_are_told(
-    tmp_path: Path, shift: int, told: bool, caplog: pytest.LogCaptureFixture
-) -> None:
-    paths = {"query_path": [f"query_drone/{(i + shift) % 3:04}/a.jpg" for i in range(3)]}
-    paths["gallery_path"] = [f"gallery_satellite/{i:04}/a.jpg" for i in range(5)]
-    savemat(tmp_path / "r.mat", small() | paths)
-    load_saved(tmp_path / "r.mat")
-    assert ("3 paths in r.mat lie in a folder of another label, such as 000" in caplog.text) == told
-
-
-@pytest.mark.parametrize("gallery", ["gallery_satellite/{:04}/a.jpg", "gallery_satellite/{}.jpg"])
-def test_labels_that_are_no_names_of_folders_are_no_other_order(
-    tmp_path: Path, gallery: str, caplog: pytest.LogCaptureFixture
-) -> None:
-    names = (0, 1, 2, 3, 5)  # ImageFolder numbers them without the gap
-    paths = {"query_path": [f"query_drone/{name:04}/a.jpg" for name in names[:3]]}
-    paths["gallery_path"] = [gallery.format(name) for name in names]
-    savemat(tmp_path / "r.mat", small() | paths)
-    load_saved(tmp_path / "r.mat")
-    assert not caplog.text
-
-
-@pytest.mark.parametrize(
-    ("folders", "shuffled", "told"),
-    [
-        ("q/{place:04}/{i}.jpg", False, False),
-        ("q/{place:04}/{i}.jpg", True, True),
-        ("q/{place:04}_{i}.jpg", True, False),
-    ],
-)
-def test_paths_in_any_other_order_are_told(
-    tmp_path: Path, folders: str, shuffled: bool, told: bool, caplog: pytest.LogCaptureFixture
-) -> None:
-    labels = np.repeat(np.arange(6), 9)
-    order = np.random.default_rng(0).permutation(54) if shuffled else np.arange(54)
-    paths = np.array([folders.format(place=label, i=i) for i, label in enumerate(labels)])
-    result = small() | {"query_f": np.repeat(small()["query_f"], 18, axis=0), "query_label": labels[None]}
-    savemat(tmp_path / "r.mat", result | {"query_path": paths[order]})
-    load_saved(tmp_path / "r.mat")
-    assert ("in a folder of another label" in caplog.text) == told
-
-
-def test_two_pictures_in_one_folder_are_no_other_order(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    of_two = {key: value[:2] if key.endswith("_f") else np.array([[0, 1]]) for key, value in small().items()}
-    savemat(tmp_path / "r.mat", of_two | {"gallery_path": ["satellite/0.jpg", "satellite/1.jpg"]})
-    load_saved(tmp_path / "r.mat")
-    assert not caplog.text
-
-
 def test_labels_that_fit_nothing_are_no_result_of_zero_percent(tmp_path: Path) -> None:
     savemat(tmp_path / "r.mat", small() | {"query_label": np.arange(3) + 1000})
     with pytest.raises(
