@@ -34,6 +34,8 @@ _ALLOWED: dict[str, tuple[Any, ...]] = {
     **dict.fromkeys(("shared", "polar"), (True, False)),
 }
 
+# The methods that `ModelSpec` describes.
+METHODS = ("LPN", "Baseline", "SAFA", "SAFA + LPN")
 # The names of timm's networks begin with this. They are our backbones, not the paper's.
 TIMM = "timm:"
 _TIMM_NAME = re.compile(r"timm:[A-Za-z0-9_]{1,80}")
@@ -152,7 +154,7 @@ class ModelSpec:
 
     @property
     def method(self) -> str:
-        """The method's name: "LPN", "Baseline", "SAFA", or "SAFA + LPN"."""
+        """The method's name, one of `METHODS`."""
         if self.pooling == "safa":
             return "SAFA" if self.n_parts == 1 else "SAFA + LPN"
         return "Baseline" if self.n_parts == 1 else "LPN"

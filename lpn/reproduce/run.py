@@ -14,6 +14,7 @@ from lpn.core.files import check_writable, exclusive_lock, write_atomic
 from lpn.core.views import View, views_of
 from lpn.drawing import network_figures
 from lpn.models.base import Model
+from lpn.models.spec import METHODS, ModelSpec
 from lpn.reproduce import figures, jobs, notes, report
 from lpn.reproduce.jobs import TrainingJob
 from lpn.reproduce.measure import MeasurementStore, features_alone
@@ -176,19 +177,22 @@ class Reproduction:
 
     def _check_fits(self, model: Model, file: Path, use: NetworkUse) -> None:
         """Raise InputError if a given network is not of the kind that it stands for; backbone and weights are free."""
-        spec, name, recipe = model.spec, use.training.name, self.scale.recipe(use.training, 0)
-        if spec is None:
-            raise InputError(
-                f"{file.name} is {model.contract.method}, and {name} needs an LPN; give one, or leave it out."
-            )
-        compared = ["n_parts", "input_size", "pooling", "polar"]
+        contract, name, recipe = model.contract, use.training.name, self.scale.recipe(use.training, 0)
+        spec = ModelSpec(
+            views=contract.views,
+            n_parts=recipe.n_parts,
+            layout=recipe.layout,
+            pooling=recipe.pooling,
+            polar=recipe.polar,
+            input_size=recipe.input_size,
+        )
+        if contract.method not in METHODS:
+            raise InputError(f"{file.name} is {contract.method}, and {name} needs an LPN; give one, or leave it out.")
+        compared = ["n_parts", "method", "input_size", "polar"]
         if recipe.n_parts > 1 and recipe.pooling == "average":
-            compared.append("layout")
+            compared.append("partitions")
         for what in compared:
-            found, needed = (
-                " x ".join(map(str, value)) if isinstance(value, tuple) else value
-                for value in (getattr(spec, what), getattr(recipe, what))
-            )
+            found, needed = (_shown(getattr(one, what)) for one in (contract, spec.contract()))
             if found != needed:
                 raise InputError(
                     f"{file.name} has {what} {found}, and {name} needs {what} {needed} in {use.used_by}; give it under the name "
@@ -397,6 +401,12 @@ class Reproduction:
             data = figures.heatmaps(drawn, dataset, "drone" if places else "street", queries)
         write_atomic(self.out / f"{name}.png", data)
         return self.out / f"{name}.png"
+
+
+def _shown(value: object) -> str:
+    if isinstance(value, Mapping):
+        return ", ".join(f"{view} {partition.kind}" for view, partition in value.items())
+    return " x ".join(map(str, value)) if isinstance(value, tuple) else str(value)
 
 
 def plan(table: PaperTable, reasons: Mapping[str, str]) -> str:

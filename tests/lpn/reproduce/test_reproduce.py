@@ -369,7 +369,11 @@ def test_what_cannot_be_made_is_said_before_anything_is_trained(places: Path, mo
             ["table4"],
             "has input_size 64 x 64, and lpn needs input_size 256 x 256 in .*; give it under .* --size changes the size",
         ),
-        ({"models": {"lpn": strips(tmp_path)}}, ["table5"], "has layout strips, and lpn needs layout university"),
+        (
+            {"models": {"lpn": strips(tmp_path)}},
+            ["table5"],
+            "has partitions satellite columns, drone columns, and lpn needs partitions satellite rings, drone rings",
+        ),
         ({"models": {"lpn-2-parts": model}}, ["table5"], "as lpn-2-parts, which no requested row uses"),
         (
             {"init": [start], "changes": {**QUICK, "backbone": "resnet50", "last_layer": "layer4"}},
