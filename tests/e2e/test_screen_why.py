@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 
-import numpy as np
 import pytest
 from playwright.sync_api import Page, expect
 
@@ -39,9 +38,11 @@ def test_the_verdict_opens_what_a_newcomer_needs(running: Running, screen: Scree
 
 def test_weights_of_a_click_find_a_missed_photo(running: Running, screen: Screen) -> None:
     ranks = running.workspace.rankings["drone-to-satellite"].ranks
-    misses = np.flatnonzero(ranks > 0).tolist()
-    query = next(one for one in misses if TilePair.of(result_of(running.workspace, query=one)).usable)
-    screen.open(f"?query=~{query}&panel=compare")
+    tried = ((query, angle) for angle in (0, *range(-150, 181, 30)) for query in range(len(ranks)))
+    query, angle = next(
+        one for one in tried if TilePair.of(result_of(running.workspace, query=one[0], angle=one[1])).usable
+    )
+    screen.open(f"?query=~{query}&angle={angle}&panel=compare")
     panel = screen.page.locator("#panel")
     expect(screen.headline).to_contain_text("Missed")
     expect(panel.locator(".column")).to_have_count(2)
