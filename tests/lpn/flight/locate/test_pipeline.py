@@ -473,7 +473,7 @@ def test_a_matcher_that_finds_one_of_two_equal_places_does_not_decide(flight: Fl
     located = LocatedFrame(replace(flight.frames[0], file=file, height_above_ground=height), None)
     both, one = MapFeatures(town, _MutualMatcher()), MapFeatures(town, _OneEyedMatcher())
     alone, after = (
-        registered_stage.register_frame(town, kinds, located, SIFT, [], [], None) for kinds in ([one], [both, one])
+        registered_stage.register_frame(town, kinds, located, SIFT, Before(), None) for kinds in ([one], [both, one])
     )
     assert alone.accepted
     assert alone.x == pytest.approx(50, abs=1)
