@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -90,15 +91,15 @@ def test_the_largest_pictures_of_drones_are_read_and_no_larger_ones() -> None:
 
 
 def test_a_chunk_that_claims_gigabytes_takes_none() -> None:
-    """OpenCV makes room for what a PNG says will follow; 164 bytes once took 2 GB."""
+    """A decoder may make room for what a PNG says will follow; 164 bytes once took 2 GB."""
     whole = io.BytesIO()
     Image.fromarray(small_worlds.place(1)).save(whole, "PNG")
     data = bytearray(whole.getvalue())
     place = data.index(b"IDAT") - 4
     data[place : place + 4] = (0x7FFF_0000).to_bytes(4, "big")
     started = time.process_time()
-    with pytest.raises(PictureError):
-        images.decode_picture(bytes(data), "large.png")
+    with suppress(PictureError):  # what follows is all of the picture
+        np.testing.assert_array_equal(images.decode_picture(bytes(data), "large.png"), small_worlds.place(1))
     assert time.process_time() - started < 2
 
 

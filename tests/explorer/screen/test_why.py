@@ -55,11 +55,12 @@ def _html(last: dict[str, Any]) -> str:
     return str((last.get("panel") or {"message": {}})["message"].get("html", ""))
 
 
-def mendable(workspace: Workspace) -> int:
-    """Return a missed query whose truth some part weights put first."""
-    for query in np.flatnonzero(workspace.rankings[TASK].ranks > 0).tolist():
-        if TilePair.of(result_of(workspace, query=query)).usable:
-            return int(query)
+def mendable(workspace: Workspace) -> tuple[int, int]:
+    """Return a query and an angle at which it is missed, and some part weights put its truth first."""
+    for angle in (0, *range(-150, 181, 30)):
+        for query in range(len(workspace.rankings[TASK].ranks)):
+            if TilePair.of(result_of(workspace, query=query, angle=angle)).usable:
+                return query, angle
     raise AssertionError("no part weights mend any of the untrained model's misses")
 
 
@@ -124,9 +125,9 @@ def test_the_pair_has_the_rows_of_the_screen_and_the_ranks_of_each_part(workspac
 
 
 def test_weights_that_are_offered_put_the_truth_first_on_the_screen(workspace: Workspace, tab: Tab) -> None:
-    query = mendable(workspace)
-    assert tab.open(f"?query=~{query}&panel=compare")["headline"]["found"] is False
-    weights = list(TilePair.of(result_of(workspace, query=query)).usable)
+    query, angle = mendable(workspace)
+    assert tab.open(f"?query=~{query}&angle={angle}&panel=compare")["headline"]["found"] is False
+    weights = list(TilePair.of(result_of(workspace, query=query, angle=angle)).usable)
     panel_until(tab, "Use these weights")
     tab.send({"set": {"compare_tried": "yes"}})
     told = panel_until(tab, "R@1 goes from")
