@@ -315,6 +315,8 @@ def test_own_photos_are_listed_and_ranked_and_a_file_that_is_none_is_named(runni
     page.evaluate("() => { delete File.prototype.slice }")
     page.set_input_files("#file", queries[5].path)
     expect(yours).to_have_count(3)
+    expect(yours.last).to_have_attribute("aria-current", "true")
+    expect(total).to_have_text(f"{running.analysis(query=5).ranking.match(0).distance2:.3f}")
     screen.rest()
     expect_accessible(page)
     screen.key("n")
