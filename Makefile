@@ -9,7 +9,7 @@ PORT   ?= 8080
 # Processes of tests. One more than CI's two cores: tests wait for browsers, servers, and other processes.
 JOBS   ?= 3
 
-.PHONY: explore setup test test-all check check-types check-style coverage mutations bench keep keep-slow wheel fuzz soak demo format audit clean
+.PHONY: explore setup test test-all check check-types check-style coverage mutations bench keep keep-slow wheel docs fuzz soak demo format audit clean
 .DEFAULT_GOAL := test
 
 $(BIN)/python:
@@ -115,6 +115,10 @@ format: $(VENV)/.dev
 # What people install: the sdist, the wheel of it, and the demo of an environment that has the wheel and the base packages alone.
 wheel: $(VENV)/.browser
 	$(PYTEST) -n 0 -m '' tests/e2e/test_installed.py
+
+# The documentation as a site in site/, with the options of every command; a link that leads nowhere fails it.
+docs: $(VENV)/.dev
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --quiet
 
 bench: $(VENV)/.browser
 	$(BIN)/python -m tools.bench $(BENCH)
