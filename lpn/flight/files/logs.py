@@ -145,15 +145,9 @@ def nearest_in_folders(path: Sequence[str], candidates: Sequence[Sequence[str]])
 
     Names themselves are not compared, as one of them may lack its suffix.
     """
-    shared = [_common_tail(path[:-1], candidate[:-1]) for candidate in candidates]
+    pairs = [zip(path[-2::-1], candidate[-2::-1], strict=False) for candidate in candidates]
+    shared = [sum(1 for _ in itertools.takewhile(lambda two: two[0] == two[1], folders)) for folders in pairs]
     return [i for i, count in enumerate(shared) if count == max(shared)]
-
-
-def _common_tail(a: Sequence[str], b: Sequence[str]) -> int:
-    count = 0
-    while count < min(len(a), len(b)) and a[-1 - count] == b[-1 - count]:
-        count += 1
-    return count
 
 
 def moments(log: Log) -> tuple[list[TelemetryEntry], str | None]:
@@ -354,5 +348,4 @@ def _elapsed(table: LogTable) -> list[float]:
 
 def _numbers(table: LogTable, texts: Sequence[str]) -> Float64Array:
     """Return texts as numbers, (N,); NaN for those that are none."""
-    numbers = [values.number(text, table.commas) for text in texts]
-    return np.array([math.nan if number is None else number for number in numbers], np.float64)
+    return np.array([values.number(text, table.commas) for text in texts], np.float64)

@@ -150,7 +150,7 @@ class ElevationSource:
             raise DataError(f"The elevation {self.name} has no georeference; expected a GeoTIFF with one.")
 
     def _unit(self, file: Any, given: HeightUnit | None) -> HeightUnit:
-        stated = _spelled(file.units[0]) or _vertical_unit(file.crs)
+        stated = _SPELLINGS.get(re.sub(r"[\s_\-.]", "", (file.units[0] or "").lower())) or _vertical_unit(file.crs)
         if given is not None:
             if stated is not None and stated != given:
                 self.notes.append(
@@ -243,10 +243,6 @@ def write_elevation(
     if share < _WHOLE:
         notes.append(f"{source.path.name} covers {share:.0%} of the map; matches on the rest have no height.")
     return Elevation(out, source.path.name, notes)
-
-
-def _spelled(text: str | None) -> HeightUnit | None:
-    return _SPELLINGS.get(re.sub(r"[\s_\-.]", "", (text or "").lower()))
 
 
 def _vertical_unit(crs: Any) -> HeightUnit | None:

@@ -125,7 +125,7 @@ def test_a_camera_s_file_gives_its_lens_to_the_flight(
 @pytest.mark.parametrize(
     ("text", "sentence"),
     [
-        ("", "lacks what a camera needs"),
+        ("", "lacks 'width'; expected YAML or JSON by OpenCV"),
         ("{", "expected YAML or JSON by OpenCV, ROS, or ODM"),
         ("a: [", "has no YAML ("),
         (ROS.replace("plumb_bob", "equidistant"), "has the model equidistant"),
@@ -133,8 +133,8 @@ def test_a_camera_s_file_gives_its_lens_to_the_flight(
             OPENCV.replace(" 700.", " 7.").replace(" 710.", " 7.1"),
             "has focal lengths of 0.007 and 0.0071 widths of the picture",
         ),
-        (OPENCV.replace("image_width: 1000\n", ""), "lacks what a camera needs ('image_width')"),
-        (OPENCV.replace("width: 1000", "width: 0"), "lacks what a camera needs"),
+        (OPENCV.replace("image_width: 1000\n", ""), "lacks 'image_width'"),
+        (OPENCV.replace("width: 1000", "width: 0"), "division by zero"),
         (
             json.dumps(json.loads(ODM) | {"zoom": json.loads(ODM)["v2 dji"]}),
             "has 2 cameras (v2 dji, zoom), of which only",
