@@ -98,7 +98,7 @@ def read_log(file: Path) -> Log:
     columns = {what: table.numbers(what) for what in (*_HEIGHTS, *_ANGLES) if what in table.columns.places}
     _clean_angles(table, columns, notes)
     clocks, zoned = _clocks(table, notes)
-    times = _elapsed(table)
+    times = (_numbers(table, table.texts("time")) * table.columns.factors.get("time", 1.0)).tolist()
     fixed = table.columns.dialect.fixed
     if unfixed := sum(text not in ("", fixed) for text in table.texts("quality")):
         column = printable(table.header[table.columns.places["quality"]])
@@ -338,12 +338,6 @@ def _clocks(table: LogTable, notes: list[str]) -> tuple[list[float | None], bool
     if late:
         notes.append(f"The times of {table.name} are GPS time; {late:g} s were taken off for UTC.")
     return [None if one is None else one.seconds - late for one in parsed], any(moment.zoned for moment in known)
-
-
-def _elapsed(table: LogTable) -> list[float]:
-    """Return the seconds of the column of time, NaN where unknown."""
-    seconds: list[float] = (_numbers(table, table.texts("time")) * table.columns.factors.get("time", 1.0)).tolist()
-    return seconds
 
 
 def _numbers(table: LogTable, texts: Sequence[str]) -> Float64Array:

@@ -13,7 +13,6 @@ from PIL import ExifTags
 from lpn.cli.main import main
 from lpn.core.errors import DataError
 from lpn.flight.files import make_flight, open_flight
-from lpn.flight.files.folder import TABLE
 from lpn.flight.files.lenses import Lens, lens_of_dewarp_data, read_camera
 from lpn.flight.files.photos import read_photo
 from tools.fixtures.photos import dji_xmp, exif, write_photo
@@ -154,15 +153,3 @@ def test_a_camera_of_other_proportions_is_refused(tmp_path: Path, capsys: pytest
     assert main(["flight", str(photo), "--camera", str(tmp_path / "camera.yaml"), "--out", str(tmp_path / "f")]) == 2
     assert "pictures are 0.750 times as high as wide" in capsys.readouterr().err
     assert not (tmp_path / "f").exists()
-
-
-def test_a_flight_without_its_lenses_or_with_a_damaged_one_is_refused(tmp_path: Path) -> None:
-    photo, out = write_photo(tmp_path / "a.jpg", exif(48.0, 9.0)), tmp_path / "flight"
-    assert main(["flight", str(photo), "--out", str(out)]) == 0
-    table = (out / TABLE).read_text()
-    (out / TABLE).write_text(table.replace(",lens\n", "\n").replace(",\n", "\n"))
-    with pytest.raises(DataError, match=r"The first line of .* is not name,"):
-        open_flight(out)
-    (out / TABLE).write_text(table.replace(",\n", ",1 2\n"))
-    with pytest.raises(DataError, match=r"Line 2 of .* is not what lpn flight writes \(2 numbers\)"):
-        open_flight(out)

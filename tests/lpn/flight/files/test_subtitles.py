@@ -92,15 +92,6 @@ def test_degrees_beyond_90_settle_the_order_or_else_the_third_value(
         assert (told.entries[0].latitude, told.entries[0].longitude) == place[::-1]
 
 
-def test_positions_before_the_fix_or_without_numbers_are_unknown() -> None:
-    texts = ["[latitude: 0.000000] [longitude: 0.000000] [rel_alt: 0.400 abs_alt: 269.099]"] * 3
-    found = parse_subtitles(blocks_of(srt(*texts, BRACKETS)), "a.SRT")
-    assert [entry.latitude for entry in found.entries] == [None, None, None, 34.270373]
-    assert found.entries[0].height_above_takeoff == 0.4
-    assert found.notes == ("3 of 4 entries of a.SRT have no position.",)
-    assert one("[latitude: 95.0] [longitude: 10.0] [rel_alt: 3.0 abs_alt: 4.0]").latitude is None
-
-
 @given(st.integers(20, len(BRACKETS) - 1))
 def test_a_number_that_the_end_cuts_off_is_not_used(length: int) -> None:
     whole = one(BRACKETS)

@@ -58,21 +58,6 @@ def test_numbers_that_are_none_are_no_position_and_no_altitude() -> None:
         parse_track(gpx(0).replace("</trkseg>", point.format(147.3, 5, 1) + "</trkseg>").encode(), "a.gpx")
 
 
-def test_a_track_whose_times_are_all_the_same_fits_nothing_and_says_so(tmp_path: Path) -> None:
-    text = gpx(20)
-    for i in range(20):
-        text = text.replace(time(i), "2024-05-01T00:00:00+02:00")
-    (tmp_path / "track.gpx").write_text(text, "utf-8")
-    clock = {ExifTags.GPS.GPSDateStamp: "2024:05:01", ExifTags.GPS.GPSTimeStamp: (12.0, 0.0, 5.0)}
-    write_photo(tmp_path / "a.jpg", exif(gps=clock))
-    flight = make_flight([tmp_path / "a.jpg", tmp_path / "track.gpx"], tmp_path / "flight")
-    assert flight.frames[0].latitude is None
-    assert any(
-        "1 of 1 moments of track.gpx are listed more than once with different positions" in n for n in flight.notes
-    )
-    assert any(n.startswith("track.gpx fits none of the 1 photos by UTC, and was not used") for n in flight.notes)
-
-
 def test_waypoints_named_as_pictures_are_their_positions(tmp_path: Path) -> None:
     place = '<wpt lat="47.3" lon="8.5"><ele>512</ele><name>DJI_0001.JPG</name></wpt>'
     (tmp_path / "places.gpx").write_text(f'<gpx version="1.1">{place}</gpx>', "utf-8")
