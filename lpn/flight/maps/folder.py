@@ -331,17 +331,16 @@ def _read(folder: Path) -> MapRecord:
     file_name = printable(str(path))
     try:
         record = formats.decode_json(path.read_bytes(), MapRecord, file_name, FORMAT, DataError)
+        placed = abs(record.latitude) <= 90 and abs(record.longitude) <= 180
+        surveyed = record.surveyed_error
+        if not placed or not 0 <= (record.error or 0.0) < math.inf or not (surveyed is None or 0 < surveyed < math.inf):
+            raise ValueError
     except OSError as error:
         raise DataError(f"{file_name} cannot be read ({error.strerror or error}); check its permissions.") from error
     except (ValueError, RecursionError) as error:
         raise DataError(
             f"{file_name} is damaged, or no map; write the map again with lpn map, in a new folder."
         ) from error
-    placed = abs(record.latitude) <= 90 and abs(record.longitude) <= 180
-    surveyed = record.surveyed_error
-    possible = 0 <= (record.error or 0.0) < math.inf and (surveyed is None or 0 < surveyed < math.inf)
-    if not placed or not possible:
-        raise DataError(f"{file_name} is damaged; write the map again with lpn map, in a new folder.")
     return record
 
 

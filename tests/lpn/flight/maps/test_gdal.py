@@ -334,20 +334,6 @@ def test_a_file_of_imagine_takes_pixels_from_its_own_folder_alone(tmp_path: Path
             open_map(path).close()
 
 
-@pytest.mark.parametrize("copied", [False, True])
-def test_a_large_picture_without_georeference_warns_of_nothing(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, recwarn: pytest.WarningsRecorder, copied: bool
-) -> None:
-    if copied:
-        monkeypatch.setattr("lpn.flight.maps.folder._MAX_UNTILED", 1000)
-    path = tmp_path / "town.png"
-    Image.fromarray(smooth(500, 2100)).save(path)
-    build_map([path], tmp_path / "map", MapOptions(corners=(48.0, 9.0, 47.998, 9.012))).close()
-    assert {file.name for file in (tmp_path / "map" / "sheets").iterdir()} == {"01.tif" if copied else "01.ovr"}
-    open_map(tmp_path / "map").overview(8)
-    assert not recwarn.list
-
-
 def test_a_large_sheet_with_a_question_mark_in_its_path_is_refused(tmp_path: Path) -> None:
     path = write_geotiff(tmp_path / "a?if=VRT.tif", smooth(700, 3000), tiled=True, blockxsize=256, blockysize=256)
     with pytest.raises(DataError, match="has a question mark in its path"):

@@ -238,7 +238,9 @@ def test_what_has_no_georeference_is_refused(tmp_path: Path) -> None:
 def test_a_wrong_crs_is_refused(tmp_path: Path) -> None:
     degrees = (7e-6, 0, 9.0, 0, -5e-6, 48.0)
     refused(write_geotiff(tmp_path / "a.tif", smooth(60, 60), "EPSG:32632", degrees), "look like degrees", "EPSG:32632")
-    refused(write_geotiff(tmp_path / "b.tif", smooth(60, 60), "EPSG:4326"), "outside the world", "in degrees")
+    refused(
+        write_geotiff(tmp_path / "b.tif", smooth(60, 60), "EPSG:4326"), "is in degrees, and they lie outside the world"
+    )
     metres = (0.5, 0, 9e9, 0, -0.5, NORTH)
     refused(write_geotiff(tmp_path / "c.tif", smooth(60, 60), "EPSG:3857", (0.5, 0, 0, 0, -0.5, 9e9)), "--crs")
     refused(write_geotiff(tmp_path / "d.tif", smooth(60, 60), "EPSG:32632", metres), "--crs")
