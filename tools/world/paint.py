@@ -24,14 +24,12 @@ class Season:
         grass, dry: reflectance of watered and of dry grass.
         dryness: fraction of dry grass, 0 to 1.
         leaves: reflectances of leaves.
-        pavement: factor of the reflectance of hard ground (red, green, blue).
     """
 
     grass: Reflectance
     dry: Reflectance
     dryness: float
     leaves: tuple[Reflectance, ...]
-    pavement: Reflectance = (1.0, 1.0, 1.0)
 
 
 ASPHALT: Reflectance = (0.125, 0.125, 0.13)
@@ -72,7 +70,6 @@ def ground(
     for path in city.paths:
         if seen(path.line):
             colour, grain, blotch = _GROUND.get(path.surface, _GROUND["gravel"])
-            colour = _hard(colour, season)
             canvas.line(path.line, path.width + 0.8, colour, 0.2, 0.35, 0.2)
             canvas.line(path.line, path.width, colour, grain, 0.92, blotch)
     for patch in city.patches:
@@ -87,8 +84,8 @@ def ground(
     return np.clip(canvas.colour, 0.005, 0.85), np.clip(canvas.water, 0, 1)
 
 
-def _hard(colour: Reflectance, season: Season, factor: float = 1.0) -> Reflectance:
-    red, green, blue = (factor * value * gain for value, gain in zip(colour, season.pavement, strict=True))
+def _scaled(colour: Reflectance, factor: float) -> Reflectance:
+    red, green, blue = (factor * value for value in colour)
     return red, green, blue
 
 
@@ -125,7 +122,7 @@ def _surface(canvas: Canvas, polygon: Float64Array, surface: str, season: Season
             canvas.fill(polygon, (0.09, 0.075, 0.04), 0.2, 0.3, 0.6)
     else:
         colour, grain, blotch = _GROUND[surface]
-        canvas.fill(polygon, _hard(colour, season, 0.8 + 0.4 * shade), grain, blotch)
+        canvas.fill(polygon, _scaled(colour, 0.8 + 0.4 * shade), grain, blotch)
         _stains(canvas, polygon)
 
 
@@ -215,7 +212,7 @@ def _patch(canvas: Canvas, patch: Patch, season: Season) -> None:
     elif patch.surface == "parking":
         colour, grain, blotch = _GROUND["parking"]
         canvas.fill(_grown(patch.polygon, 0.4), PAVING, 0.06, 0.1)
-        canvas.fill(patch.polygon, _hard(colour, season, 0.7 + 0.8 * patch.shade), grain, blotch)
+        canvas.fill(patch.polygon, _scaled(colour, 0.7 + 0.8 * patch.shade), grain, blotch)
         _stains(canvas, patch.polygon, 0.006)
         for y in parking_rows(width):
             for x in np.arange(-length / 2 + 0.15, length / 2, 2.5):
@@ -228,7 +225,7 @@ def _patch(canvas: Canvas, patch: Patch, season: Season) -> None:
         reach = max(length, width)
         for y in np.arange(-reach / 2, reach / 2, 3.0):
             line = local([(-reach / 2, float(y)), (reach / 2, float(y))])
-            canvas.line(_clipped(line, patch.polygon), 1.1, tuple(0.75 * v for v in colour), 0.1, 0.35)  # type: ignore[arg-type]
+            canvas.line(_clipped(line, patch.polygon), 1.1, _scaled(colour, 0.75), 0.1, 0.35)
     elif patch.surface == "water":
         canvas.fill(_grown(patch.polygon, 2.0), (0.2, 0.17, 0.1), 0.2, 0.2, soft=0.6)
         canvas.fill(patch.polygon, _GROUND["water"][0], 0, 0.1, water=1.0)
@@ -283,7 +280,7 @@ def _streets(canvas: Canvas, streets: list[Street], season: Season) -> None:
     for street in streets:
         rng = np.random.default_rng(int(abs(street.line[0].sum()) * 10) + 1)
         tone = rng.uniform(0.6, 1.15)
-        canvas.line(street.line, street.width + 2 * street.pavement, _hard(PAVING, season, tone), 0.08, 1.0, 0.16)
+        canvas.line(street.line, street.width + 2 * street.pavement, _scaled(PAVING, tone), 0.08, 1.0, 0.16)
         if street.pavement > 1.5 and rng.random() < 0.4:  # a verge between kerb and pavement
             for side in (-1, 1):
                 canvas.line(beside(street.line, side * (street.width / 2 + street.pavement * 0.3)), street.pavement * 0.5,
@@ -293,7 +290,7 @@ def _streets(canvas: Canvas, streets: list[Street], season: Season) -> None:
     for street in streets:
         rng = np.random.default_rng(int(abs(street.line[0].sum()) * 10))
         factor = rng.uniform(0.8, 1.8)
-        canvas.line(street.line, street.width, _hard(ASPHALT, season, factor), 0.07, 1.0, 0.14)
+        canvas.line(street.line, street.width, _scaled(ASPHALT, factor), 0.07, 1.0, 0.14)
     for street in streets:
         rng = np.random.default_rng(int(abs(street.line[-1].sum()) * 10))
         offsets = (-5.3, -1.9, 1.9, 5.3) if street.kind == "arterial" else (-1.6, 1.6)
