@@ -15,7 +15,7 @@ from lpn.core.views import View, views_of
 from lpn.drawing import network_figures
 from lpn.models.base import Model
 from lpn.models.spec import METHODS, ModelSpec
-from lpn.reproduce import figures, jobs, notes, report
+from lpn.reproduce import figures, jobs, report
 from lpn.reproduce.jobs import TrainingJob
 from lpn.reproduce.measure import MeasurementStore, features_alone
 from lpn.reproduce.record import RowRecord, TableRecord
@@ -280,7 +280,7 @@ class Reproduction:
                 begun = f", {done} epochs done" if done else ""
                 self._say(f"  {job.name}: {epochs} epochs of {steps} updates, {epochs * steps:,} in all{begun}")
             if self.scale.changes:
-                self._say(notes.changed(self.scale, [job.training for job in left]))
+                self._say(report.changes_note(self.scale, [job.training for job in left]))
         if not self.train:
             there = {*self._loaded, *(job.training.name for job in self._jobs if job.done)}
             for name in drawn:
@@ -360,7 +360,11 @@ class Reproduction:
             rows.append(RowRecord(row.label, values, row.paper, row.note, row.quoted, trained, made, reason))
         columns, beside, alone = _columns(table, data)
         title = table.title if table.measure == "landmarks" or not data else f"{table.title}, on {data[0].kind}"
-        below = [notes.protocol(protocols), *notes.about(table, data, self.scale), *self._of_networks(table)]
+        below = [
+            report.protocol_note(protocols),
+            *report.data_notes(table, data, self.scale),
+            *self._of_networks(table),
+        ]
         record = TableRecord(table.key, title, columns, beside, tuple(rows), tuple(below), alone)
         self._store.keep(record)
         return report.write(record, self.out)
@@ -372,7 +376,7 @@ class Reproduction:
             f"{n} = {self.models[n].name} ({self._loaded[n].describe()})" for n in sorted(names & set(self._loaded))
         ]
         said = [f"Networks given: {', '.join(given)}."] if given else []
-        said += notes.networks([job for job in self._jobs if job.training.name in names], self.scale, self.seeds)
+        said += report.network_notes([job for job in self._jobs if job.training.name in names], self.scale, self.seeds)
         places = self._sources.get("places", []) if MEASURED_ON[table.measure] == "places" else []
         if places and names - set(self._loaded) and not places[0].has_google:
             said.append("There is no train/google, so all networks are trained without it.")
