@@ -117,7 +117,6 @@ class Reproduction:
         self._loaded = self._load(uses)
         self._check_data(wanted, drawn)
         self._jobs = self._planned(uses)
-        self._check_starts(wanted)
         for table in wanted:
             self._say(plan(table, {row.label: self._reason(table, row) for row in table.rows}))
         left = self._check_jobs(uses)
@@ -226,19 +225,6 @@ class Reproduction:
             folder, start = self.out / "runs" / f"{name}-seed{seed}", self._starts.get(recipe.backbone)
             planned.append(TrainingJob(training, seed, recipe, folder, source, start))
         return planned
-
-    def _check_starts(self, wanted: Sequence[PaperTable]) -> None:
-        """Raise InputError if nothing starts from some of the given weights."""
-        backbones = {job.recipe.backbone for job in self._jobs}
-        if any(row.training is None and not row.quoted for table in wanted for row in table.rows):
-            backbones.add(self.scale.base.backbone)
-        rather = f"the backbones are {', '.join(sorted(backbones))}" if backbones else "nothing is left to train"
-        for backbone, file in self._starts.items():
-            if backbone not in backbones:
-                raise InputError(
-                    f"--init gives {file.name}, which holds a {backbone}, and no requested row starts from it: {rather}; leave "
-                    "it out, or give other weights."
-                )
 
     def _check_jobs(self, uses: Sequence[NetworkUse]) -> list[TrainingJob]:
         """Check that the trainings can run and their networks can be measured, and return those that are left."""

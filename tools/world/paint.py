@@ -48,6 +48,7 @@ _GROUND: dict[str, tuple[Reflectance, float, float]] = {  # colour, grain, blotc
     "water": ((0.045, 0.065, 0.05), 0.0, 0.1),
     "pool": ((0.12, 0.42, 0.52), 0.0, 0.05),
 }
+_COURTS: tuple[Reflectance, ...] = ((0.10, 0.2, 0.12), (0.3, 0.12, 0.07), (0.09, 0.16, 0.27), (0.13, 0.13, 0.13))
 _FIELDS: tuple[Reflectance, ...] = (
     (0.24, 0.2, 0.09), (0.09, 0.14, 0.04), (0.2, 0.15, 0.1), (0.14, 0.17, 0.05), (0.3, 0.26, 0.14),
 )  # fmt: skip
@@ -109,9 +110,8 @@ def _grass(canvas: Canvas, polygon: Float64Array, season: Season, shade: float, 
     mask = np.zeros((rows.stop - rows.start, columns.stop - columns.start), np.uint8)
     cv2.fillPoly(mask, [at.astype(np.int32)], 255, cv2.LINE_AA, 4)
     blotches = np.clip(0.5 * canvas.field(9, rows, columns) + 0.5 * canvas.field(2, rows, columns) - 0.5, 0, 1)
-    weight = (mask.astype(np.float32) / 255 * blotches * np.float32(min(0.8, 0.25 + 0.55 * season.dryness * worn)))[
-        ..., None
-    ]
+    most = np.float32(min(0.8, 0.25 + 0.55 * season.dryness * worn))
+    weight = (mask.astype(np.float32) / 255 * blotches * most)[..., None]
     canvas.colour[rows, columns] += weight * (np.array(season.dry, np.float32) - canvas.colour[rows, columns])
 
 
@@ -151,9 +151,12 @@ def _patch(canvas: Canvas, patch: Patch, season: Season) -> None:
     def marked(points: list[tuple[float, float]], width: float = 0.14, strength: float = 0.85) -> None:
         canvas.line(local(points), width, LINE, 0.05, strength)
 
+    def box(x0: float, y0: float, x1: float, y1: float) -> list[tuple[float, float]]:
+        return [(x0, y0), (x1, y0), (x1, y1), (x0, y1)]
+
     def ring(length: float, width: float) -> None:
         x, y = length / 2, width / 2
-        marked([(-x, -y), (x, -y), (x, y), (-x, y), (-x, -y)])
+        marked([*box(-x, -y, x, y), (-x, -y)])
 
     def circle(x: float, y: float, radius: float) -> None:
         around = np.linspace(0, 2 * np.pi, 40)
@@ -168,43 +171,21 @@ def _patch(canvas: Canvas, patch: Patch, season: Season) -> None:
         stripes = 12
         for i in range(0, stripes, 2):
             x = -length / 2 + i * length / stripes
-            band = [
-                (x, -width / 2),
-                (x + length / stripes, -width / 2),
-                (x + length / stripes, width / 2),
-                (x, width / 2),
-            ]
-            canvas.fill(local(band), (0.13, 0.21, 0.06), 0.1, 0.1, 0.3)
+            band = local(box(x, -width / 2, x + length / stripes, width / 2))
+            canvas.fill(band, (0.13, 0.21, 0.06), 0.1, 0.1, 0.3)
         ring(length - 5, width - 5)
         marked([(0, -width / 2 + 2.5), (0, width / 2 - 2.5)])
         circle(0, 0, width * 0.13)
         for side in (-1, 1):
             x = side * (length / 2 - 2.5)
             for deep, wide in ((0.15, 0.55), (0.05, 0.25)):
-                inner = x - side * deep * length
-                marked(
-                    [
-                        (x, -wide * width / 2),
-                        (inner, -wide * width / 2),
-                        (inner, wide * width / 2),
-                        (x, wide * width / 2),
-                    ]
-                )
-            canvas.fill(
-                local([(x - side * 7, -4), (x, -4), (x, 4), (x - side * 7, 4)]), season.dry, 0.2, 0.2, 0.5, soft=1.0
-            )
+                marked(box(x, -wide * width / 2, x - side * deep * length, wide * width / 2))
+            canvas.fill(local(box(x - side * 7, -4, x, 4)), season.dry, 0.2, 0.2, 0.5, soft=1.0)
     elif patch.surface == "track":
         _track(canvas, patch, season)
     elif patch.surface == "court":
-        colours: tuple[Reflectance, ...] = (
-            (0.10, 0.2, 0.12),
-            (0.3, 0.12, 0.07),
-            (0.09, 0.16, 0.27),
-            (0.13, 0.13, 0.13),
-        )
         canvas.fill(patch.polygon, (0.12, 0.2, 0.13) if patch.shade < 0.5 else (0.25, 0.11, 0.07), 0.03, 0.06)
-        field = local([(-12, -5.5), (12, -5.5), (12, 5.5), (-12, 5.5)])
-        canvas.fill(field, colours[int(patch.shade * 3.99)], 0.03, 0.06)
+        canvas.fill(local(box(-12, -5.5, 12, 5.5)), _COURTS[int(patch.shade * 3.99)], 0.03, 0.06)
         ring(23.8, 11)
         ring(23.8, 8.2)
         marked([(0, -6), (0, 6)])
@@ -217,8 +198,7 @@ def _patch(canvas: Canvas, patch: Patch, season: Season) -> None:
         for y in parking_rows(width):
             for x in np.arange(-length / 2 + 0.15, length / 2, 2.5):
                 marked([(float(x), y - 2.5), (float(x), y + 2.5)], 0.13, 0.75)
-                canvas.fill(local([(x + 0.7, y - 1.4), (x + 1.8, y - 1.4), (x + 1.8, y + 1.6), (x + 0.7, y + 1.6)]),
-                            (0.05, 0.05, 0.05), 0, 0.3, 0.22, soft=0.4)  # fmt: skip
+                canvas.fill(local(box(x + 0.7, y - 1.4, x + 1.8, y + 1.6)), (0.05, 0.05, 0.05), 0, 0.3, 0.22, soft=0.4)
     elif patch.surface == "field":
         colour = _FIELDS[int(patch.shade * 4.99)]
         canvas.fill(patch.polygon, colour, 0.15, 0.16)
@@ -235,9 +215,7 @@ def _patch(canvas: Canvas, patch: Patch, season: Season) -> None:
     elif patch.surface == "playground":
         canvas.fill(patch.polygon, _GROUND["playground"][0], 0.06, 0.1)
         for i, colour in enumerate(((0.3, 0.1, 0.06), (0.5, 0.36, 0.1), (0.1, 0.2, 0.35))):
-            canvas.fill(
-                local([(-12 + 8 * i, -5), (-6 + 8 * i, -5), (-6 + 8 * i, 3), (-12 + 8 * i, 3)]), colour, 0.05, 0.1, 0.8
-            )
+            canvas.fill(local(box(-12 + 8 * i, -5, -6 + 8 * i, 3)), colour, 0.05, 0.1, 0.8)
     else:
         _surface(canvas, patch.polygon, patch.surface, season, patch.shade)
         if patch.surface == "plaza":
@@ -245,9 +223,8 @@ def _patch(canvas: Canvas, patch: Patch, season: Season) -> None:
                 shape = middle + (patch.polygon - middle) * scale
                 canvas.line(np.concatenate([shape, shape[:1]]), 0.6, (0.24, 0.21, 0.18), 0.05, 0.7)
         if patch.surface == "garden":
-            canvas.fill(
-                middle + (patch.polygon - middle) * (0.9, 0.55), (0.14, 0.13, 0.06), 0.25, 0.3, 0.3 + 0.4 * patch.shade
-            )
+            bed = middle + (patch.polygon - middle) * (0.9, 0.55)
+            canvas.fill(bed, (0.14, 0.13, 0.06), 0.25, 0.3, 0.3 + 0.4 * patch.shade)
 
 
 def _clipped(line: Float64Array, polygon: Float64Array) -> Float64Array:

@@ -337,7 +337,7 @@ def test_what_cannot_be_made_is_said_before_anything_is_trained(places: Path, mo
         (
             {"init": [start], "changes": {**QUICK, "backbone": "resnet50", "last_layer": "layer4"}},
             ["table5"],
-            "a resnet18, and no",
+            "no --init has the weights of resnet50 for lpn",
         ),
         ({"queries": ["nope"]}, ["figure8"], "no query nope"),
         ({"data": [str(places), str(places)]}, ["table4"], "two data sets of places"),
