@@ -249,6 +249,7 @@ def test_a_folder_of_other_pictures_is_left_alone(tmp_path: Path, atlas: Atlas) 
             check_folder(SETTINGS, file, WORLD)
 
 
+@pytest.mark.slow
 @rendering
 def test_a_small_world_is_rendered_and_resumed(tmp_path: Path) -> None:
     small = Settings(seed=2, buildings=2, views=2, pixels=40, tile_pixels=48, samples=1)
