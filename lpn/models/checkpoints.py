@@ -229,14 +229,6 @@ def _with_sorted_header(data: bytes) -> bytes:
     return len(header).to_bytes(8, "little") + header + data[start:]
 
 
-def epochs_of(path: Path) -> int | None:
-    """Return the number of epochs that a model of ours was trained; None if unknown."""
-    try:
-        return int(_read_tensors(path)[1]["epochs"])
-    except (ModelFileError, OSError, KeyError, ValueError):
-        return None
-
-
 def recipe_of(path: Path) -> dict[str, Any]:
     """Return the recipe that a model of ours was trained by, as JSON values; empty if unknown."""
     try:
