@@ -56,6 +56,8 @@ export const partColour = (part, count, on = "") => variable(count === 1 ? `--${
 export const partInk = (part, count) => partColour(part, count, "on-");
 
 export const wrap = (degrees) => ((((degrees + 180) % 360) + 360) % 360) - 180;
+/** @returns {string} a turn as it is shown: an arrow, as readers differ in the sense of its sign */
+export const turned = (angle) => `${angle > 0 ? "↺ " : angle < 0 ? "↻ " : ""}${Math.abs(Math.round(angle))}°`;
 export const shown = (value) => value.toFixed(3);
 export const isPhone = () => innerWidth <= 760;
 

@@ -74,7 +74,7 @@ def test_the_bundle_has_each_module_once_and_no_name_twice(app: App) -> None:
     named = re.findall(r"^(?:export )?(?:const|let|class) (\w+|\[[^\]]*\]|\{[^}]*\})", bundle, re.MULTILINE)
     names = [name for group in named for name in re.findall(r"\w+", group)]
     assert {name for name in names if names.count(name) > 1} == set()
-    assert {"find", "term", "Panels", "press"} <= set(names)
+    assert {"find", "tip", "Panels", "press"} <= set(names)
 
 
 def test_the_page_gets_the_meanings_of_terms_and_panels_name_no_others(app: App) -> None:
@@ -355,13 +355,13 @@ def test_a_page_gets_what_follows_a_message_that_is_no_json(
 
 
 def test_another_place_opens_a_panel_of_its_own(app: App, tab: Tab) -> None:
-    tab.open("?panel=why")
+    tab.open("?panel=compare")
     session: Any = app._channel.sessions[TAB]
     before = session._panel[1]
     session._leave_place()
     tab.set(query=1)
     tab.result(query=1)
-    assert session._panel[0] == "why"
+    assert session._panel[0] == "compare"
     assert session._panel[1] is not before
 
 
