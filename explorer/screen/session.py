@@ -25,7 +25,7 @@ from explorer.screen.loop import Loop, ScreenMessage
 from explorer.screen.occlusion import Covering, Occlusion
 from explorer.screen.own import OwnPhotoBytes, OwnPhotos
 from explorer.screen.panel import Action, PanelPart, SceneLines
-from explorer.screen.panels import PANELS
+from explorer.screen.panels import PANELS, scripted
 from explorer.screen.rail import Rail, listed_queries
 from explorer.screen.result import STRIP, ScreenResult, measured_scale
 from explorer.screen.scene.scene import views_of
@@ -496,7 +496,7 @@ class ScreenSession:
             "turns": workspace.model is not None,
             "place": "City" if base.basemap is None else "Map",
             "panels": [
-                {"name": one.name, "title": one.title, "key": one.key, "place": one.place}
+                {"name": one.name, "title": one.title, "key": one.key, "place": one.place, "script": scripted(one.name)}
                 for one in PANELS.values()
                 if one.part is not None and one.offered(base)
             ],

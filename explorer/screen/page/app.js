@@ -6,7 +6,7 @@ import { angleAt, drawCurve } from "./curve.js";
 import { find, isPhone, make, onPicture, wrap } from "./dom.js";
 import { HEATS, drawHead, drawHeadline, drawPictures, drawTurn, focusPictures, shownTile } from "./draw.js";
 import { partAt } from "./heat.js";
-import { OwnSender } from "./own.js";
+import { makeOwnSender } from "./own.js";
 import { Panels } from "./panels.js";
 import { markFocus } from "./pictures.js";
 import { RailList, showYours } from "./rail.js";
@@ -303,32 +303,25 @@ curve.addEventListener("pointerdown", (event) => turnTo(pointedAt(event)));
 curve.addEventListener("pointermove", (event) => show({ hovered: pointedAt(event) }));
 curve.addEventListener("pointerleave", () => show({ hovered: null }));
 document.addEventListener("click", (event) => {
-  const chosen = /** @type {any} */ (event.target).closest("[data-query], [data-own], [data-view], [data-filter], [data-back], [data-equal]");
-  const { query, own: mine, view: seen, filter, back, equal } = chosen?.dataset ?? {};
+  const chosen = /** @type {any} */ (event.target).closest("[data-query], [data-own], [data-view], [data-filter], [data-back], [data-equal], [data-press]");
+  const { query, own: mine, view: seen, filter, back, equal, press: name } = chosen?.dataset ?? {};
   if (query) set({ query: Number(query), own: "" });
   if (mine) set({ own: mine });
   if (seen) set({ view: seen });
   if (filter) set({ filter });
+  if (name) commandsNow().find((one) => one.keys?.includes(name))?.act();
   if (back !== undefined) say("");
   if (equal !== undefined) set({ weights: [] });
 });
 const step = (by) => act("step", { by });
-find("#previous").onclick = () => step(-1);
-find("#next").onclick = () => step(1);
-find("#random").onclick = () => act("random");
-find("#find").onclick = () => commands.open("photos");
-find("#palette").onclick = () => commands.open("commands");
 find("#model").onclick = () => set({ model: String((Number(view.state.model) + 1) % view.page.models.length) });
 find("#models").onchange = (event) => {
   set({ model: event.target.value });
   event.target.blur(); // keys are the page's again
 };
-find("#headline h1 button").onclick = () => openPanel("why");
 find("#full").onclick = () => openPanel(view.page.panels.find((one) => one.place === "full").name);
-find("#scene .enlarge").onclick = () => enlarge();
 find("#own").onclick = () => own.choose();
 const key = find(".key", photo);
-key.onclick = () => nextHeat();
 key.addEventListener("pointerenter", () => show({ colour: true }));
 key.addEventListener("pointerleave", () => show({ colour: false }));
 const show = (values) => {
@@ -336,7 +329,7 @@ const show = (values) => {
   soon();
 };
 
-const own = new OwnSender(channel, say);
+const own = makeOwnSender(channel, say);
 
 // Commands and keys: one table.
 const nextHeat = () => {
@@ -384,7 +377,7 @@ const commandsNow = () => {
     ...(scenes.length ? [{ label: "Large scene", key: "G", keys: ["g"], act: () => enlarge() }] : []),
     { label: state.theme === "dark" ? "Light" : "Dark", key: "D", keys: ["d"], act: flipTheme },
     { label: "Keys", key: "?", keys: ["?"], act: () => commands.open("keys") },
-    { label: "All commands", key: "Ctrl K", act: () => commands.open("commands"), hidden: true },
+    { label: "All commands", key: "Ctrl K", keys: ["ctrl k"], act: () => commands.open("commands"), hidden: true },
     { label: "Back", key: "Esc", keys: ["escape"], act: escape, hidden: true },
   ];
 };

@@ -42,6 +42,11 @@ export const addStyle = (address, before = false) => {
   }
   return sheets.get(address);
 };
+/** @returns {Promise<any>} a library of `vendor`, as its makers publish it, once its style sheet is there, below the page's own */
+export const load = async (name) => {
+  await addStyle(`screen/vendor/${name}.css`, true);
+  return import(`../vendor/${name}.js`);
+};
 
 const variables = new Map();
 /** @returns {string} the value of a CSS variable that is a colour of the theme */
@@ -76,19 +81,4 @@ export const picture = (source) => {
     pictures.set(source, known);
   }
   return known;
-};
-
-/** Size a canvas to the device's pixels, and clear it. */
-export const prepare = (canvas) => {
-  const width = canvas.clientWidth;
-  const height = canvas.clientHeight;
-  const ratio = devicePixelRatio || 1;
-  if (canvas.width !== Math.round(width * ratio) || canvas.height !== Math.round(height * ratio)) {
-    canvas.width = Math.round(width * ratio);
-    canvas.height = Math.round(height * ratio);
-  }
-  const pen = canvas.getContext("2d");
-  pen.setTransform(ratio, 0, 0, ratio, 0, 0);
-  pen.clearRect(0, 0, width, height);
-  return { pen, width, height };
 };
