@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import BrowserContext, Locator, Page, expect
 
-from tests.e2e.conftest import Running, RunningApp, Screen, box, expect_accessible, outlast, started
+from tests.e2e.conftest import Running, RunningApp, Screen, box, expect_accessible, started
 from tools.fixtures import panorama_model, small_worlds
 from tools.fixtures.published_results import save_result
 
@@ -384,21 +384,6 @@ def test_the_screen_is_accessible_in_both_themes(
     expect_accessible(page)
 
 
-def test_a_lost_connection_is_said_and_found_again(screen: Screen) -> None:
-    screen.page.add_init_script(
-        """(() => { const made = window.WebSocket; window.sockets = [];
-          window.WebSocket = function (...given) { const one = new made(...given); sockets.push(one); return one };
-          window.WebSocket.OPEN = made.OPEN; })()"""
-    )
-    screen.open("?angle=30")
-    outlast(screen.page, 2000)  # the page waits for the test before it connects again
-    screen.page.evaluate("sockets[0].close()")
-    expect(screen.headline.locator("h1")).to_have_text("Connection lost. Trying again.")
-    expect(screen.page.locator("#rows")).to_have_css("opacity", "0.32")
-    screen.page.reload()
-    screen.rest("30")
-
-
 @pytest.mark.slow
 def test_the_scene_shows_the_place_and_the_rings_apart(running: Running, screen: Screen) -> None:
     screen.open("?query=0005")
@@ -484,11 +469,3 @@ def test_without_webgl_all_but_the_scene_is_there(running: Running, screen: Scre
     screen.rest()
     expect(screen.page.locator("#scene")).to_be_hidden()
     assert not screen.complaints
-
-
-def test_a_second_browser_has_its_own_photo(running: Running, contexts: Callable[..., BrowserContext]) -> None:
-    one, other = (Screen(contexts().new_page(), running.url).open() for _ in range(2))
-    one.key("n")
-    one.rest()
-    expect(one.page).to_have_url(re.compile("query=0003"))
-    expect(other.page).to_have_url(re.compile("query=0002"))

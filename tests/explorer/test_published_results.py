@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +8,6 @@ import pytest
 
 from explorer.opening import open_model, open_source, open_tasks
 from explorer.workspace import Workspace
-from lpn.core.errors import DataError, InputError
 from lpn.core.views import TaskName, views_of
 from lpn.datasets import open_dataset
 from lpn.models.base import normalise
@@ -17,7 +15,7 @@ from lpn.retrieval.saved import PublishedResult
 from lpn.sources import SourceOptions
 from lpn.tasks.saved import saved_task
 from tests.explorer.conftest import TASK, RefusedError, answered
-from tools.fixtures import layouts, small_worlds
+from tools.fixtures import layouts
 from tools.fixtures.published_results import save_result
 
 
@@ -53,24 +51,6 @@ def test_a_saved_result_is_ranked_as_its_model_ranks(workspace: Workspace, data:
 def test_what_needs_a_network_is_refused(workspace: Workspace) -> None:
     with pytest.raises(RefusedError, match="cannot describe a photo"):
         answered(workspace, own=b"x")
-
-
-def test_pictures_of_equal_files_are_told_apart_by_their_query(workspace: Workspace) -> None:
-    first, second = (answered(workspace, query=query).analysis for query in (0, 1))
-    assert first.query is not second.query
-    assert not np.array_equal(first.ranking.scores, second.ranking.scores)
-
-
-def test_results_that_cannot_be_explored_are_refused(data: Path, model_file: Path, tmp_path: Path) -> None:
-    save_result(tmp_path / "r.mat", data, model_file, length=2.0)
-    with pytest.raises(InputError, match="parts of norm"):
-        open_source(SourceOptions(source=str(tmp_path / "r.mat"), data=data))
-    save_result(tmp_path / "r.mat", data, model_file)
-    other = small_worlds.make_dataset(tmp_path / "other", train=1, test=2)
-    with pytest.raises(DataError, match="give the data set"):
-        open_source(SourceOptions(source=str(tmp_path / "r.mat"), data=other))
-    with pytest.raises(InputError, match="no query x"):
-        open_source(SourceOptions(source=str(tmp_path / "r.mat"), data=data), "x")
 
 
 def random_result(root: Path, task: TaskName, seed: int = 0) -> PublishedResult:
@@ -118,12 +98,3 @@ def test_listed_true_tiles_grade_a_saved_result(layout: Callable[[Path], Path], 
         assert marks == {name: name in good for name in marks}
     if task != "satellite-to-drone":  # several true tiles of a query, or half-true ones, are what labels cannot tell
         assert any(len(one.good) > 1 or len(one.semi) for one in lists)
-
-
-def test_a_gallery_picture_with_two_rows_is_refused_where_lists_tell_the_truth(tmp_path: Path) -> None:
-    root = layouts.gta(tmp_path / "data")
-    saved = random_result(root, TASK)
-    assert saved.gallery_paths is not None
-    twice = replace(saved, gallery_paths=(saved.gallery_paths[1], *saved.gallery_paths[1:]))
-    with pytest.raises(InputError, match="twice in its gallery"):
-        open_tasks([saved_task(twice, open_dataset(root))])
