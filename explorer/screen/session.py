@@ -113,7 +113,6 @@ class ScreenSession:
             "calibrate": self._calibrate,
             "hover": self.scene.hover,
             "pick": self.scene.pick,
-            "scene": self.scene.draw,
         }
 
     # What panels use, see `Tab`.

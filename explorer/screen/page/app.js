@@ -409,7 +409,6 @@ const enlarge = (large = !document.body.classList.contains("large")) => {
   button.textContent = large ? "✕" : "⤢";
   button.title = large ? "Close (Esc)" : "Enlarge (G)";
   button.setAttribute("aria-label", large ? "Close" : "Enlarge");
-  scene.resized();
 };
 const HELD = "tf";
 export const press = (event) => {

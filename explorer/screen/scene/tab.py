@@ -52,8 +52,8 @@ class TabScene:
         """Take a result, in a state's view and theme, to be drawn by `draw`."""
         self._shown = result, state
 
-    def draw(self, _: Mapping[str, Any] | None = None) -> None:
-        """Draw what was taken last, fitted to the frame's size."""
+    def draw(self) -> None:
+        """Draw what was taken last."""
         self._worker.wake()
 
     def hover(self, arguments: Mapping[str, Any]) -> None:
