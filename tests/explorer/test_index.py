@@ -12,6 +12,7 @@ from explorer.screen import fields
 from explorer.screen.result import ScreenResult
 from explorer.workspace import Workspace
 from lpn.cli.main import main
+from lpn.core.errors import InputError
 from lpn.flight.files import write_flight
 from lpn.flight.maps import NamedWindow
 from lpn.sources import SourceOptions
@@ -144,3 +145,8 @@ def test_windows_without_their_map_are_placeholders(
     assert not result.evidence
     assert result.described(result.first).picture.std() < 60
     assert result.analysis.ranking.relevant is None  # the data set's places are not in the index
+
+
+def test_an_index_alone_has_no_queries(index: Path, model_file: Path) -> None:
+    with pytest.raises(InputError, match="tiles and no queries"):
+        open_source(SourceOptions(source=str(index), model=model_file))

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -8,6 +9,7 @@ import pytest
 
 from explorer.opening import open_model, open_source, open_tasks
 from explorer.workspace import Workspace
+from lpn.core.errors import InputError
 from lpn.core.views import TaskName, views_of
 from lpn.datasets import open_dataset
 from lpn.models.base import normalise
@@ -98,3 +100,12 @@ def test_listed_true_tiles_grade_a_saved_result(layout: Callable[[Path], Path], 
         assert marks == {name: name in good for name in marks}
     if task != "satellite-to-drone":  # several true tiles of a query, or half-true ones, are what labels cannot tell
         assert any(len(one.good) > 1 or len(one.semi) for one in lists)
+
+
+def test_a_gallery_picture_with_two_rows_is_refused_where_lists_tell_the_truth(tmp_path: Path) -> None:
+    root = layouts.gta(tmp_path / "data")
+    saved = random_result(root, TASK)
+    assert saved.gallery_paths is not None
+    twice = replace(saved, gallery_paths=(saved.gallery_paths[1], *saved.gallery_paths[1:]))
+    with pytest.raises(InputError, match="twice in its gallery"):
+        open_tasks([saved_task(twice, open_dataset(root))])

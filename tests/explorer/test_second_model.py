@@ -22,6 +22,7 @@ from lpn.core.errors import DataError, InputError, ModelFileError
 from lpn.datasets import open_dataset
 from lpn.descriptors.transforms import Change
 from lpn.descriptors.weather import Weather
+from lpn.models import timm_networks
 from lpn.sources import ModelOptions
 from lpn.tasks.changes import changed
 from lpn.tasks.opening import lazy_task
@@ -189,3 +190,36 @@ def test_a_model_is_compared_with_itself_in_a_weather(data: Path, model_file: Pa
     assert [task.metrics["recall@1"], task.metrics["ap"]] == pytest.approx([result.recall["1"], result.ap])
     with pytest.raises(InputError, match="expected weathers other than normal, each of them once"):
         open_model(data, model_file, beside_weathers=["fog", "fog"])
+
+
+def test_tokens_of_one_file_are_pooled_in_two_ways_beside_a_model(
+    data: Path, model_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    opened: list[Workspace] = []
+    monkeypatch.setattr(explorer.app, "serve", lambda open_workspace, *_: opened.append(open_workspace()))
+    network = timm_networks.named_network("test_vit", (32, 32), own_size=True)
+    torch.save(network.state_dict(), tmp_path / "weights.pth")
+    (tmp_path / "opts.yaml").write_text("h: 32\nw: 32\n")
+    weights = Path(f"timm:test_vit:{tmp_path / 'weights.pth'}")
+    both = ("rings:3", "mean")
+    Explore(source=str(data), model=model_file, beside=(weights, weights), beside_pooling=both).run()
+    Explore(source=str(data), model=weights, pooling="gem").run()
+    first, last = opened[0].beside
+    assert [first.label, last.label] == ["weights.pth, rings:3", "weights.pth, mean"]
+    wait_until(lambda: first.workspace is not None)
+    assert first.workspace is not None
+    assert (first.workspace.contract.n_parts, first.workspace.contract.level) == (3, "exact")
+    assert opened[1].contract.method == "test_vit, gem"
+    refused: dict[str, Explore | FailuresCommand] = {
+        "Found 1 pooling for 2 models of --beside": Explore(
+            source=str(tmp_path), model=model_file, beside=(weights, weights), beside_pooling=("mean",)
+        ),
+        "--pooling needs --model": Explore(source=str(tmp_path), pooling="mean"),
+        "--beside-pooling needs --beside": FailuresCommand(source=str(data), model=model_file, beside_pooling="mean"),
+        "is given twice": Explore(
+            source=str(data), model=weights, pooling="mean", beside=(weights,), beside_pooling=("mean",)
+        ),
+    }
+    for message, command in refused.items():
+        with pytest.raises(InputError, match=message):
+            command.run()

@@ -21,6 +21,7 @@ from explorer.compute.inference_scheduler import (
     InferenceScheduler,
 )
 from explorer.compute.request_context import MIN_WAIT, QueuedModel, RequestContext
+from explorer.compute.worker import Worker
 from lpn.core.arrays import Float32Array
 from lpn.core.errors import InputError, LPNError, ModelFileError
 from lpn.core.views import View
@@ -555,3 +556,27 @@ def test_after_a_failed_computation_the_next_caller_of_the_cache_retries() -> No
     for thread in threads:
         thread.join(TIMEOUT)
     assert got == ["made"]
+
+
+def test_after_a_failed_thread_start_the_next_call_tries_again(
+    network: ManualModel, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    network._kept_positions = False
+    queue, ran = InferenceScheduler(), threading.Event()
+    worker = Worker(ran.set, lambda _: None)
+
+    def full(_: threading.Thread) -> None:
+        raise RuntimeError("can't start new thread")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(threading.Thread, "start", full)
+        with pytest.raises(RuntimeError):
+            queued(network, queue).run(pictures(1), "drone")
+        with pytest.raises(RuntimeError):
+            worker.wake()
+    assert n_queued(queue) == 0
+    assert Client(queued(network, queue), 2).finished().result is not None
+    assert network.passes == [[2]]
+    worker.wake()
+    assert ran.wait(TIMEOUT)
+    worker.stop()
