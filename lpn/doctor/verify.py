@@ -52,13 +52,10 @@ def verify(path: Path) -> Iterator[VerifiedFile]:
         )
     for file in files:
         try:
-            yield _verify_index(file) if _is_index(file) else VerifiedFile(file, _verify(file), True)
+            of_index = file.is_dir() and any(is_manifest(one.name) for one in file.iterdir())
+            yield _verify_index(file) if of_index else VerifiedFile(file, _verify(file), True)
         except (LPNError, OSError) as error:
             yield VerifiedFile(file, printable(str(error)), False)
-
-
-def _is_index(path: Path) -> bool:
-    return path.is_dir() and any(is_manifest(file.name) for file in path.iterdir())
 
 
 def _verify_index(folder: Path) -> VerifiedFile:

@@ -228,8 +228,6 @@ def test_the_command_prints_a_table_and_writes_csv(
     [
         (["--query", "nowhere"], "has no query nowhere; did you mean 0007?"),
         (["--query", "0009", "--task", "street-to-drone"], "has the tasks drone-to-satellite"),
-        (["--query", "0009", "--weights", "1,x"], "expected a number for each part"),
-        (["--query", "0009", "--weights", "1,1"], "expected 4 numbers"),
         (["--query", "0009", "--step", "-5"], "step is -5"),
     ],
 )

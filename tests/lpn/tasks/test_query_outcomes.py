@@ -17,7 +17,7 @@ from lpn.core.arrays import Float32Array
 from lpn.core.errors import DataError, InputError
 from lpn.core.tables import number_column, text_column
 from lpn.datasets import Picture, Truth, geo, labels_of, open_dataset
-from lpn.descriptors import cached_descriptors, describe, shipped_or_cached
+from lpn.descriptors import cached_descriptors
 from lpn.models.base import normalise
 from lpn.retrieval import inner_products, metrics, scoring
 from lpn.tasks import notes
@@ -385,22 +385,6 @@ def test_failure_rates_by_text_come_with_the_highest_first() -> None:
     assert [(r.name, r.queries, r.failures) for r in found] == [("b", 1, 1), ("a", 3, 1), ("not known", 1, 1)]
     with pytest.raises(InputError, match="one value for each"):
         breakdown.rates(failed, text_column("district", ["a"]))
-
-
-def test_descriptors_that_came_with_a_data_set_are_taken(tmp_path: Path, model_file: Path) -> None:
-    root, model = small_worlds.make_dataset(tmp_path / "places", train=0, test=3), lpn.load(model_file)
-    queries = open_dataset(root).queries("drone")
-    folder = root / "test" / "query_drone"
-    store = describe(model, [q.path for q in queries], "drone", root / "descriptors" / "query_drone", root=folder)
-    marked = np.lib.format.open_memmap(root / "descriptors" / "query_drone" / "descriptors.npy", mode="r+")
-    marked[0] = marked[1]
-    marked.flush()
-    taken = shipped_or_cached(model, queries, "drone", root, "query").descriptors
-    np.testing.assert_array_equal(taken[0], taken[1])
-    (root / "descriptors" / "query_drone" / "manifest.json").unlink()
-    fresh = shipped_or_cached(model, queries, "drone", root, "query").descriptors
-    assert np.abs(fresh[0] - fresh[1]).max() > 1e-3
-    assert store.manifest.view == "drone"
 
 
 def test_the_command_lists_failures_and_writes_them(
