@@ -35,13 +35,6 @@ _STAND_INS = (
 )
 # Layers behind the last map or tokens; they are not needed.
 _BEHIND = ("head", "fc_norm", "pre_logits")
-# The rotary vision transformers of timm that Game4Loc is trained from, by width and depth.
-_ROTARY = {
-    (512, 12): "vit_medium_patch16_rope_reg1_gap_256",
-    (512, 20): "vit_mediumd_patch16_rope_reg1_gap_256",
-    (640, 12): "vit_betwixt_patch16_rope_reg4_gap_256",
-    (768, 12): "vit_base_patch16_rope_reg1_gap_256",
-}
 
 
 def import_timm() -> Any:
@@ -171,25 +164,6 @@ def vision_transformer(
                 global_pool="token" if class_token else "avg",
             ),
         )
-
-
-def rotary_transformer(width: int, depth: int, size: tuple[int, int]) -> tuple[nn.Module, Any]:
-    """Build a ViT with rotary positions and register tokens, and return it with timm's configuration of it.
-
-    `forward_features` gives all tokens, the registers first, without a norm after the last block, for pictures of any size.
-
-    Raises:
-        InputError: if timm has no such network of this width and depth.
-    """
-    timm = import_timm()
-    name = _ROTARY.get((width, depth))
-    if name is None:
-        raise InputError(
-            f"A rotary vision transformer of width {width} and depth {depth} is not one of timm's: "
-            f"{', '.join(sorted(_ROTARY.values()))}."
-        )
-    network = timm.create_model(name, pretrained=False, num_classes=0, img_size=size, dynamic_img_size=True)
-    return cast(nn.Module, network), network.pretrained_cfg
 
 
 def normalisation(name: str) -> tuple[Triple, Triple]:

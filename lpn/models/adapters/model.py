@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, cast
+from typing import cast
 
 import numpy as np
 import torch
@@ -30,7 +30,7 @@ class PublishedModel(Model):
     """
 
     def __init__(self, published: PublishedParts, fingerprint: str, device: torch.device | str = "cpu") -> None:
-        self.contract, self.fingerprint, self.length = published.contract, fingerprint, published.length
+        self.contract, self.fingerprint = published.contract, fingerprint
         self._device = torch.device(device)
         self.device = self._device.type
         self.batch = 64 if self.device == "cuda" else 8
@@ -65,18 +65,6 @@ class PublishedModel(Model):
         with exact_inference():
             batch = torch.tensor(images, device=self._device)
             return network.account(batch) if account else cast(Tensor, network(batch))
-
-    def released_descriptors(self, images: Any, view: View) -> Float32Array:
-        """Return the rows that the released test code writes: (B, D n), the part index fastest.
-
-        They are `descriptors` in that order, except for DenseUAV with the heads FSRA and LPN, whose rows have the length
-        sqrt((k + 1) / k) for k regions or rings beside the class token.
-
-        Raises:
-            InputError, ModelFileError: as for `descriptors`.
-        """
-        parts = self.descriptors(images, view)
-        return parts.transpose(0, 2, 1).reshape(len(parts), -1) * np.float32(self.length)
 
     def heads(self, view: View) -> Heads:
         """Return the static heads; nothing where features have them applied."""

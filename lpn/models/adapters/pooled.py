@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal, cast, get_args
+from typing import Any, cast
 
 import torch
 from torch import Tensor, nn
 
 from lpn.core.errors import ModelFileError
 from lpn.models.adapters.network import Account, PartBranch, by_heads, on_grid
-
-TokenPool = Literal["global", "avg", "max", "avg+max"]
-TOKEN_POOLS: tuple[TokenPool, ...] = get_args(TokenPool)
 
 
 class MapCells(nn.Module):
@@ -128,40 +125,5 @@ class PooledTokens(PartBranch):
             parts,
             on_grid(tokens[:, first:].transpose(1, 2), self.grid),
             on_grid(shares[:, :, first:], self.grid),
-            constants,
-        )
-
-
-class StrongestTokens(PartBranch):
-    """DenseUAV's SingleBranch with `head_pool` "max" or "avg+max": a head on the maximum of all tokens but the class token.
-
-    Each channel belongs to the token that attains it; the account has the head applied.
-
-    Args:
-        trunk: as of `PooledTokens`, with a class token.
-        mean: whether the mean of the same tokens is added.
-    """
-
-    def __init__(self, trunk: Any, heads: tuple[Tensor, Tensor], mean: bool) -> None:
-        super().__init__(trunk.grid, heads[0])
-        self.trunk, self.mean, self.bias = trunk, mean, nn.Buffer(heads[1])
-
-    def account(self, images: Tensor) -> Account:
-        """Return the part and its account, with the tokens of the maxima held."""
-        tokens, weight = self.trunk(images)[:, 1:].transpose(1, 2), cast(Tensor, self.weight)
-        strongest, where = tokens.max(2, keepdim=True)
-        shares = torch.zeros_like(tokens).scatter(2, where, strongest)
-        shares = shares + tokens / tokens.shape[2] if self.mean else shares
-        first, batch = self.trunk.prefix - 1, tokens.shape[0]
-        cells = shares[:, :, first:]
-        constants = self.bias.expand(batch, -1, -1)
-        if first:
-            constants = by_heads(shares[:, :, :first].sum(2).unsqueeze(1), weight, self.bias)
-        count = cells.shape[2]
-        return Account(
-            by_heads(shares.sum(2).unsqueeze(1), weight, self.bias),
-            # All cells weigh 1 / N.
-            on_grid(cells * count, self.grid),
-            cells.new_full((batch, 1, *self.grid), 1.0 / count),
             constants,
         )

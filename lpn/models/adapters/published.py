@@ -31,12 +31,10 @@ class PublishedParts:
     Attributes:
         contract: what the model says of itself.
         branches: by view, or by role where the contract's roles are "role".
-        length: of a descriptor that the released test code writes.
     """
 
     contract: Contract
     branches: Mapping[View | Role, PartBranch]
-    length: float = 1.0
 
 
 def published(

@@ -248,25 +248,6 @@ def test_the_log_says_that_a_size_is_assumed_where_no_option_states_it(caplog: p
     assert not caplog.records
 
 
-def test_a_second_branch_renamed_to_the_third_is_the_drones() -> None:
-    state = {k.replace("model_2.", "model_3."): v for k, v in two_branches().items()}
-    told = infer_spec(state, {"views": 2})
-    assert (told.views, told.layout, told.shared) == (("satellite", "drone"), "university", False)
-
-
-def test_checkpoints_in_half_precision_are_widened(tmp_path: Path) -> None:
-    state = small_worlds.make_network().state_dict()
-    half = {k: v.half() if v.is_floating_point() else v for k, v in state.items()}
-    torch.save(half, tmp_path / "half.pth")
-    torch.save({k: v.float() if v.is_floating_point() else v for k, v in half.items()}, tmp_path / "whole.pth")
-    found, expected = (
-        lpn.load(tmp_path / f"{name}.pth").part_embeddings(seeded.pictures(1, 1, 64, 64), "drone")
-        for name in ("half", "whole")
-    )
-    assert found.dtype == np.float32
-    np.testing.assert_array_equal(found, expected)
-
-
 def test_weights_that_are_not_numbers_are_found(tmp_path: Path) -> None:
     state = small_worlds.make_network().state_dict()
     for value in (float("nan"), float("inf")):
@@ -282,15 +263,11 @@ def test_weights_that_are_not_numbers_are_found(tmp_path: Path) -> None:
 # Lines that an opts.yaml of released code, or of people who copied it, holds beside what is used.
 UNUSED_OPTIONS = {
     "a tuple": "gpu_ids: !!python/tuple [0, 1]",
-    "an object": "opt: !!python/object:argparse.Namespace {lr: 0.1}",
     "a call": "out: !!python/object/apply:os.system ['touch ran']",
-    "a new object": "out: !!python/object/new:os.system ['touch ran']",
     "a name": "act: !!python/name:torch.nn.ReLU ''",
-    "text of Python 2": "name: !!python/unicode 'lpn'",
     "an unknown tag": "out: !Path runs",
     "a date that is none": "date: 2021-13-45",
     "an alias": "a: &1 [0]\nb: *1",
-    "a huge number": "seed: " + "9" * 5000,
 }
 
 
@@ -319,12 +296,7 @@ LINES = [f"{key}: {text}" for key, (text, _) in OPTIONS.items()]
 
 
 @pytest.mark.parametrize(
-    "text",
-    [
-        "\n".join(LINES),
-        "\n".join(["!!python/object:argparse.Namespace", *LINES]),
-    ],
-    ids=["quotes", "Namespace"],
+    "text", ["\n".join(LINES), "\n".join(["!!python/object:argparse.Namespace", *LINES])], ids=["quotes", "Namespace"]
 )
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig"])
 def test_options_are_numbers_and_truth_values_whatever_wrote_them(text: str, encoding: str, tmp_path: Path) -> None:

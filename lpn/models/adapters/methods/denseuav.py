@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import math
 import re
-from dataclasses import replace
 from typing import Any, NamedTuple
 
 import torch
@@ -14,15 +12,7 @@ from lpn.core.errors import ModelFileError
 from lpn.models.adapters.entries import Entries
 from lpn.models.adapters.named import NamedTokens, filled_map, matching
 from lpn.models.adapters.network import PartBranch
-from lpn.models.adapters.pooled import (
-    TOKEN_POOLS,
-    FixedWeights,
-    MapCells,
-    PooledTokens,
-    RegionWeights,
-    StrongestTokens,
-    first_alone,
-)
+from lpn.models.adapters.pooled import FixedWeights, MapCells, PooledTokens, RegionWeights, first_alone
 from lpn.models.adapters.published import (
     PublishedParts,
     by_view,
@@ -43,30 +33,20 @@ _BACKBONES: dict[str, tuple[str, tuple[int, ...]]] = {
     "convnext_tiny": ("stages.2.blocks.8.conv_dw.weight", (384, 1, 7, 7)),
 }
 # Heads by the entries that no other head has; the option `head` may have one of the endings, by the backbone.
-_GLOBAL, _RINGS, _GEM = "global_classifier.add_block.0.weight", "classifier_lpn_", "pool.gem2.p"
-_FIRST = "classifier1.add_block.0.weight"
-_HEADS = {
-    "FSRA": _FIRST,
-    "LPN": f"{_RINGS}1.add_block.0.weight",
-    "GeM": _GEM,
-    "SingleBranch": "classifier.add_block.0.weight",
-}
+_GLOBAL, _RINGS, _FIRST = "global_classifier.add_block.0.weight", "classifier_lpn_", "classifier1.add_block.0.weight"
+_HEADS = {"FSRA": _FIRST, "LPN": f"{_RINGS}1.add_block.0.weight", "SingleBranch": "classifier.add_block.0.weight"}
 _ENDINGS = re.compile(r"(_?CNN|Swin)$")
+_POOLS = ("global", "avg")
+# Entries of heads that are not read, beside those of SingleBranch.
+_OTHER = {"netvlad.centroids", "pool.gem2.p"}
 
 
 class _Head(NamedTuple):
-    """A head on a trunk.
-
-    Attributes:
-        names: of its parts.
-        level: the arguments of a contract that say how exact its evidence is.
-        blocks: the option `block`; the released code divides several parts by its root.
-    """
+    """A head on a trunk: its branch, the names of its parts, and the arguments of a contract that tell its level."""
 
     branch: PartBranch
     names: list[str]
     level: dict[str, Any]
-    blocks: int = 1
 
 
 def build(entries: Entries) -> PublishedParts:
@@ -81,9 +61,7 @@ def build(entries: Entries) -> PublishedParts:
     head = entries.under("head.head.")
     _check_head(entries, head)
     made = _head(entries, head, trunk)
-    model = by_view(entries, lambda _: made.branch, "DenseUAV", backbone, size, names=made.names, **made.level)
-    # The released code divides the parts by their norms times the root of `block`.
-    return replace(model, length=math.sqrt(len(made.names) / made.blocks))
+    return by_view(entries, lambda _: made.branch, "DenseUAV", backbone, size, names=made.names, **made.level)
 
 
 def _backbone(entries: Entries) -> tuple[Any, str, tuple[int, int]]:
@@ -112,7 +90,7 @@ def _check_head(entries: Entries, head: Entries) -> None:
     """Refuse a head that is not read, and options of another head than the one that is there."""
     own = next((name for name, key in _HEADS.items() if key in head.state), None)
     stated = entries.options.get("head")
-    if own is None or "netvlad.centroids" in head.state:
+    if own is None or _OTHER & head.state.keys():
         entry = next((f"{head.prefix}{key}" for key in head.state if not key.startswith("classifier.")), "nothing")
         raise ModelFileError(
             f"{entries.name} is DenseUAV's, of a head that is not read (found {entry}); expected one of {', '.join(_HEADS)}."
@@ -133,26 +111,15 @@ def _head(entries: Entries, head: Entries, trunk: Any) -> _Head:
         if regions:
             weights = RegionWeights(regions, count, tokens, whole=0)
             names = ["class token" if tokens else "whole", *region_names(regions)]
-            return _Head(PooledTokens(trunk, weights, heads), names, regions_level(regions), regions)
+            return _Head(PooledTokens(trunk, weights, heads), names, regions_level(regions))
         return _class_token(trunk, heads, count) if tokens else _mean(trunk, heads, count)
     heads = head.heads(["classifier"], trunk.channels)
-    if _GEM in head.state:
-        # Its weights are a softmax over the places, the same for every picture.
-        _check_plain(entries, trunk, "GeM")
-        shares = torch.softmax(head.tensor(_GEM, (count - 1,)), 0)
-        branch = PooledTokens(trunk, FixedWeights(nn.functional.pad(shares, (1, 0))[None]), heads)
-        return _Head(branch, ["whole"], {"level": "exact"})
     pool = entries.options.get("head_pool", "avg") if tokens else "avg"
-    if pool not in TOKEN_POOLS:
+    if pool not in _POOLS:
         raise ModelFileError(
-            f"The opts.yaml beside {entries.name} says head_pool: {pool}; expected one of {', '.join(TOKEN_POOLS)}."
+            f"The opts.yaml beside {entries.name} says head_pool: {pool}; expected one of {', '.join(_POOLS)}."
         )
-    if pool == "global":
-        return _class_token(trunk, heads, count)
-    if pool == "avg":
-        return _mean(trunk, heads, count)
-    level = {"level": "exact, with held", "held": "the cells of the maxima"}
-    return _Head(StrongestTokens(trunk, heads, pool == "avg+max"), ["whole"], level)
+    return _class_token(trunk, heads, count) if pool == "global" else _mean(trunk, heads, count)
 
 
 def _rings(entries: Entries, head: Entries, trunk: Any, rings: int) -> _Head:
@@ -169,14 +136,17 @@ def _rings(entries: Entries, head: Entries, trunk: Any, rings: int) -> _Head:
                 f"{entries.name} lacks {head.prefix}{_GLOBAL}, which DenseUAV's head LPN has on a vision transformer; the file "
                 "is incomplete, so give a whole checkpoint."
             )
-        branch = PooledTokens(trunk, FixedWeights(weights), head.heads(names, trunk.channels))
-        return _Head(branch, parts, {"level": "exact"}, rings)
-    _check_plain(entries, trunk, "LPN")
+        return _Head(
+            PooledTokens(trunk, FixedWeights(weights), head.heads(names, trunk.channels)), parts, {"level": "exact"}
+        )
+    if trunk.prefix != 1:
+        raise ModelFileError(
+            f"{entries.name} has DenseUAV's head LPN behind {trunk.prefix} tokens; its code takes cells behind one class token."
+        )
     heads = head.heads(["global_classifier", *names], trunk.channels)
     first = nn.functional.pad(torch.ones(1, 1), (0, weights.shape[1]))
     branch = PooledTokens(trunk, FixedWeights(torch.cat([first, nn.functional.pad(weights, (1, 0))])), heads)
-    level = {"level": "exact, with held", "held": "the class token"}
-    return _Head(branch, ["class token", *parts], level, rings)
+    return _Head(branch, ["class token", *parts], {"level": "exact, with held", "held": "the class token"})
 
 
 def _class_token(trunk: Any, heads: tuple[Tensor, Tensor], count: int) -> _Head:
@@ -192,19 +162,11 @@ def _mean(trunk: Any, heads: tuple[Tensor, Tensor], count: int) -> _Head:
     return _Head(PooledTokens(trunk, weights, heads), ["whole"], level)
 
 
-def _check_plain(entries: Entries, trunk: Any, head: str) -> None:
-    if trunk.prefix != 1 or trunk.grid[0] != trunk.grid[1]:
-        raise ModelFileError(
-            f"{entries.name} has DenseUAV's head {head} on {trunk.grid[0]} x {trunk.grid[1]} cells behind {trunk.prefix} tokens; "
-            "its code takes a square of cells behind one class token."
-        )
-
-
 ADAPTERS = (
     Adapter(
         "denseuav",
         (r"backbone\.backbone\.", r"head\.head\."),
         build,
-        r"^head\.head\..*classifier\w*\.classifier\.|^backbone\.backbone\.(head|fc|classifier)\.|^head\.head\.pool\.",
+        r"^head\.head\..*classifier\w*\.classifier\.|^backbone\.backbone\.(head|fc|classifier)\.",
     ),
 )

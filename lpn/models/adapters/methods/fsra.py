@@ -5,14 +5,7 @@ from __future__ import annotations
 from lpn.models.adapters.entries import Entries
 from lpn.models.adapters.network import PartBranch
 from lpn.models.adapters.pooled import PooledTokens, RegionWeights, first_alone
-from lpn.models.adapters.published import (
-    PublishedParts,
-    by_view,
-    count_regions,
-    region_names,
-    regions_level,
-    size_of,
-)
+from lpn.models.adapters.published import PublishedParts, by_view, count_regions, region_names, regions_level, size_of
 from lpn.models.adapters.registry import Adapter
 from lpn.models.adapters.vit import Tokens
 

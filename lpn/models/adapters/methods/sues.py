@@ -1,24 +1,18 @@
-"""The baselines of SUES-200, a network of timm for each view with one linear head, and its LPN with one for each ring."""
+"""The baselines of SUES-200: a network of timm for each view, and one linear head."""
 
 from __future__ import annotations
 
-import re
-from typing import Any, cast
+from typing import cast
 
 import torch
 from torch import Tensor, nn
 
 from lpn.core.errors import ModelFileError
-from lpn.core.views import View
 from lpn.models.adapters.entries import Entries
 from lpn.models.adapters.named import matching, named_vector
 from lpn.models.adapters.network import Account, MeanVector, PartBranch, by_heads
-from lpn.models.adapters.pooled import FixedWeights, MapCells, PooledTokens
-from lpn.models.adapters.published import PAIR, PublishedParts, check_option, numbered, published, size_of
+from lpn.models.adapters.published import PublishedParts, numbered, published, size_of
 from lpn.models.adapters.registry import Adapter
-from lpn.models.contract import Role, part_names
-from lpn.models.partition import Partition
-from lpn.models.timm_networks import TimmMap
 
 # The networks of the option `model` that timm has, each with an entry that those behind it lack, and its shape.
 _NETWORKS: dict[str, tuple[str, tuple[int, ...]]] = {
@@ -32,10 +26,6 @@ _NETWORKS: dict[str, tuple[str, tuple[int, ...]]] = {
     "inception_v4": ("features.21.branch0.conv.weight", (256, 1536, 1, 1)),
     "vit_base_patch16_384": ("pos_embed", (1, 577, 768)),
 }
-
-
-# The network of its LPN, the begin of entries of it, and the channels of its map.
-_LPN_NETWORK, _LPN_ENTRIES, _LPN_CHANNELS = "seresnet50", "model.layer3.5.se.", 2048
 
 
 class LopsidedSum(PartBranch):
@@ -72,20 +62,18 @@ class LopsidedSum(PartBranch):
 
 
 def build(entries: Entries) -> PublishedParts:
-    """Build a baseline of SUES-200, or its LPN: `model_1` describes the satellite and `model_2` the drone.
+    """Build a baseline of SUES-200: `model_1` describes the satellite and `model_2` the drone.
 
     Raises:
         ModelFileError: if entries are missing or have wrong shapes, or the network is none of the baselines that timm has.
         InputError: if timm is needed and cannot be imported.
     """
     own = entries.under("model_1.")
-    if own.has(_LPN_ENTRIES) and any(re.match(r"classifier\d", key) for key in entries.state):
-        return _lpn(entries)
     name = matching(_NETWORKS, own)
     if name is None or "classifier.add_block.0.weight" not in entries.state:
         entry = next((f"{own.prefix}{key}" for key in own.state), "nothing")
         raise ModelFileError(
-            f"{entries.name} is a baseline of SUES-200 that is not read (its CBAM, or another; found {entry}); "
+            f"{entries.name} is a baseline of SUES-200 that is not read (its LPN, its CBAM, or another; found {entry}); "
             f"expected one of {', '.join(_NETWORKS)} with one head. Its descriptors open as plain arrays (lpn explore "
             "q.npy --gallery g.npy)."
         )
@@ -104,53 +92,6 @@ def build(entries: Entries) -> PublishedParts:
         held="the length of the picture's own pass" if cells else "",
         # The branch adds the mirror itself.
         mirror="none",
-    )
-
-
-def _lpn(entries: Entries) -> PublishedParts:
-    """Build SUES-200's LPN: square rings of a SE-ResNet-50's map, each under a linear head without a BatchNorm.
-
-    The stride of the last stage and the pooling are in no entry: `stride`, by default 1 as in the released code, and `pool`.
-    """
-    count = entries.count("classifier{}.add_block.0.weight")
-    check_option(entries, "block", count)
-    channels = entries.shape("classifier0.add_block.0.weight", 2)[1]
-    if entries.options.get("pool") not in (None, "avg") or channels != _LPN_CHANNELS:
-        raise ModelFileError(
-            f"{entries.name} is an LPN of SUES-200 that pools its rings by their maximum (pool: max or avg+max); only the "
-            "average (avg) is read."
-        )
-    stride = int(entries.options.get("stride", 1))
-    if stride not in (1, 2):
-        raise ModelFileError(f"The opts.yaml beside {entries.name} says stride: {stride}; expected 1 or 2.")
-    size = size_of(entries, (384, 384), 16 * stride)
-    pairs = [entries.linear(f"classifier{number}.add_block.0", channels) for number in range(count)]
-    heads = torch.stack([matrix for matrix, _ in pairs]), torch.stack([bias for _, bias in pairs])
-    partition = Partition("rings", count) if count > 1 else Partition("whole", 1)
-    grid = size[0] // (16 * stride), size[1] // (16 * stride)
-
-    def branch(own: Entries) -> PartBranch:
-        network = cast(Any, TimmMap(_LPN_NETWORK, size))
-        if stride == 1:
-            first = network.network.layer4[0]
-            first.conv2.stride = first.downsample[0].stride = (1, 1)
-        try:
-            own.under("model.").fill(network.network)
-        except ModelFileError as error:
-            raise ModelFileError(f"As timm's {_LPN_NETWORK}: {error}") from error
-        shares = torch.from_numpy(partition.weights(*grid)).flatten(1)
-        return PooledTokens(MapCells(network, grid, channels), FixedWeights(shares), heads)
-
-    made = [branch(own) for own in numbered(entries)]
-    views = {"satellite": made[0], "drone": made[-1]}
-    return published(
-        cast("dict[View | Role, PartBranch]", views),
-        "SUES-200, LPN",
-        "SE-ResNet-50",
-        size,
-        level="exact",
-        parts=part_names(partition),
-        partitions=dict.fromkeys(PAIR, partition),
     )
 
 

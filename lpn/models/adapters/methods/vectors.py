@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import logging
 from functools import partial
-from typing import Any, NamedTuple, cast
+from typing import Any, NamedTuple
 
-from torch import Tensor, nn
+from torch import Tensor
 
-from lpn.core.errors import ModelFileError
+from lpn.core.errors import InputError, ModelFileError
 from lpn.core.files import printable
 from lpn.core.images import MEAN, STD, Triple
 from lpn.models import timm_networks
@@ -24,6 +24,13 @@ from lpn.models.adapters.vit import NAMES, TokenMap, Tokens, trained_side
 log = logging.getLogger(__name__)
 
 _HALF: Triple = (0.5, 0.5, 0.5)
+# The vision transformers with rotary positions that Game4Loc is trained from, by width and depth.
+_ROTARY = {
+    (512, 12): "vit_medium_patch16_rope_reg1_gap_256",
+    (512, 20): "vit_mediumd_patch16_rope_reg1_gap_256",
+    (640, 12): "vit_betwixt_patch16_rope_reg4_gap_256",
+    (768, 12): "vit_base_patch16_rope_reg1_gap_256",
+}
 
 
 class ClassToken(PartBranch):
@@ -56,12 +63,12 @@ class _Network(NamedTuple):
 def _of_timm(entries: Entries) -> _Network:
     """Build a ConvNeXt, a vision transformer with rotary positions, the one that the options name, or else a plain one."""
     stated = entries.options.get("model")
+    if "reg_token" in entries.state and "pos_embed" not in entries.state:
+        stated = stated if isinstance(stated, str) else _rotary_name(entries)
     if "stages.0.blocks.0.conv_dw.weight" in entries.state:
         size = size_of(entries, (384, 384), STRIDE)
         trunk = Trunk(entries)
         network = _Network(MeanVector(trunk, trunk.norm(), grid_of(size), STRIDE), trunk.title, trunk.channels, size)
-    elif "reg_token" in entries.state and "pos_embed" not in entries.state:
-        network = _rotary(entries)
     elif isinstance(stated, str):
         name = timm_networks.base_name(stated)
         default = timm_networks.trained_size(name) if timm_networks.has_fixed_size(name) else (384, 384)
@@ -75,6 +82,17 @@ def _of_timm(entries: Entries) -> _Network:
     if isinstance(stated, str):
         return network._replace(normalisation=timm_networks.normalisation(stated), told=True)
     return network
+
+
+def _rotary_name(entries: Entries) -> str:
+    """Return timm's name of the vision transformer with rotary positions that Game4Loc is trained from."""
+    sizes = entries.shape("patch_embed.proj.weight", 4)[0], entries.count("blocks.{}.norm1.weight")
+    if sizes not in _ROTARY:
+        raise InputError(
+            f"A rotary vision transformer of width {sizes[0]} and depth {sizes[1]} is not one of timm's: "
+            f"{', '.join(sorted(_ROTARY.values()))}."
+        )
+    return _ROTARY[sizes]
 
 
 def _plain(entries: Entries) -> _Network:
@@ -101,30 +119,6 @@ def _foreign(entries: Entries, entry: str) -> ModelFileError:
         f"{entries.name} holds {entry}, which is of neither a ConvNeXt nor a plain vision transformer; write its network's "
         "name in timm as `model: NAME`, such as swin_base_patch4_window7_224, into an opts.yaml beside the file."
     )
-
-
-def _rotary(entries: Entries) -> _Network:
-    """Build the vision transformer with rotary positions that Game4Loc is trained from."""
-    width, _, patch, _ = entries.shape("patch_embed.proj.weight", 4)
-    size = size_of(entries, (384, 384), patch)
-    network, configuration = timm_networks.rotary_transformer(width, entries.count("blocks.{}.norm1.weight"), size)
-    entries.fill(network)
-    trunk = TokenMap(_Features(network), entries.shape("reg_token", 3)[1], patch)
-    branch = MeanVector(trunk, _fc_norm(entries, width), (size[0] // patch, size[1] // patch), patch)
-    name = {512: "ViT-M", 640: "ViT-Betwixt", 768: "ViT-B"}[width] + " with rotary positions"
-    mean, std = (cast(Triple, tuple(configuration[key])) for key in ("mean", "std"))
-    return _Network(branch, name, width, size, (mean, std))
-
-
-class _Features(nn.Module):
-    """The tokens of a network of timm."""
-
-    def __init__(self, network: nn.Module) -> None:
-        super().__init__()
-        self.network = network
-
-    def forward(self, images: Tensor) -> Tensor:
-        return cast(Tensor, self.network.forward_features(images))  # type: ignore[operator]
 
 
 def _fc_norm(entries: Entries, width: int) -> HeldNorm:

@@ -89,15 +89,6 @@ def test_fsra_of_three_views_whose_street_has_weights_of_its_own(tmp_path: Path)
     assert opened(small_fsra(2, 2), tmp_path).contract.groups == (("satellite", "street", "drone"),)
 
 
-def test_the_head_that_fsra_of_one_block_does_not_use_may_be_missing(tmp_path: Path) -> None:
-    state, pictures = small_fsra(1), seeded.pictures(3, 1, 256, 256)
-    bare = {key: value for key, value in state.items() if "classifier_heat" not in key}
-    expected = opened(state, tmp_path, "block: 1").part_embeddings(pictures, "drone")
-    np.testing.assert_array_equal(opened(bare, tmp_path, "block: 1").part_embeddings(pictures, "drone"), expected)
-    with pytest.raises(ModelFileError, match=r"has 0 of these heads, .* block: 3"):
-        opened(bare, tmp_path, "block: 3")
-
-
 @pytest.mark.parametrize(("blocks", "size"), [(1, (64, 64)), (2, (96, 64))])
 def test_mccg_of_other_blocks_and_sizes(blocks: int, size: tuple[int, int], tmp_path: Path) -> None:
     state, pictures = small_mccg(blocks), seeded.pictures(5, 1, *size)
@@ -212,12 +203,11 @@ def test_the_names_of_training_may_be_missing_if_the_kind_is_named(tmp_path: Pat
     assert opened(state, tmp_path, kind="camp").contract.method == "CAMP"
 
 
-@pytest.mark.parametrize("pool", ["avg", "global", "max", "avg+max"])
+@pytest.mark.parametrize("pool", ["avg", "global"])
 def test_denseuav_of_one_branch(pool: str, tmp_path: Path) -> None:
     state, pictures = small_denseuav(0), seeded.pictures(9, 1, 64, 64)
     model = opened(state, tmp_path, f"head: SingleBranch\nhead_pool: {pool}\nh: 64\nw: 64\n")
-    levels = {"avg": "exact", "global": "one vector"}
-    assert model.contract.level == levels.get(pool, "exact, with held")
+    assert model.contract.level == ("exact" if pool == "avg" else "one vector")
     check(model, "drone", pictures, f"denseuav-{pool}")
 
 
@@ -228,10 +218,6 @@ def test_denseuav_with_the_head_of_fsra(regions: int, tmp_path: Path) -> None:
     assert model.input_size == (64, 64)
     assert model.contract.names("drone")[0] == "1 class token"
     check(model, "satellite", pictures, f"denseuav-{regions}")
-    # Each part is divided by its norm times the root of the number of regions, and not of parts.
-    parts = REFERENCES[f"denseuav-{regions}.descriptor"] * ((regions + 1) / regions) ** 0.5
-    rows = parts.transpose(0, 2, 1).reshape(1, -1)
-    assert relative(model.released_descriptors(pictures, "satellite")[:, : rows.size], rows) < TOLERANCE
 
 
 @pytest.mark.parametrize("side", [16, 24, 32])
@@ -257,13 +243,6 @@ def test_the_parts_of_sdpl_overlap_as_the_released_code_adds_them() -> None:
         # box is shifted away from them. Later shifts find these cells empty.
         doubled = [int((plane.inner < 256).sum()) for plane in parts]
         assert doubled == [2 * 2 * 12 - 4 if shift == -2 and number in (6, 8) else 0 for number in range(10)]
-
-
-def test_a_small_part_counts_as_much_as_a_large_one() -> None:
-    expected = np.array([[[1.0, -2.0], [1e-6, 2e-6]]])
-    found = expected * [[[1], [-3]]]
-    assert relative(found, expected) < TOLERANCE
-    assert relative_by_part(found, expected) == pytest.approx(4)
 
 
 def test_the_branches_of_sdpl_follow_the_role() -> None:
@@ -309,7 +288,7 @@ def test_wrong_shapes_and_options_are_told_in_one_sentence(tmp_path: Path) -> No
         ({"model_1.transformer.norm.weight": torch.full((16,), torch.nan)}, "not finite"),
         (
             {"model_1.transformer.norm.weight": torch.ones(16, dtype=torch.complex64)},
-            r"norm\.weight holds complex numbers; expected real ones",
+            r"norm\.weight is no plain tensor but quantised, sparse, complex",
         ),
     ):
         with pytest.raises(ModelFileError, match=said) as caught:
@@ -334,7 +313,7 @@ def test_wrong_shapes_and_options_are_told_in_one_sentence(tmp_path: Path) -> No
         opened(odd, tmp_path)
     for change, options, said in (
         ({"head.head.netvlad.centroids": torch.ones(4, 64)}, "", r"not read \(found head\.head\.netvlad\.centroids\)"),
-        ({}, "head: GeM", r"head SingleBranch, but the opts\.yaml beside it says head: GeM; correct or remove it"),
+        ({}, "head: LPN", r"head SingleBranch, but the opts\.yaml beside it says head: LPN; correct or remove it"),
         (
             {"backbone.backbone.dist_token": torch.ones(1, 1, 64)},
             "backbone: DeitT-224",
@@ -343,5 +322,5 @@ def test_wrong_shapes_and_options_are_told_in_one_sentence(tmp_path: Path) -> No
     ):
         with pytest.raises(ModelFileError, match=said):
             opened(small_denseuav(0) | change, tmp_path, options)
-    with pytest.raises(ModelFileError, match="head_pool: median; expected one of global"):
-        opened(small_denseuav(0), tmp_path, "head_pool: median")
+    with pytest.raises(ModelFileError, match="head_pool: max; expected one of global"):
+        opened(small_denseuav(0), tmp_path, "head_pool: max")

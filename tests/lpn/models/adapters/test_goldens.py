@@ -105,8 +105,6 @@ def test_sample4geo(folder: Path) -> None:
     case = Case("sample4geo_tiny_256", folder, prefix="module.")
     contract = case.model.contract
     assert (contract.resize, contract.mirror, contract.mean) == ("linear", "none", images.MEAN)
-    found = case.model.released_descriptors(case.golden.pictures, "satellite")
-    assert relative(found, case.golden.arrays["descriptor"]) < TOLERANCE
     case.check(1)
     case.trunk_agrees("features", 32, 1)
 
