@@ -1,6 +1,6 @@
 """An index in a folder: a manifest and immutable parts.
 
-    index.json       format, engine and its settings, model fingerprint, n, D, the parts, oldest first, and a checksum
+    index.json       format, engine, model fingerprint, n, D, the parts, oldest first, and a checksum
     0000012/ ...     parts, see `lpn.index.parts`
 
 An add writes a part that the manifest does not name yet, and replaces the manifest last. If it is killed, the index is as it was
@@ -93,7 +93,6 @@ class IndexManifest(msgspec.Struct, frozen=True, kw_only=True):
     Attributes:
         engine: "exact" or "faiss".
         fingerprint, n_parts, embedding: the descriptors, see `DescriptorKind`.
-        settings: settings of the engine.
         next: number of the next part to be written.
         parts: oldest first.
         codes: file of the engine, if it has one.
@@ -106,7 +105,6 @@ class IndexManifest(msgspec.Struct, frozen=True, kw_only=True):
     fingerprint: str
     n_parts: int
     embedding: int
-    settings: dict[str, str] = {}
     next: int = 1
     parts: tuple[PartEntry, ...] = ()
     codes: EngineFile | None = None
@@ -476,7 +474,7 @@ def _alive(part: Part, newer: Sequence[Part]) -> BoolArray:
 
 def _check_same_kind(folder: Path, existing: IndexManifest, wanted: IndexManifest) -> IndexManifest:
     kind = "{0.n_parts} x {0.embedding} numbers of model {0.fingerprint}"
-    for text in ("the engine {0.engine}", kind, "settings {0.settings}", "windows of {0.windows}"):
+    for text in ("the engine {0.engine}", kind, "windows of {0.windows}"):
         present, new = text.format(existing), text.format(wanted)
         if present != new:
             raise StoreError(
