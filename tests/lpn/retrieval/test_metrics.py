@@ -12,7 +12,7 @@ from hypothesis.extra import numpy as arrays
 
 from lpn.core.errors import InputError
 from lpn.datasets import Truth
-from lpn.retrieval import gallery_search, inner_products, metrics
+from lpn.retrieval import gallery_search, metrics, ranks
 from tools.fixtures import seeded
 
 Case = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
@@ -220,7 +220,7 @@ def test_queries_of_unknown_truth_do_not_count() -> None:
 def test_blocks_of_queries_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     made = case(12, 50, 20, 4, 8, 1.2, absent=3, junk=9)
     whole = metrics.retrieve(*made)
-    monkeypatch.setattr(inner_products, "_BLOCK_BYTES", 4 * 80 * 7)
+    monkeypatch.setattr(ranks, "_BLOCK_BYTES", 4 * 80 * 7)
     blocks = metrics.retrieve(*made)
     assert whole.metrics() == blocks.metrics()
     np.testing.assert_array_equal(whole.best, blocks.best)
