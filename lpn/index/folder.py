@@ -158,21 +158,10 @@ def is_manifest(name: str) -> bool:
     return name == MANIFEST or _UNFINISHED.fullmatch(name) is not None
 
 
-@dataclass(frozen=True)
-class IndexContents:
-    """The verified contents of an index.
+def verify(folder: Path) -> tuple[int, int]:
+    """Read an index in full and compare it with its checksums; return its tiles and its unfinished parts.
 
-    Attributes:
-        tiles: number of tiles.
-        unfinished: parts of an add that was interrupted or is still running, whose tiles are not in the index.
-    """
-
-    tiles: int
-    unfinished: int
-
-
-def verify(folder: Path) -> IndexContents:
-    """Read an index in full and compare it with its checksums.
+    An unfinished part is one of an add that was interrupted or is still running, whose tiles are not in the index.
 
     Raises:
         StoreError: when the folder is not an index, or a file of it is damaged.
@@ -194,7 +183,7 @@ def verify(folder: Path) -> IndexContents:
             )
     known = {part.name for part in manifest.parts}
     unfinished = sum(_PART.fullmatch(path.name) is not None and path.name not in known for path in folder.iterdir())
-    return IndexContents(manifest.tiles, unfinished)
+    return manifest.tiles, unfinished
 
 
 def create(folder: Path, manifest: IndexManifest) -> IndexManifest:

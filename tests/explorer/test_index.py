@@ -21,7 +21,7 @@ from lpn.analysis.comparison import effect_on
 from lpn.cli.main import main
 from lpn.flight.files import write_flight
 from lpn.flight.maps import NamedWindow
-from lpn.index import gallery
+from lpn.index import task as index_tasks
 from lpn.sources import SourceOptions, source_of
 from lpn.tasks import changes
 from tests.explorer.conftest import TASK, answered
@@ -180,8 +180,8 @@ def test_the_windows_that_hold_a_tag_are_among_those_of_a_large_index(
     index, town, flight = flown
     source = SourceOptions(source=str(flight), map=town, index=str(index), model=model_file)
     whole = source_of(source).open().task
-    monkeypatch.setattr(gallery, "MOST_TILES", whole.tiles - 1)
-    monkeypatch.setattr(gallery, "PROPOSED", 4)  # of which some about a tag do not hold it
+    monkeypatch.setattr(index_tasks, "MOST_TILES", whole.tiles - 1)
+    monkeypatch.setattr(index_tasks, "PROPOSED", 4)  # of which some about a tag do not hold it
     nearest = source_of(source).open().task
     assert nearest.tiles < whole.tiles
     assert nearest.truth is not None
