@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, ClassVar, Literal
 
 from lpn.core.errors import InputError
 from lpn.core.files import printable
@@ -15,17 +15,46 @@ if TYPE_CHECKING:
     from lpn.descriptors import Store
     from lpn.models.base import Model
 
-_FOR_RAY = ("address", "workers", "threads", "part")
+_FOR_RAY = ("address", "workers", "threads", "part", "positions")
+
+
+@dataclass(kw_only=True)
+class GatherParts:
+    """Make a store of descriptors on this machine from the parts that --engine ray wrote."""
+
+    parts: str
+    """Folder or address of the parts."""
+    out: Path
+    """Folder of the store; its rows are in order of the pictures' names."""
+
+    def run(self) -> None:
+        from lpn.cluster.parts import BROKEN, open_parts, to_store
+
+        parts = open_parts(self.parts)
+        store = to_store(parts, self.out)
+        shape = " x ".join(map(str, store.descriptors.shape))
+        print(f"{self.out} holds {shape} numbers: pictures x parts x dimensions.")
+        if parts.broken:
+            print(f"{len(parts.broken):,} pictures are broken and not in it; {BROKEN} in {self.parts} names them.")
+
+    def resume_hint(self) -> str:
+        """Return how to resume after a stop."""
+        return f"What {self.out} has by now is kept; the same command goes on."
 
 
 @dataclass(kw_only=True)
 class DescribeCommand(ModelOptions):
-    """Describe pictures, or windows of a map, into a store of descriptors; resumable. With --engine ray on many machines."""
+    """Describe pictures, or windows of a map, into descriptors on disk; resumable.
+
+    With --engine ray it describes on many machines, into parts, of which lpn describe --parts PARTS --out STORE makes a store.
+    """
+
+    MODES: ClassVar[dict[str, type[GatherParts]]] = {"--parts": GatherParts}
 
     model: Path = field()  # no default, unlike that of `ModelOptions`
     """Trained LPN: .onnx, .safetensors, or .pth; with --engine ray an .onnx, which is sent to the workers."""
-    out: Path
-    """Folder of the store."""
+    out: str
+    """Folder of the store; with --engine ray folder or address of the parts, which every machine must see."""
     images: str | None = None
     """Folder of pictures, searched with all folders below it; with --engine ray also an address such as s3://bucket/tiles."""
     map: Path | None = None
@@ -40,7 +69,7 @@ class DescribeCommand(ModelOptions):
     overlap: Advanced[float | None] = None
     """With --map: share of a window's side that its neighbour covers, too; 0.5 by default."""
     precision: Literal["float32", "float16", "int8"] = "float32"
-    """Numbers on disk; float16 halves the store, int8 quarters it."""
+    """Numbers on disk; float16 halves the store, int8 quarters it (not with --engine ray)."""
     engine: Literal["local", "ray"] = "local"
     """local describes on this machine, and refuses broken pictures before anything is computed. ray describes with many workers,
     lists broken pictures in broken.csv, and ends with status 1 if there are any."""
@@ -51,10 +80,13 @@ class DescribeCommand(ModelOptions):
     threads: Advanced[int | None] = None
     """With --engine ray: cores of one worker, 1 by default; each worker holds the model once, so more cores save memory."""
     part: Advanced[int | None] = None
-    """With --engine ray: pictures that a worker is handed at once, and loses if it is killed; 256 by default."""
+    """With --engine ray: pictures of one part, which a killed worker loses; 256 by default."""
+    positions: Advanced[str | None] = None
+    """With --engine ray: file of positions in the format of geo.csv, with paths relative to --images or a folder above it; by
+    default geo.csv among the pictures, if any."""
 
     def run(self) -> int:
-        return self._on_workers() if self.engine == "ray" else self._store()
+        return self._parts() if self.engine == "ray" else self._store()
 
     def resume_hint(self) -> str:
         """Return how to resume after a stop."""
@@ -65,14 +97,14 @@ class DescribeCommand(ModelOptions):
 
         if options := [name for name in _FOR_RAY if getattr(self, name) is not None]:
             raise InputError(f"--{options[0]} is for many workers; give it with --engine ray.")
-        if "://" in (self.images or ""):
-            raise InputError("Only --engine ray reads addresses; give a folder, or --engine ray.")
+        if "://" in (self.images or "") + self.out:
+            raise InputError("Only --engine ray reads and writes addresses; give folders, or --engine ray.")
         if self.map is not None:
             return self._windows(self.map)
         images, view = self._pictures()
-        model, root = self._model(view), Path(images)
+        model, root, out = self._model(view), Path(images), Path(self.out)
         files = descriptors.pictures_below(root)
-        self._report(descriptors.describe(model, files, view, self.out, root=root, precision=self.precision), model)
+        self._report(descriptors.describe(model, files, view, out, root=root, precision=self.precision), model)
         return 0
 
     def _windows(self, where: Path) -> int:
@@ -113,8 +145,9 @@ class DescribeCommand(ModelOptions):
             raise InputError("Pictures have no windows; give --size and --overlap with --map only.")
         return self.images, self.view
 
-    def _on_workers(self) -> int:
-        from lpn.cluster.driver import BROKEN, describe_on_workers
+    def _parts(self) -> int:
+        from lpn.cluster.driver import describe_parts
+        from lpn.cluster.parts import BROKEN
 
         if self.map is not None:
             raise InputError("Windows of a map are described on one machine; leave --engine ray out.")
@@ -124,7 +157,9 @@ class DescribeCommand(ModelOptions):
         if self.kind is not None or self.pooling is not None:
             option = "kind" if self.kind is not None else "pooling"
             raise InputError(f"Ray's workers take an .onnx, which contains its {option}; leave --{option} out.")
-        summary = describe_on_workers(
+        if self.precision == "int8":
+            raise InputError("Parts hold float32 or float16; give one of these as --precision.")
+        summary = describe_parts(
             self.model,
             images,
             view,
@@ -134,7 +169,9 @@ class DescribeCommand(ModelOptions):
             workers=self.workers,
             threads=1 if self.threads is None else self.threads,
             size=self.part,
+            positions=self.positions,
             role=self.role,
+            say=lambda line: print(line, flush=True),
         )
         broken = len(summary.broken)
         print(f"{self.out} holds {summary.pictures - broken:,} descriptors, {summary.computed:,} of them computed now.")

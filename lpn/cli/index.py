@@ -11,6 +11,7 @@ from lpn.cli.parsing import part_values
 from lpn.core.arrays import Float32Array
 from lpn.core.errors import InputError
 from lpn.core.files import printable
+from lpn.core.progress import report_progress
 from lpn.core.resources import ProviderName
 from lpn.core.views import View
 from lpn.sources import ModelOptions
@@ -26,8 +27,8 @@ class IndexCommand:
 
     out: str
     """Folder of the index, or milvus://host:port/collection; tiles are added to an existing index."""
-    descriptors: Path | None = None
-    """Store of tiles written by lpn describe."""
+    descriptors: str | None = None
+    """Store of tiles written by lpn describe, or folder or address of parts written by describe --engine ray."""
     map: Path | None = None
     """Map whose windows are described straight into the index, block by block, for more than memory holds; needs --model."""
     model: Path | None = None
@@ -45,7 +46,7 @@ class IndexCommand:
     """With --map: provider: auto (LPN_PROVIDER, else a GPU if one works, else the CPU), cpu, cuda, or, for an .onnx, any
     of ONNX Runtime's, such as coreml."""
     data: Path | None = None
-    """Folder with the tiles' positions, in geo.csv or as its data set gives them; windows of a map need none."""
+    """Folder with the tiles' positions, in geo.csv or as its data set gives them; they replace those in parts."""
     engine: Literal["exact", "faiss", "milvus"] | None = None
     """exact finds every match; faiss is for millions of tiles on one machine, milvus for a server; by default that of --out."""
     structure: Literal["flat", "hnsw"] | None = None
@@ -54,8 +55,10 @@ class IndexCommand:
     """Add all tiles again, also existing names, for example after pictures or positions have changed."""
 
     def run(self) -> None:
+        import numpy as np
+
         from lpn.index import create_index
-        from lpn.index.tiles import Tiles
+        from lpn.index.tiles import open_tiles
 
         if self.map is not None:
             self._index_map(self.map)
@@ -64,14 +67,26 @@ class IndexCommand:
             raise InputError(
                 "An index is of descriptors, or of a map's windows; give --descriptors, or --map with --model."
             )
-        tiles = Tiles(self.descriptors, self.data)
+        tiles = open_tiles(self.descriptors, self.data)
+        added = read = 0
         with create_index(self.out, tiles.kind, self.engine, structure=self.structure) as index:
-            added = tiles.add_to(index, self.replace)
+            for chunk in tiles.chunks:
+                some = np.arange(len(chunk.names))
+                if not self.replace:
+                    some = some[~index.holds(chunk.names)]
+                if len(some):
+                    chosen = [chunk.names[i] for i in some.tolist()]
+                    index.add(chosen, chunk.rows(some), None if chunk.positions is None else chunk.positions[some])
+                    added += len(some)
+                read += len(chunk.names)
+                report_progress("Indexing", read, tiles.count)
             print(f"{printable(_displayed(self.out))} holds {index.count()} tiles, {added} of them added now.")
-        if there := len(tiles.names) - added:
+        if there := tiles.count - added:
             print(
                 f"{there} were there already and were left as they are; give --replace where pictures or positions changed."
             )
+        if tiles.broken:
+            print(f"{tiles.broken} pictures are broken and not in it; broken.csv beside the parts names them.")
 
     def _index_map(self, where: Path) -> None:
         from lpn.flight.locate.retrieval import pyramid_sizes

@@ -1,25 +1,26 @@
-"""A worker of distributed inference (`lpn.cluster.driver`): it describes one list of pictures at a time. Extra `cluster`."""
+"""A worker of distributed inference (`lpn.cluster.driver`) writes one part at a time. It needs the extra `cluster`."""
 
 from __future__ import annotations
 
 import io
-import json
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
+from lpn.cluster.parts import FailedPicture, PartItem, Plan, unpacked, write_part
 from lpn.cluster.storage import Storage
 from lpn.core import images
 from lpn.core.arrays import Float32Array
-from lpn.core.errors import PictureError
+from lpn.core.errors import LPNError, PictureError
 from lpn.core.views import View
 from lpn.datasets.integrity import DAMAGED, stream_error
 from lpn.descriptors.parallel_inference import describe_each
-from lpn.models.contract import Role
+from lpn.descriptors.transforms import UNCHANGED
+from lpn.descriptors.writer import prepare_row
 from lpn.models.onnx_engine import Engine
 
 
@@ -28,16 +29,16 @@ class WorkerTask:
     """The settings of all workers.
 
     Attributes:
-        pictures: address of the pictures, see `lpn.cluster.storage.Storage`.
+        images, out: addresses of the pictures and of the parts, see `lpn.cluster.storage.Storage`.
+        plan: of the parts.
         model: name of the model's first file.
-        view, role: of the branch.
         threads: of one worker.
     """
 
-    pictures: str
+    images: str
+    out: str
+    plan: Plan
     model: str
-    view: View
-    role: Role | None
     threads: int
 
 
@@ -54,35 +55,52 @@ class DescribeWorker:
         import ray
 
         cv2.setNumThreads(1)
-        self.task, self.storage = task, Storage(task.pictures)
+        self.task, self.images, self.out = task, Storage(task.images), Storage(task.out)
         with tempfile.TemporaryDirectory(prefix="lpn-") as folder:
             for name, data in ray.get(files).items():
                 Path(folder, name).write_bytes(data)
-            self.model = Engine(Path(folder, task.model), threads=1).in_role(task.view, task.role)
+            model = Engine(Path(folder, task.model), threads=1)
+            self.model = model.in_role(cast(View, task.plan.view), task.plan.role)
 
     def __call__(self, batch: Mapping[str, Any]) -> dict[str, list[Any]]:
-        """Describe the pictures of Ray Data's batch of one row, and return one row; `broken` has reasons by position."""
-        names = json.loads(str(batch["names"][0]))
-        described, broken = self.describe(names)
-        return {"start": [int(batch["start"][0])], "described": [described.tobytes()], "broken": [json.dumps(broken)]}
-
-    def describe(self, names: Sequence[str]) -> tuple[Float32Array, dict[int, str]]:
-        """Return descriptors (B, n, D) of pictures, and why some have none, such as "is damaged", by their positions."""
-        described = np.zeros((len(names), self.model.n_parts, self.model.embedding), np.float32)
-        broken: dict[int, str] = {}
-        for some in describe_each(self.model, names, self._prepare, self.task.view, self.task.threads + 1):
-            described[some.items] = some.descriptors
-            broken |= {i: str(error) for i, error in some.broken}
-        return described, broken
-
-    def _prepare(self, name: str) -> Float32Array:
+        """Describe the pictures of Ray Data's batch of one row; the result is one row, in which an error is a sentence."""
         try:
-            data = self.storage.read(name)
+            described, broken = self.describe(unpacked(str(batch["items"][0])))
+        except LPNError as error:
+            return {"described": [0], "broken": [0], "error": [str(error)]}
+        return {"described": [described], "broken": [broken], "error": [""]}
+
+    def describe(self, items: list[PartItem]) -> tuple[int, int]:
+        """Write a part of some pictures, and return how many are described, and how many are broken."""
+        plan = self.task.plan
+        rows: dict[int, Float32Array] = {}
+        broken: dict[int, FailedPicture] = {}
+        view = cast(View, plan.view)
+        for some in describe_each(self.model, items, self._prepare, view, self.task.threads + 1):
+            rows |= dict(zip(some.items, some.descriptors, strict=True))
+            for i, error in some.broken:
+                broken[i] = FailedPicture(items[i], str(error), not isinstance(error, _UnreadError))
+        order = sorted(rows)
+        numbers = np.array([rows[i] for i in order], np.float32).reshape(-1, plan.n_parts, plan.embedding)
+        write_part(self.out, plan, [items[i] for i in order], numbers, [broken[i] for i in sorted(broken)])
+        return len(rows), len(broken)
+
+    def _prepare(self, item: PartItem) -> Float32Array:
+        try:
+            data = self.images.read(item.row.file)
         except OSError as error:
-            raise PictureError(f"cannot be read ({(str(error).splitlines() or ['?'])[0]})") from error
+            raise _UnreadError(f"cannot be read ({(str(error).splitlines() or ['?'])[0]})") from error
         if (flaw := stream_error(io.BytesIO(data))) is not None:
             raise PictureError(flaw)
         try:
-            return self.model.prepare(images.decode_picture(data, name), self.task.view)
+            picture = images.decode_picture(data, item.row.file)
         except PictureError as error:
             raise PictureError(DAMAGED) from error
+        try:
+            return prepare_row(self.model, picture, item.row, UNCHANGED, cast(View, self.task.plan.view))
+        except PictureError as error:
+            raise PictureError(f"cannot be cropped ({error})") from error
+
+
+class _UnreadError(PictureError):
+    """The picture's file could not be read; a retry may succeed."""

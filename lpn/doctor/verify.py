@@ -1,4 +1,4 @@
-"""Compare written files with their checksums: stores, indexes, models, and trainings, read in full."""
+"""Compare written files with their checksums: stores, indexes, parts, models, and trainings, read in full."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class VerifiedFile:
 
 
 def verify(path: Path) -> Iterator[VerifiedFile]:
-    """Compare a model file, store, or index, or all of these below a folder, with their checksums.
+    """Compare a model file, store, index, or folder of parts, or all of these below a folder, with their checksums.
 
     Raises:
         InputError: if there is none.
@@ -47,7 +47,9 @@ def verify(path: Path) -> Iterator[VerifiedFile]:
         raise InputError(f"There is nothing at {path}; check the path.")
     files = [path] if path.is_file() else sorted({*_find(path)})
     if not files:
-        raise InputError(f"{path} holds no store, no index, and no model; give one of these, or a folder of them.")
+        raise InputError(
+            f"{path} holds no store, no index, no parts, and no model; give one of these, or a folder of them."
+        )
     for file in files:
         try:
             yield _verify_index(file) if _is_index(file) else VerifiedFile(file, _verify(file), True)
@@ -72,8 +74,9 @@ def _verify_index(folder: Path) -> VerifiedFile:
 def _find(folder: Path) -> Iterator[Path]:
     for file in folder.rglob("*"):
         name = file.name
+        parts = name == "plan.json" and any(file.parent.glob("part-*.zip"))
         # The log is of a store whose making was interrupted.
-        if name in ("manifest.json", LOG) or is_manifest(name):
+        if parts or name in ("manifest.json", LOG) or is_manifest(name):
             yield file.parent
         elif file.suffix in _MODELS and file.is_file():
             yield file
@@ -81,7 +84,7 @@ def _find(folder: Path) -> Iterator[Path]:
 
 def _verify(path: Path) -> str:
     if path.is_dir():
-        return _verify_store(open_store(path), path)
+        return _verify_parts(path) if (path / "plan.json").exists() else _verify_store(open_store(path), path)
     if path.suffix in (".onnx", ".safetensors") and check_seal(path, _AGAIN):
         return "is what was written"
     if path.suffix in (".pth", ".pt") and check_entries(path, _AGAIN):
@@ -112,3 +115,12 @@ def _verify_store(store: Store, folder: Path) -> str:
         of = f"in up to {damaged} of {len(store.descriptors)} rows"
         raise StoreError(f"descriptors.npy in {folder} does not match its checksums {of}; {_DESCRIBE}.")
     return "is what was written" if store.manifest.checksums else "has no checksums: an earlier version wrote it"
+
+
+def _verify_parts(folder: Path) -> str:
+    from lpn.cluster.parts import open_parts
+
+    opened = open_parts(folder)
+    if not all(np.isfinite(opened.vectors(part)).all() for part in opened.parts):
+        raise StoreError(f"{folder} holds values that are not finite; {_DESCRIBE}.")
+    return "is what was written"

@@ -1,72 +1,130 @@
-"""Read the tiles to be indexed, with their positions if known, from a store of descriptors."""
+"""Read the tiles to be indexed, with their positions if known, from a store of descriptors or from the parts of many workers."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from lpn import descriptors
-from lpn.core.arrays import Float64Array
+from lpn.core.arrays import Float32Array, Float64Array, Int64Array
 from lpn.core.errors import DataError, InputError
 from lpn.core.files import printable
-from lpn.core.progress import report_progress
 from lpn.datasets import geo, open_dataset
 from lpn.flight.maps.named_window import NamedWindow
-from lpn.index.base import DescriptorKind, Index, check_names
+from lpn.index.base import DescriptorKind, check_names
+from lpn.models.contract import Role
 
 # Size of the descriptors that are added at once, in bytes; a killed run repeats at most this much.
 _CHUNK_BYTES = 64 << 20
+# The name in `lpn.cluster.parts`, which needs an extra and is imported for parts only.
+_PLAN = "plan.json"
 
 
-class Tiles:
-    """The tiles of a store, to be added to an index. Windows of a map have the positions in their names.
-
-    Args:
-        folder: folder of the store.
-        data: folder that tells positions: in its geo.csv, by `lpn.datasets.geo.Positions.match`, or as a data set.
+@dataclass(frozen=True)
+class TileChunk:
+    """Tiles that are read and added together.
 
     Attributes:
         names: names of the tiles.
-        kind: kind of their descriptors.
-        positions: latitude and longitude in degrees, (N, 2) float64, NaN for a tile without a position; None for no positions.
+        positions: latitude and longitude in degrees, (B, 2) float64, NaN for a tile without a position; None for no positions.
+        rows: reads the descriptors (C, n, D) float32 of rows of the chunk, given in ascending order, (C,).
+    """
+
+    names: list[str]
+    positions: Float64Array | None
+    rows: Callable[[Int64Array], Float32Array]
+
+
+@dataclass(frozen=True)
+class TileSource:
+    """Tiles to be added to an index; only one chunk of descriptors is in memory at a time.
+
+    Attributes:
+        kind: kind of the descriptors.
+        count: number of tiles.
+        chunks: all tiles in order, in chunks; raises StoreError if a part is damaged or was removed meanwhile.
+        broken: number of pictures that could not be described and are left out.
+    """
+
+    kind: DescriptorKind
+    count: int
+    chunks: Iterator[TileChunk]
+    broken: int = 0
+
+
+def open_tiles(where: str, data: Path | None = None) -> TileSource:
+    """Open a store or parts of descriptors. Windows of a map have the positions in their names.
+
+    Args:
+        where: folder of a store, or folder or address of parts.
+        data: folder whose geo.csv replaces the positions of parts, by `lpn.datasets.geo.Positions.match`. Without one, it is a
+            data set that tells positions otherwise.
 
     Raises:
-        StoreError: when there is no complete store.
+        StoreError: when there is neither a complete store nor complete parts.
         DataError: when `data` tells no positions, or they cannot be read.
         InputError: if an index cannot hold these tiles, or `data` has no position for any tile, or two for one.
     """
-
-    def __init__(self, folder: Path, data: Path | None = None) -> None:
-        self._store = descriptors.open_store(folder)
-        manifest = self._store.manifest
-        if manifest.cropped:
-            raise InputError(f"{folder} holds cropped pictures, of which several can share a file; index whole ones.")
-        if manifest.role == "query":
-            raise InputError(
-                f"{folder} is described by the model's branch for queries, and an index holds a gallery; describe the pictures "
-                "again with --role gallery, into another folder."
-            )
-        names = [Path(row.file).as_posix() for row in manifest.rows]
-        self.names = check_names(names, len(names))
-        self.kind = DescriptorKind(manifest.fingerprint, manifest.n_parts, manifest.embedding)
-        self.positions = window_positions(self.names) if data is None else positions_of(data, self.names)
-
-    def add_to(self, index: Index, replace: bool = False) -> int:
-        """Add those tiles that an index lacks, or all, chunk by chunk; return their number. It reports its progress."""
-        added, step = 0, max(1, _CHUNK_BYTES // (4 * self.kind.numbers))
-        for start in range(0, len(self.names), step):
-            names = self.names[start : start + step]
-            some = start + (np.arange(len(names)) if replace else np.flatnonzero(~index.holds(names)))
-            if len(some):
-                places = None if self.positions is None else self.positions[some]
-                index.add([self.names[i] for i in some.tolist()], self._store.rows(some), places)
-            added += len(some)
-            report_progress("Indexing", start + len(names), len(self.names))
-        return added
+    folder = Path(where)
+    is_parts = "://" in where or ((folder / _PLAN).is_file() and not (folder / "manifest.json").is_file())
+    return _of_parts(where, data) if is_parts else _of_store(folder, data)
 
 
-def window_positions(names: list[str]) -> Float64Array | None:
+def _of_store(folder: Path, data: Path | None) -> TileSource:
+    store = descriptors.open_store(folder)
+    manifest = store.manifest
+    if manifest.cropped:
+        raise InputError(f"{folder} holds cropped pictures, of which several can share a file; index whole ones.")
+    _check_role(manifest.role, str(folder))
+    names = [Path(row.file).as_posix() for row in manifest.rows]
+    check_names(names, len(names))
+    kind = DescriptorKind(manifest.fingerprint, manifest.n_parts, manifest.embedding)
+    positions = _window_positions(names) if data is None else _positions(data, names)
+    step = _step(kind)
+
+    def chunk(start: int) -> TileChunk:
+        some = slice(start, start + step)
+        return TileChunk(names[some], None if positions is None else positions[some], lambda at: store.rows(start + at))
+
+    return TileSource(kind, len(names), map(chunk, range(0, len(names), step)))
+
+
+def _check_role(role: Role | None, where: str) -> None:
+    if role == "query":
+        raise InputError(
+            f"{where} is described by the model's branch for queries, and an index holds a gallery; describe the pictures "
+            "again with --role gallery, into another folder."
+        )
+
+
+def _of_parts(where: str, data: Path | None) -> TileSource:
+    from lpn.cluster.parts import PartContents, open_parts
+
+    opened = open_parts(where)
+    plan = opened.plan
+    _check_role(plan.role, opened.storage.where)
+    kind = DescriptorKind(plan.fingerprint, plan.n_parts, plan.embedding)
+    names = [one.row.file for part in opened.parts for one in part.items]
+    check_names(names, len(names))
+    positions = None if data is None else _positions(data, names)
+    starts = np.cumsum([0, *(len(part.items) for part in opened.parts)]).tolist()
+
+    def chunk(part: PartContents, start: int) -> TileChunk:
+        some = slice(start, start + len(part.items))
+        places = part.positions if positions is None else positions[some]
+        return TileChunk(names[some], places, lambda rows: opened.vectors(part)[rows])
+
+    return TileSource(kind, len(names), map(chunk, opened.parts, starts), len(opened.broken))
+
+
+def _step(kind: DescriptorKind) -> int:
+    return max(1, _CHUNK_BYTES // (4 * kind.numbers))
+
+
+def _window_positions(names: list[str]) -> Float64Array | None:
     """Return the centres of windows of a map, (N, 2); None if a name is not that of a window."""
     windows = [window for name in names if (window := NamedWindow.parse(name)) is not None]
     if not names or len(windows) < len(names):
@@ -74,8 +132,7 @@ def window_positions(names: list[str]) -> Float64Array | None:
     return np.array([(window.latitude, window.longitude) for window in windows])
 
 
-def positions_of(root: Path, names: list[str]) -> Float64Array:
-    """Return the positions of tiles that a folder tells, (N, 2), NaN for none; see `Tiles` for the errors."""
+def _positions(root: Path, names: list[str]) -> Float64Array:
     known = geo.positions(root) or _of_dataset(root)
     places = known.match(names)
     if names and not any(places):

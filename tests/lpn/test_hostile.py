@@ -252,3 +252,28 @@ def test_parts_of_two_quantisations_are_not_one_model(tmp_path: Path) -> None:
     onnx.save_model(proto, second)
     with pytest.raises(ModelFileError, match="another model than the file beside it"):
         Engine(first, threads=1)
+
+
+def test_a_part_of_a_store_that_is_damaged_or_claims_gigabytes_is_told(tmp_path: Path) -> None:
+    pytest.importorskip("pyarrow")
+    from lpn.cluster.parts import PartItem, Plan, contents_of, open_parts, write_part
+    from lpn.cluster.storage import Storage
+    from lpn.core.errors import StoreError
+
+    storage, plan = Storage(tmp_path), Plan("0" * 16, "drone", 1, 4, "float32")
+    items = [PartItem(descriptors.Row(f"{i}.png", 9, 1, None), (46.125, 7.5)) for i in range(9)]
+    file = tmp_path / write_part(storage, plan, items, np.full((9, 1, 4), 0.5, np.float32))
+    storage.write("plan.json", replace(plan, contents=contents_of([file.name])).to_json())
+    whole = file.read_bytes()
+    for text, offset in ((b"46.125", 1), (np.float32(0.5).tobytes() * 2, 3)):
+        data = bytearray(whole)
+        data[data.index(text) + offset] ^= 1
+        file.write_bytes(data)
+        with pytest.raises(StoreError, match="damaged"):
+            (opened := open_parts(tmp_path)).vectors(opened.parts[0])
+    for packing in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):  # as many pictures, other numbers
+        with zipfile.ZipFile(io.BytesIO(whole)) as archive, zipfile.ZipFile(file, "w", packing) as forged:
+            forged.writestr("notes.json", archive.read("notes.json"))
+            forged.writestr("vectors.bin", bytes(1 << 20))
+        with pytest.raises(StoreError, match="damaged"):
+            (opened := open_parts(tmp_path)).vectors(opened.parts[0])

@@ -16,7 +16,7 @@ import zipfile
 import zlib
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -109,8 +109,10 @@ def pictures(_: Path) -> list[FuzzCase]:
 
 
 def stores(folder: Path) -> list[FuzzCase]:
-    """Descriptors: a store, one that was interrupted, and an index."""
+    """Descriptors: a store, one that was interrupted, parts with their plan, and an index."""
     from lpn import descriptors, index
+    from lpn.cluster.parts import PartItem, Plan, contents_of, open_parts, write_part
+    from lpn.cluster.storage import Storage
     from lpn.descriptors.partial_store import LOG, PartialStore
     from lpn.descriptors.transforms import UNCHANGED
     from lpn.descriptors.writer import write_store
@@ -134,12 +136,22 @@ def stores(folder: Path) -> list[FuzzCase]:
         store = descriptors.open_store(folder / "store")
         _ = store.float32, store.damaged(), store.manifest.damaged, store.manifest.change.describe()
 
+    (folder / "parts").mkdir()
+    storage, plan = Storage(folder / "parts"), Plan("0" * 16, "drone", 2, 8, "float32")
+    written = write_part(storage, plan, [PartItem(row, (46.0, 7.0)) for row in rows], raw)
+    storage.write("plan.json", replace(plan, contents=contents_of([written])).to_json())
+
+    def gathered() -> None:
+        found = open_parts(folder / "parts")
+        _ = [(part.positions, found.vectors(part)) for part in found.parts]
+
     index.create_index(folder / "index", index.DescriptorKind("0" * 16, 2, 8)).add([row.file for row in rows], raw)
     files = [file for file in sorted((folder / "index").rglob("*")) if file.is_file() and file.stat().st_size]
     return [
         in_file(manifest, opened, manifest.read_bytes(), plain.to_json()),
         in_file(array, opened),
         FuzzCase([(part / LOG).read_bytes()], interrupted),
+        *(in_file(folder / "parts" / name, gathered) for name in ("plan.json", written)),
         *(in_file(file, lambda: index.open_index(folder / "index").search(raw[0], None, 3)) for file in files),
     ]
 

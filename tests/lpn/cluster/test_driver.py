@@ -15,11 +15,10 @@ import threading
 import time
 import warnings
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import ExitStack, suppress
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -30,14 +29,14 @@ pytest.importorskip("pyarrow", reason="the extra cluster is not installed")
 from lpn import descriptors
 from lpn.cli import main
 from lpn.cluster import session
-from lpn.cluster.driver import Summary, describe_on_workers
+from lpn.cluster.driver import Summary, describe_parts
+from lpn.cluster.parts import PartItem, open_parts, to_store
 from lpn.cluster.session import ray_session
 from lpn.cluster.storage import Storage
 from lpn.cluster.worker import DescribeWorker
-from lpn.core.arrays import Float32Array
 from lpn.core.errors import DataError, InputError, LPNError, StoreError
-from lpn.core.progress import listening
-from lpn.descriptors.partial_store import LOG
+from lpn.index import open_index
+from lpn.index.tiles import open_tiles
 from lpn.models.onnx_engine import Engine
 from tests.lpn.models.test_own_models import graph
 from tools.fixtures import small_worlds
@@ -70,34 +69,47 @@ def _ray() -> Iterator[None]:
 
 
 @pytest.fixture(scope="module")
-def pictures(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder of pictures; no test may change it."""
-    folder = tmp_path_factory.mktemp("described") / "pictures"
+def described(model_file: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, Summary, list[str]]:
+    """Pictures, their parts, and what was said; no test may change them."""
+    root, lines = tmp_path_factory.mktemp("described"), []
     for i in range(PICTURES):
-        small_worlds.write(folder / f"{i % 3}" / f"{i:02d}.png", small_worlds.place(i))
-    return folder
+        small_worlds.write(root / "pictures" / f"{i % 3}" / f"{i:02d}.png", small_worlds.place(i))
+    out = root / "parts"
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        summary = describe_parts(model_file, root / "pictures", "drone", out, workers=2, size=8, say=lines.append)
+    return root / "pictures", out, summary, lines
 
 
 @pytest.fixture
-def folder(pictures: Path, tmp_path: Path) -> Path:
+def folder(described: tuple[Path, Path, Summary, list[str]], tmp_path: Path) -> Path:
     """The same pictures, with the same times, for one test."""
-    return shutil.copytree(pictures, tmp_path / "pictures")
+    return shutil.copytree(described[0], tmp_path / "pictures")
+
+
+@pytest.fixture
+def done(described: tuple[Path, Path, Summary, list[str]], tmp_path: Path) -> Path:
+    """Their parts, for one test."""
+    return shutil.copytree(described[1], tmp_path / "parts")
 
 
 def describe(model_file: Path, folder: Path, out: Path, workers: int = 1, **given: object) -> Summary:
-    """Describe by one worker, as each takes seconds to start, where not two are what is tested."""
-    return describe_on_workers(model_file, folder, "drone", out, workers=workers, size=8, **given)  # type: ignore[arg-type]
+    """By one worker, as each takes seconds to start, where not two are what is tested."""
+    return describe_parts(model_file, folder, "drone", out, workers=workers, size=8, say=lambda _: None, **given)  # type: ignore[arg-type]
 
 
-def alone(model_file: Path, folder: Path, out: Path) -> descriptors.Store:
+def expected(model_file: Path, folder: Path, out: Path) -> descriptors.Store:
     return descriptors.describe(Engine(model_file), descriptors.pictures_below(folder), "drone", out, root=folder)
 
 
-def check_equal(out: Path, expected: descriptors.Store) -> None:
-    store = descriptors.open_store(out)
-    assert store.manifest == expected.manifest
-    assert not (out / LOG).exists()
-    np.testing.assert_allclose(store.descriptors, expected.descriptors, atol=1e-6)
+def held(out: Path) -> dict[str, np.ndarray]:
+    """Descriptors by name, each name once."""
+    parts = open_parts(out)
+    found = [
+        (one.row.file, row) for part in parts.parts for one, row in zip(part.items, parts.vectors(part), strict=True)
+    ]
+    assert len(dict(found)) == len(found)
+    return dict(found)
 
 
 @pytest.mark.slow
@@ -109,109 +121,138 @@ def test_workers_take_the_branch_of_a_role(tmp_path: Path) -> None:
     graph(tmp_path / "both.drone.onnx", change=change, cells="fixed")
     bound = Engine(model).for_task("satellite", "drone")
     files = descriptors.pictures_below(tmp_path / "pictures")
-    expected = descriptors.describe(bound, files, "drone", tmp_path / "alone", root=tmp_path / "pictures")
-    assert expected.manifest.role == "gallery"
+    alone = descriptors.describe(bound, files, "drone", tmp_path / "alone", root=tmp_path / "pictures")
     describe(model, tmp_path / "pictures", tmp_path / "gallery", role="gallery")
-    check_equal(tmp_path / "gallery", expected)
+    store = to_store(open_parts(tmp_path / "gallery"), tmp_path / "store")
+    assert store.manifest == alone.manifest
+    assert store.manifest.role == "gallery"
+    np.testing.assert_allclose(store.descriptors, alone.descriptors, atol=1e-6)
+    assert open_tiles(str(tmp_path / "gallery")).kind.fingerprint == bound.fingerprint
+    describe(model, tmp_path / "pictures", tmp_path / "query")
+    with pytest.raises(InputError, match="branch for queries, and an index holds a gallery"):
+        open_tiles(str(tmp_path / "query"))
 
 
-def test_two_workers_say_what_one_machine_says(model_file: Path, pictures: Path, tmp_path: Path) -> None:
-    said: list[tuple[str, int, int]] = []
-    with warnings.catch_warnings(), listening(lambda *heard: said.append(heard)):
-        warnings.simplefilter("ignore")
-        summary = describe(model_file, pictures, tmp_path / "store", workers=2)
-    assert summary == Summary(PICTURES, PICTURES, {})
-    assert said[0] == ("Describing drone pictures", 0, PICTURES)
-    assert said[-1][1:] == (PICTURES, PICTURES)
-    check_equal(tmp_path / "store", alone(model_file, pictures, tmp_path / "alone"))
-    assert describe(model_file, pictures, tmp_path / "store") == Summary(PICTURES, 0, {})
+def test_two_workers_say_what_one_machine_says(
+    model_file: Path, described: tuple[Path, Path, Summary, list[str]], tmp_path: Path
+) -> None:
+    pictures, out, summary, lines = described
+    assert (summary.pictures, summary.computed, summary.broken) == (PICTURES, PICTURES, [])
+    assert "40 of 40 pictures" in lines[-1]
+    assert "per second" in lines[-1]
+    alone = expected(model_file, pictures, tmp_path / "alone")
+    store = to_store(open_parts(out), tmp_path / "store")
+    assert store.manifest == alone.manifest
+    np.testing.assert_allclose(store.descriptors, alone.descriptors, atol=1e-6)
+    found = held(out)
+    for row, descriptor in zip(alone.manifest.rows, alone.descriptors, strict=True):
+        np.testing.assert_allclose(found[row.file], descriptor, atol=1e-6)
+    assert (out / "broken.csv").read_text() == "name,reason\n"
+    before = {path.name: path.stat().st_mtime_ns for path in out.glob("part-*.zip")}
+    assert describe(model_file, pictures, out).computed == 0
+    assert {path.name: path.stat().st_mtime_ns for path in out.glob("part-*.zip")} == before
 
 
 class Killed(DescribeWorker):
-    """Is killed once, in the middle of its second list; writes its process and the first picture of each list to a file."""
+    """Is killed once, in the middle of its second part; writes its process and the first picture of each part to a file."""
 
-    def describe(self, names: Sequence[str]) -> tuple[Float32Array, dict[int, str]]:
-        place = Path(self.task.pictures).parent
-        with (place / "begun").open("a") as begun:
-            begun.write(f"{os.getpid()} {names[0]}\n")
+    def describe(self, items: list[PartItem]) -> tuple[int, int]:
+        with (Path(self.task.out).parent / "begun").open("a") as begun:
+            begun.write(f"{os.getpid()} {items[0].row.file}\n")
+        fuse = Path(self.task.out).parent / "killed"
         seen = getattr(self, "seen", 0)
         self.seen = seen + 1
         if seen == 1:
-            with suppress(FileExistsError), (place / "killed").open("x") as killed:
-                killed.write(f"{os.getpid()} {names[0]}")
-                killed.flush()
+            try:
+                with fuse.open("x") as killed:
+                    killed.write(f"{os.getpid()} {items[0].row.file}")
+            except FileExistsError:
+                pass
+            else:
                 os.kill(os.getpid(), signal.SIGKILL)
-        return super().describe(names)
+        return super().describe(items)
 
 
 @pytest.mark.slow
-def test_a_killed_worker_costs_its_own_lists_alone(model_file: Path, folder: Path, tmp_path: Path) -> None:
-    out = tmp_path / "store"
-    assert describe(model_file, folder, out, workers=2, worker=Killed) == Summary(PICTURES, PICTURES, {})
+def test_a_killed_worker_costs_its_own_parts_alone(model_file: Path, folder: Path, tmp_path: Path) -> None:
+    out = tmp_path / "parts"
+    summary = describe(model_file, folder, out, workers=2, worker=Killed)
+    assert (summary.pictures, summary.computed, summary.broken) == (PICTURES, PICTURES, [])
     begun = [line.split() for line in (tmp_path / "begun").read_text().splitlines()]
     process, lost = (tmp_path / "killed").read_text().split()
     times = Counter(first for _, first in begun)
     assert len(times) == 5
     repeated = {first for first, count in times.items() if count > 1}
-    # Its list before the last is lost too if the driver had not heard of that yet.
+    # Its part before the last is lost too if the driver had not heard of that yet.
     assert lost in repeated
     assert repeated <= {first for by, first in begun if by == process}
     assert max(times.values()) == 2
-    check_equal(out, alone(model_file, folder, tmp_path / "alone"))
+    alone = expected(model_file, folder, tmp_path / "alone")
+    store = to_store(open_parts(out), tmp_path / "store")
+    assert store.manifest == alone.manifest
+    np.testing.assert_allclose(store.descriptors, alone.descriptors, atol=1e-6)
 
 
 class Odd(DescribeWorker):
-    """Fails at every list, as a fault of ours would make it."""
+    """Fails at every part, as a fault of ours would make it."""
 
-    def describe(self, names: Sequence[str]) -> tuple[Float32Array, dict[int, str]]:
-        raise ZeroDivisionError(f"list of {len(names)}")
+    def describe(self, items: list[PartItem]) -> tuple[int, int]:
+        raise ZeroDivisionError(f"part of {len(items)}")
 
 
 @pytest.mark.slow
 def test_what_workers_cannot_mend_is_one_sentence(model_file: Path, folder: Path, tmp_path: Path) -> None:
-    with pytest.raises(StoreError, match=r"^The workers failed \(ZeroDivisionError: list .*run this again\.$"):
-        describe(model_file, folder, tmp_path / "store", worker=Odd)
+    with pytest.raises(StoreError, match=r"^The workers failed \(ZeroDivisionError: part .*run this again\.$"):
+        describe(model_file, folder, tmp_path / "parts", worker=Odd)
 
 
 @pytest.mark.slow
-def test_changed_pictures_are_computed_and_broken_ones_named(model_file: Path, folder: Path, tmp_path: Path) -> None:
-    out = tmp_path / "store"
-    alone(model_file, folder, out)  # a store of one machine, which the workers continue
-    broken = {"0/cut.png": "is cut short or damaged", "1/text.jpg": "is not a picture that can be read"}
-    broken["2/spoilt.png"] = "is damaged"
-    (folder / "0" / "cut.png").write_bytes((folder / "0" / "00.png").read_bytes()[:-500])
-    (folder / "1" / "text.jpg").write_bytes(b"no picture")
-    small_worlds.spoilt_png(folder / "2" / "spoilt.png")
+def test_what_changed_alone_is_computed_and_what_is_broken_is_named(
+    model_file: Path, folder: Path, done: Path, tmp_path: Path
+) -> None:
+    broken = ["0/cut.png", "1/text.jpg", "2/spoilt.png"]
+    (folder / broken[0]).write_bytes((folder / "0" / "00.png").read_bytes()[:-500])
+    (folder / broken[1]).write_bytes(b"no picture")
+    small_worlds.spoilt_png(folder / broken[2])
     small_worlds.write(folder / "0" / "00.png", small_worlds.place(51))
     small_worlds.write(folder / "3" / "new.png", small_worlds.place(52))
     (folder / "2" / "02.png").unlink()
-    assert describe(model_file, folder, out) == Summary(PICTURES + 3, 2, broken)
-    rows = list(csv.reader((out / "broken.csv").read_text().splitlines()))
-    assert rows == [["name", "reason"], *map(list, broken.items())]
-    assert describe(model_file, folder, out) == Summary(PICTURES + 3, 0, broken)
+    names = [path.relative_to(folder).as_posix() for path in descriptors.pictures_below(folder)]
+    (folder / "geo.csv").write_text("path,latitude,longitude\n" + "".join(f"{name},46.5,7.25\n" for name in names))
+    summary = describe(model_file, folder, done)
+    assert (summary.pictures, summary.computed) == (len(names), 2)
+    assert [one.item.row.file for one in summary.broken] == broken
+    reasons = ["is cut short or damaged", "is not a picture that can be read", "is damaged"]
+    rows = list(csv.reader((done / "broken.csv").read_text().splitlines()))
+    assert rows == [["name", "reason"], *map(list, zip(broken, reasons, strict=True))]
+    assert set(held(done)) == set(names) - set(broken)
+    assert all((part.positions == (46.5, 7.25)).all() for part in open_parts(done).parts)
+    again = describe(model_file, folder, done)
+    assert (again.computed, again.broken) == (0, summary.broken)
     for name in broken:
         (folder / name).unlink()
-    check_equal(out, alone(model_file, folder, tmp_path / "alone"))
+    alone = expected(model_file, folder, tmp_path / "alone")
+    np.testing.assert_allclose(to_store(open_parts(done), tmp_path / "store").descriptors, alone.descriptors, atol=1e-6)
 
 
 DRIVER = """
 import sys, time
 from pathlib import Path
-from lpn.cluster.driver import describe_on_workers
+from lpn.cluster.driver import describe_parts
 from lpn.cluster.worker import DescribeWorker
 
 class Slow(DescribeWorker):
-    def describe(self, names):
+    def describe(self, items):
         time.sleep(1.0)
-        return super().describe(names)
+        return super().describe(items)
 
-describe_on_workers(Path(sys.argv[1]), sys.argv[2], "drone", Path(sys.argv[3]), workers=2, size=8, worker=Slow)
+describe_parts(Path(sys.argv[1]), sys.argv[2], "drone", sys.argv[3], workers=2, size=8, worker=Slow)
 """
 
 
 @pytest.mark.slow
 def test_a_killed_driver_leaves_what_was_done(model_file: Path, folder: Path, tmp_path: Path) -> None:
-    out = tmp_path / "store"
+    out = tmp_path / "parts"
     driver = subprocess.Popen(
         [sys.executable, "-c", DRIVER, str(model_file), str(folder), str(out)],
         stdout=subprocess.DEVNULL,
@@ -219,21 +260,48 @@ def test_a_killed_driver_leaves_what_was_done(model_file: Path, folder: Path, tm
     )
     try:
         end = time.monotonic() + 6000
-        while not (out / LOG).exists() or (out / LOG).stat().st_size < 8 * 4 * 4:
-            assert driver.poll() is None, "the driver ended before it was killed"
-            assert time.monotonic() < end
-            time.sleep(0.02)
-        logged = (out / LOG).stat().st_size
-        while (out / LOG).stat().st_size == logged:
+        while not list(out.glob("part-*.zip")):
             assert driver.poll() is None, "the driver ended before it was killed"
             assert time.monotonic() < end
             time.sleep(0.02)
     finally:
         driver.kill()
         driver.wait()
+    with pytest.raises(StoreError, match="has not ended; wait for it, or run lpn describe --engine ray again"):
+        open_parts(out)
     summary = describe(model_file, folder, out)
     assert 0 < summary.computed < PICTURES
-    check_equal(out, alone(model_file, folder, tmp_path / "alone"))
+    assert len(held(out)) == PICTURES
+
+
+@pytest.mark.slow
+def test_parts_are_indexed_with_their_positions(
+    model_file: Path, folder: Path, done: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Given to describe in a file above the pictures, and so named as `lpn index --data` takes them."""
+    names = [path.relative_to(folder).as_posix() for path in descriptors.pictures_below(folder)]
+    places = {name: (place, 2 * place) for place, name in enumerate(names, start=1)}
+    lines = [f"{folder.name}/{name},{latitude},{longitude}\n" for name, (latitude, longitude) in places.items()]
+    (tmp_path / "geo.csv").write_text("path,latitude,longitude\n" + "".join(lines))
+    (folder / "0" / "text.jpg").write_bytes(b"no picture")
+    with (tmp_path / "geo.csv").open("a") as more:
+        more.write(f"{folder.name}/0/text.jpg,1,1\n")
+    assert describe(model_file, folder, done, positions=tmp_path / "geo.csv").computed == 0
+    for where, more in ((str(done), []), (f"file://{done}", []), (str(done), ["--data", str(tmp_path)])):
+        out = tmp_path / f"index{len(list(tmp_path.iterdir()))}"
+        making = ["index", "--descriptors", where, "--out", str(out), *more]
+        assert main.main(making) == 0
+        said = capsys.readouterr().out
+        assert "holds 40 tiles, 40 of them added now" in said
+        assert "1 pictures are broken and not in it" in said
+        assert main.main(making) == 0
+        assert "40 were there already" in capsys.readouterr().out
+        with open_index(out) as index:
+            for name, row in list(held(done).items())[:5]:
+                found = index.search(row, None, 1, (places[name][0], -180, places[name][0], 180))
+                assert found.ids == [name]
+                np.testing.assert_array_equal(found.vectors[0], row)
+                np.testing.assert_array_equal(found.positions[0], places[name])
 
 
 @pytest.fixture
@@ -276,7 +344,7 @@ def test_a_cluster_is_joined_by_its_address_and_one_that_is_not_there_is_told(
     model_file: Path, folder: Path, cluster: str, tmp_path: Path
 ) -> None:
     """In a process that has no Ray yet; one for all of these, as it takes seconds to load."""
-    out = tmp_path / "store"
+    out = tmp_path / "parts"
     common = ["describe", "--engine", "ray", "--model", str(model_file), "--images", str(folder), "--view", "drone"]
     common += ["--out", str(out), "--address"]
     with socket.create_server(("127.0.0.1", 0)) as closed:
@@ -300,6 +368,7 @@ def test_a_cluster_is_joined_by_its_address_and_one_that_is_not_there_is_told(
     assert any("No machine of the cluster has 2 cores; give fewer --threads." in line for line in sentences)
     assert len(sentences) == 3, sentences
     assert f"{out} holds {PICTURES} descriptors, {PICTURES} of them computed now." in ran.stdout
+    assert len(held(out)) == PICTURES
 
 
 def _answers(server: socket.socket) -> None:
@@ -329,23 +398,30 @@ def test_that_ray_does_not_start_is_told_in_a_sentence(monkeypatch: pytest.Monke
 
 
 @pytest.mark.slow
-def test_the_command_says_what_it_did(
+def test_commands_say_what_they_did(
     model_file: Path, folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (folder / "1" / "text.jpg").write_bytes(b"no picture")
-    out = tmp_path / "store"
+    out = tmp_path / "parts"
     common = ["describe", "--model", str(model_file), "--view", "drone", "--engine", "ray", "--workers", "1"]
-    given = [*common, "--images", f"file://{folder}", "--out", str(out), "--precision"]
-    assert main.main([*given, "int8"]) == 1
+    given = [*common, "--images", f"file://{folder}", "--out", str(out), "--precision", "float16"]
+    assert main.main(given) == 1
     said = capsys.readouterr().out
     assert f"{out} holds 40 descriptors, 40 of them computed now." in said
     assert "1 pictures could not be described; broken.csv there names them" in said
+    assert main.main(["describe", "--parts", str(out), "--out", str(tmp_path / "store")]) == 0
+    assert f"1 pictures are broken and not in it; broken.csv in {out} names them." in capsys.readouterr().out
     (folder / "1" / "text.jpg").unlink()
-    expected = alone(model_file, folder, tmp_path / "alone")
-    np.testing.assert_allclose(descriptors.open_store(out).float32, expected.descriptors, atol=0.01)
-    assert main.main([*given, "float32"]) == 2
-    assert "choose another folder" in capsys.readouterr().err
-    assert main.main([*common[:5], "--images", str(folder), "--out", str(out), "--workers", "2"]) == 2
+    store = descriptors.open_store(tmp_path / "store")
+    alone = expected(model_file, folder, tmp_path / "alone")
+    assert (store.manifest.precision, store.manifest.rows) == ("float16", alone.manifest.rows)
+    np.testing.assert_allclose(store.float32, alone.descriptors, atol=2e-4)
+    assert main.main([*given[:-2], "--precision", "float32"]) == 2
+    assert "choose another place" in capsys.readouterr().err
+    assert main.main([*given[:-2], "--precision", "int8"]) == 2
+    assert "float32 or float16" in capsys.readouterr().err
+    locally = [*common[:5], "--images", str(folder), "--out", str(out), "--workers", "2"]
+    assert main.main(locally) == 2
     assert "--workers is for many workers" in capsys.readouterr().err
 
 
@@ -359,33 +435,29 @@ def test_object_storage_is_read_like_a_folder(folder: Path) -> None:
         assert [row.file for row in rows] == names
         assert [row.size for row in rows] == [(folder / name).stat().st_size for name in names]
         assert storage.read(names[0]) == (folder / names[0]).read_bytes()
+        storage.write("new.txt", b"whole")
+        assert (folder / "new.txt").read_bytes() == b"whole"
         with pytest.raises(FileNotFoundError):
             storage.read("absent")
 
 
-@pytest.mark.parametrize(
-    ("given", "error", "said"),
-    [
-        ({"threads": 0}, InputError, "expected 1 or more"),
-        ({"view": "street"}, InputError, "no 'street' view"),
-        ({"model": Path("m.safetensors")}, InputError, "make one with lpn export"),
-        ({"pictures": "nowhere://bucket/tiles"}, InputError, "cannot be opened"),
-        ({"pictures": "absent"}, DataError, "cannot be listed"),
-        ({"pictures": "empty"}, DataError, "holds no pictures"),
-    ],
-    ids=lambda value: str(value) if isinstance(value, dict) else "",
-)
-def test_bad_options_are_refused(
-    given: dict[str, Any],
-    error: type[LPNError],
-    said: str,
-    model_file: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    Path("empty").mkdir()
-    options = {"model": model_file, "pictures": "empty", "view": "drone", "out": tmp_path / "out"} | given
-    with pytest.raises(error, match=said):
-        describe_on_workers(**options)
-    assert not (tmp_path / "out").exists()
+def test_bad_options_are_refused_in_words(model_file: Path, folder: Path, tmp_path: Path) -> None:
+    empty = tmp_path / "empty.csv"
+    empty.write_text("path,latitude,longitude\n")
+    cases: list[tuple[type[LPNError], str, dict[str, object]]] = [
+        (InputError, "expected 1 or more", {"threads": 0}),
+        (InputError, "no 'street' view", {"view": "street"}),
+        (InputError, "make one with lpn export", {"model": model_file.with_suffix(".safetensors")}),
+        (InputError, "cannot be opened", {"pictures": "nowhere://bucket/tiles"}),
+        (DataError, "cannot be listed", {"pictures": folder / "absent"}),
+        (DataError, "holds no pictures", {"pictures": model_file.parent}),
+        (DataError, "no file of positions", {"positions": folder / "absent.csv"}),
+        (DataError, "no position for 40 of 40 pictures", {"positions": empty}),
+    ]
+    for kind, said, given in cases:
+        options = {"model": model_file, "pictures": folder, "view": "drone", "out": tmp_path / "out"} | given
+        with pytest.raises(kind, match=said):
+            describe_parts(**options)  # type: ignore[arg-type]
+    assert not list(tmp_path.glob("out/part-*.zip"))
+    with pytest.raises(StoreError, match="no folder of parts"):
+        open_parts(tmp_path)

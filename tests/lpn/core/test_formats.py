@@ -18,6 +18,8 @@ from safetensors.torch import save_file
 
 import lpn
 from lpn import descriptors
+from lpn.cluster.parts import Plan
+from lpn.cluster.storage import Storage
 from lpn.core.checksums import crc_of_values
 from lpn.core.errors import DataError, InputError, LPNError, ModelFileError, StoreError
 from lpn.core.formats import is_newer
@@ -160,6 +162,14 @@ def test_a_flipped_byte_is_found_in_every_file_of_an_index(index: Path, tmp_path
     missing = next(index.glob("0*")) / "names.json"
     missing.unlink()
     assert [verdict.whole for verdict in verify(index)] == [False]
+
+
+def test_later_parts_are_named(tmp_path: Path) -> None:
+    (tmp_path / "plan.json").write_bytes(Plan("0123456789abcdef", "drone", 4, 512, "float32").to_json())
+    assert Plan.read(Storage(tmp_path)) is not None
+    of_later(tmp_path / "plan.json")
+    with pytest.raises(StoreError, match=r"plan\.json in .* was written " + LATER):
+        Plan.read(Storage(tmp_path))
 
 
 def test_measurements_are_read_and_those_of_a_later_version_are_left_alone(

@@ -12,7 +12,7 @@ import pytest
 
 from lpn.core.errors import DataError
 from lpn.datasets import open_dataset
-from lpn.index.tiles import positions_of
+from lpn.index import tiles
 from tools.fixtures import layouts, small_worlds
 
 
@@ -25,7 +25,7 @@ def test_positions_of_a_data_set_are_those_that_it_tells_itself(make: Callable[[
     assert np.ptp(expected, axis=0).max() > 0
     described = os.path.commonpath([tile.path.parent.parent for tile in gallery])
     names = [tile.path.relative_to(described).as_posix() for tile in gallery]
-    np.testing.assert_array_equal(positions_of(dataset.root, names), expected)
+    np.testing.assert_array_equal(tiles._positions(dataset.root, names), expected)
 
 
 def test_a_folder_without_positions_is_told_in_a_sentence(tmp_path: Path) -> None:
@@ -35,4 +35,4 @@ def test_a_folder_without_positions_is_told_in_a_sentence(tmp_path: Path) -> Non
         with pytest.raises(
             DataError, match=rf"{folder} has no geo.csv, and no data set's own positions{reason}; leave --data out"
         ):
-            positions_of(tmp_path / folder, ["a.png"])
+            tiles._positions(tmp_path / folder, ["a.png"])
