@@ -59,9 +59,9 @@ def verify(path: Path) -> Iterator[VerifiedFile]:
 
 
 def _verify_index(folder: Path) -> VerifiedFile:
-    contents = verify_index(folder)
-    left = "an add was interrupted or is still running, and its tiles are missing" if contents.unfinished else ""
-    if contents.tiles:
+    tiles, unfinished = verify_index(folder)
+    left = "an add was interrupted or is still running, and its tiles are missing" if unfinished else ""
+    if tiles:
         more = f"; {left}, so add them again with lpn index" if left else ""
         return VerifiedFile(folder, f"is what was written{more}", True)
     again = "see that the disk has space, and add them again with lpn index"

@@ -15,7 +15,8 @@ from lpn.cli.main import main
 from lpn.core.errors import InputError
 from lpn.flight.files import write_flight
 from lpn.flight.maps import NamedWindow
-from lpn.sources import SourceOptions
+from lpn.index import task as index_tasks
+from lpn.sources import SourceOptions, source_of
 from tests.explorer.conftest import TASK, answered
 from tests.lpn.flight.locate.scenery import FLOWN_PLACES, land, small_flight, write_map
 
@@ -134,6 +135,29 @@ def test_a_flight_is_searched_for_among_windows(
     unknown = answered(workspace, query=0)
     assert unknown.analysis.ranking.relevant is None
     assert unknown.message()["headline"]["found"] is None
+
+
+def test_the_windows_that_hold_a_tag_are_among_those_of_a_large_index(
+    flown: tuple[Path, Path, Path], model_file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    index, town, flight = flown
+    source = SourceOptions(source=str(flight), map=town, index=str(index), model=model_file)
+    whole = source_of(source).open().task
+    monkeypatch.setattr(index_tasks, "MOST_TILES", whole.tiles - 1)
+    monkeypatch.setattr(index_tasks, "PROPOSED", 4)  # of which some about a tag do not hold it
+    nearest = source_of(source).open().task
+    assert nearest.tiles < whole.tiles
+    assert nearest.truth is not None
+    assert whole.truth is not None
+    for query, (some, every) in enumerate(zip(nearest.truth, whole.truth, strict=True)):
+        assert (some.known, len(some.good) > 0) == (every.known, len(every.good) > 0)
+        if some.known:
+            ranks = [task.search(query).positive() for task in (nearest, whole)]
+            assert ranks[0] is not None
+            assert ranks[1] is not None
+            assert ranks[0].rank <= ranks[1].rank
+            # It is the nearest of all windows that hold the tag.
+            assert ranks[0].score == pytest.approx(ranks[1].score, abs=1e-6)
 
 
 def test_windows_without_their_map_are_placeholders(

@@ -16,7 +16,7 @@ from lpn.core.arrays import Float32Array
 from lpn.core.errors import InputError, MissingPackageError
 from lpn.datasets import Truth
 from lpn.models.base import normalise
-from lpn.retrieval import inner_products, metrics, scoring
+from lpn.retrieval import metrics, ranks, scoring
 from tools.fixtures.tasks import descriptor_task
 
 
@@ -121,7 +121,7 @@ def described(seed: int, count: int) -> Float32Array:
 
 @pytest.mark.parametrize("listed", [False, True])
 def test_the_effect_on_a_data_set_is_that_of_each_query_ranked(listed: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(inner_products, "_BLOCK_BYTES", 4 * 30 * 4)  # several blocks
+    monkeypatch.setattr(ranks, "_BLOCK_BYTES", 4 * 30 * 4)  # several blocks
     rng = np.random.default_rng(3)
     gallery = described(4, 30)
     labels, of_query = rng.integers(-1, 12, 30), rng.integers(0, 12, 25)

@@ -19,7 +19,7 @@ from lpn.core.tables import number_column, text_column
 from lpn.datasets import Picture, Truth, geo, labels_of, open_dataset
 from lpn.descriptors import cached_descriptors
 from lpn.models.base import normalise
-from lpn.retrieval import inner_products, metrics, scoring
+from lpn.retrieval import metrics, ranks, scoring
 from lpn.tasks import notes
 from lpn.tasks.gallery_geometry import GalleryGeometry
 from lpn.tasks.query_outcomes import (
@@ -100,7 +100,7 @@ def build(
 def test_outcomes_are_those_of_each_query_ranked_alone(
     block: int, weights: list[float] | None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(inner_products, "_BLOCK_BYTES", block)
+    monkeypatch.setattr(ranks, "_BLOCK_BYTES", block)
     monkeypatch.setattr("lpn.tasks.query_outcomes._CHUNK_BYTES", block)
     rng = np.random.default_rng(1)
     queries, gallery = descriptors(50), descriptors(30, seed=1)
@@ -152,7 +152,7 @@ def test_equal_scores_are_in_the_gallerys_order() -> None:
 
 
 def test_progress_is_told_and_can_end_the_work(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(inner_products, "_BLOCK_BYTES", 4 * 5 * 4)
+    monkeypatch.setattr(ranks, "_BLOCK_BYTES", 4 * 5 * 4)
     told: list[tuple[int, int]] = []
     sides = descriptors(10), np.arange(10), descriptors(5), np.arange(5)
     metrics.retrieve(*sides, progress=lambda done, of: told.append((done, of)))

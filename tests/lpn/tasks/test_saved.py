@@ -169,7 +169,7 @@ def small() -> dict[str, Any]:
         ({"query_label": np.arange(4)}, 1, "has 4 entries"),
         ({"query_label": np.array([0.5, 1, 2])}, 1, "expected one whole number"),
         ({"query_path": ["a", "b"]}, 1, "query_path .* 2 entries"),
-        ({}, 3, "cannot be divided into 3 equal parts"),
+        ({}, 3, "which are not 3 equal parts"),
         ({}, 2, "2 parts of norm"),
     ],
 )
