@@ -38,8 +38,7 @@ from lpn.models.base import Model
 from lpn.models.checkpoints import load_torch, save
 from lpn.models.export import export
 from lpn.retrieval.calibration import Calibration
-from lpn.tasks.opening import calibrated
-from lpn.tasks.shipped_calibration import FOLDER, NAME
+from lpn.tasks.opening import FOLDER, NAME, calibrated
 from tools.world.atlas import Settings, make_atlas
 from tools.world.model3d import city_model, test_window
 

@@ -64,7 +64,7 @@ def test_the_demo_s_descriptors_are_its_models_(view: View, file: Path) -> None:
     prepared = np.stack([images.prepare(images.load_picture(pictures[i].path), model.input_size) for i in some])
     found = model.descriptors(prepared, view)
     error = 1e-2 if view == "drone" else 1e-3  # 8 bits and 16
-    np.testing.assert_allclose(shipped[list(some)], found, atol=error * float(np.abs(found).max()))
+    np.testing.assert_allclose(shipped.descriptors[list(some)], found, atol=error * float(np.abs(found).max()))
 
 
 @pytest.mark.parametrize("file", [*MODELS, DEMO_MODEL.with_suffix(".safetensors")], ids=lambda file: file.name)

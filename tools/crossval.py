@@ -41,8 +41,8 @@ from lpn.reproduce.tables import Training
 from lpn.retrieval import metrics
 from lpn.retrieval.calibration import MIN_PICTURES, calibrate, centred
 from lpn.training import recipes
-from lpn.training.provenance import Provenance, here
 from lpn.training.recipe import Recipe
+from lpn.training.run_folder import Provenance, here
 from lpn.training.training_set import Fold, paired_pictures
 
 FORMAT = "lpn-cross-validation/1"

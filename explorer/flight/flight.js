@@ -1,41 +1,24 @@
 // The flight panel: the verdict on a photo, the map with the photo over it, the timeline, the doubtful photos, and the accuracy.
 
 import { find, findAll, make } from "../../page/dom.js";
-import { FlightMap, makeMap } from "./map.js";
+import { FlightMap } from "./map.js";
 import { LaidPhoto } from "./photo.js";
-import { Timeline } from "./timeline.js";
+import { makeTimeline } from "./timeline.js";
 
 const ASK = 150; // ms between two photos that a drag over the timeline asks for
 const PICTURES = 5000; // ms after which a photo is shown without its pictures
-const OVER = { off: "Map", swipe: "Photo", correct: "Correct" };
 const INK = { right: "right", contradicted: "wrong", unknown: "soft" };
 const OPENING = "Opening the flight";
 
-const chip = (data, text, title = "") => make("button", { class: "chip", ...data, ...(title ? { title } : {}), text });
 const picture = (label, source) =>
   make("figure", {}, source ? make("img", { src: source, alt: label }) : make("i", { class: "none", text: "?" }), make("figcaption", { text: label }));
 const said = (text) => make("p", { class: "soft", text });
 
 /** @param {any} box @param {{set: (values: any) => void, act: (name: string, args?: any) => void, say: (text: string) => void, view: any}} context */
-export const open = (box, context) => {
-  const root = make("div", { class: `flight waiting${context.view.page?.live ? " live" : ""}` },
-    make("div", { class: "verdict", "aria-live": "polite" }, said(OPENING)),
-    make("div", { class: "left" },
-      make("div", { class: "bar" },
-        make("span", { class: "chips", role: "group", "aria-label": "Photo over the map" }, ...Object.entries(OVER).map(([value, text]) => chip({ "data-over": value, "aria-pressed": "false" }, text))),
-        make("span", { class: "tracks", role: "group", "aria-label": "Tracks" }),
-        make("span", { class: "tools" },
-          make("select", { class: "field paint", "aria-label": "Scores painted over the map" }),
-          chip({ "data-act": "spot", "aria-pressed": "false" }, "Who saw?", "Then click on the map, or Shift and click"), chip({ "data-act": "fit" }, "Fit", "The whole flight"))),
-      make("div", { class: "how", hidden: true }, make("p", { text: "Drag the corners, or the middle, until the photo lies on the map." }),
-        ...[["save", "Save"], ["cancel", "Cancel"], ["forget", "Forget the saved place"]].map(([act, text]) => make("button", { class: act === "save" ? "button main" : "button", "data-act": act, text }))),
-      makeMap(),
-      make("div", { class: "time" }, make("div", { class: "bar" }, make("span", { class: "off soft" }), make("span", { class: "status soft", role: "status" })), make("div", { class: "line", tabindex: 0, role: "slider", "aria-label": "Photo", "aria-valuemin": 1 }))),
-    make("div", { class: "right-side", tabindex: 0, role: "region", "aria-label": "The photo, and the flight" },
-      make("div", { class: "sight" }), make("div", { class: "lines" }), make("h3", { text: "Accuracy" }), make("div", { class: "accuracy" }), make("h3", { class: "list-title" }), make("div", { class: "listed" }),
-      make("details", { class: "notes" }, make("summary", { text: "Notes" }), make("div")),
-      make("p", { class: "save soft" }, "One position a photo: ", ...[[".csv", "CSV"], [".geojson", "GeoJSON"]].map(([suffix, text]) => chip({ "data-save": suffix }, text)))));
-  box.replaceChildren(root);
+export const open = async (box, context) => {
+  box.innerHTML = await (await fetch("screen/panels/flight/flight.html")).text();
+  const root = find(".flight", box);
+  root.classList.toggle("live", Boolean(context.view.page?.live));
   if (context.view.page?.live) find(".swipe", root).value = 0; // all of the photo is laid
   const select = find(".paint", root);
 
@@ -108,7 +91,7 @@ export const open = (box, context) => {
     drawn: () => photo.lay(),
   });
   const photo = new LaidPhoto(root, flight, map, { use: (mode) => context.set({ flight_over: mode }), act: context.act, say: context.say });
-  const timeline = new Timeline(find(".line", root), flight, choose);
+  const drawTimeline = makeTimeline(find(".line", root), flight, choose);
 
   // Messages of the server.
   const loaded = (source) => {
@@ -172,7 +155,7 @@ export const open = (box, context) => {
     drawFlight();
     mark();
     map.draw();
-    timeline.draw();
+    drawTimeline();
     tell();
   };
   const drawPhoto = () => {
@@ -195,7 +178,7 @@ export const open = (box, context) => {
     const entries = spotted ? spotted.frames.map((i) => [i, data.states[i], ""]) : data.doubtful;
     find(".list-title", root).textContent = spotted ? "Photos that show the spot" : "Not placed, or in doubt";
     find(".listed", root).replaceChildren(
-      ...(spotted ? [said(spotted.sentence), chip({ "data-act": "unspot" }, "Clear the spot")] : entries.length ? [] : [said("Every photo is placed.")]),
+      ...(spotted ? [said(spotted.sentence), make("button", { class: "chip", "data-act": "unspot", text: "Clear the spot" })] : entries.length ? [] : [said("Every photo is placed.")]),
       ...entries.map(([frame, of, reason]) => make("button", { class: "entry", "data-frame": frame, "aria-current": String(frame === chosen), title: reason }, make("b", { class: INK[of], text: `${data.marks[frame]} ${data.names[frame]}` }), ` ${reason}`)));
     find(".notes div", root).replaceChildren(...data.notes.map(said), ...(data.kept ? [said(`Corrections are kept in ${data.kept}.`)] : []));
     find(".notes", root).hidden = !data.notes.length && !data.kept;
@@ -244,7 +227,6 @@ export const open = (box, context) => {
     close: () => {
       clearTimeout(asked);
       map.close();
-      timeline.close();
     },
   };
 };

@@ -166,7 +166,7 @@ class LiveSession:
         match message:
             case {"do": "open"}:
                 panel = PANELS["flight"]
-                told = {"name": panel.name, "title": "Live flight", "key": "", "place": "full"}
+                told = {"name": panel.name, "title": "Live flight", "key": "", "place": "full", "script": True}
                 nothing: dict[str, Any] = {"tasks": [], "scorings": [], "names": [], "places": {}, "models": ["LPN"]}
                 page_ = {"data": "live", "parts": 1, "word": "part", "tiles": 0, "photo": "photo", "turns": False}
                 self._send({"page": nothing | page_ | {"place": "Map", "live": True, "panels": [told], "commands": []}})

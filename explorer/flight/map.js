@@ -2,7 +2,7 @@
 
 import { find, make } from "../../page/dom.js";
 
-const LEAFLET = "../../vendor/leaflet.js"; // which has no types
+const LEAFLET = "../../vendor/leaflet.js"; // which has no types; flight.css has its style sheet, which must follow the page's own
 await import(LEAFLET);
 const L = /** @type {any} */ (globalThis).L;
 const AROUND = 500; // metres around the map within which a photo counts as near
@@ -268,13 +268,3 @@ export class FlightMap {
     this.map = null;
   }
 }
-
-/** Make the elements of a map. */
-export const makeMap = () =>
-  make("div", { class: "view" }, make("div", { class: "tiles", tabindex: 0, role: "application", "aria-label": "Map: arrows move it, plus and minus zoom" }),
-    make("div", { class: "laid" }, make("img", { alt: "" })), make("div", { class: "plate scores", hidden: true }, make("img", { alt: "" }), make("span")), make("div", { class: "plate read" }),
-    make("div", { class: "ties", hidden: true },
-      ...["upper left", "upper right", "lower right", "lower left"].map((name, i) => make("button", { "data-tie": i, title: `Tie point, ${name}: drag it, or move it with arrows`, "aria-label": `Tie point, ${name}` })),
-      make("button", { "data-tie": "all", title: "The whole photo: drag it, or move it with arrows", "aria-label": "The whole photo", text: "✥" })),
-    make("div", { class: "edge", "aria-hidden": "true", hidden: true }, make("span", { text: "map" }), make("span", { text: "photo" })),
-    make("input", { class: "swipe", type: "range", min: 0, max: 100, value: 50, hidden: true, "aria-label": "Swipe: left of it the map, right of it the photo" }));

@@ -22,12 +22,11 @@ from lpn.core.demo import own_file, own_file_place
 from lpn.core.errors import DataError, InputError, LPNError, PictureError
 from lpn.flight.locate import corrections
 from lpn.flight.locate.agreement import MapAgreement, map_agreement
-from lpn.flight.locate.belief import Belief, Disagreement, FlightVerdicts
+from lpn.flight.locate.belief import Belief, Disagreement, FlightVerdicts, placed_errors
 from lpn.flight.locate.corrections import Correction
 from lpn.flight.locate.coverage import Outline, outline
 from lpn.flight.locate.errors import Errors
 from lpn.flight.locate.located import LocatedFlight
-from lpn.flight.locate.summary import placed_errors
 from lpn.flight.locate.tags import enter_corrections
 from lpn.flight.locate.tracks import best_track, track_bytes
 

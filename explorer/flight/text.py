@@ -10,10 +10,9 @@ from explorer.flight.service import FlightSnapshot
 from lpn.core.numbers import SIGMA, error_figure, upper_bound
 from lpn.drawing.verdicts import compass
 from lpn.flight.locate.agreement import MapAgreement
-from lpn.flight.locate.belief import SIGMAS, Belief, on_what
+from lpn.flight.locate.belief import SIGMAS, Belief, is_unchecked, on_what, radii_on_map
 from lpn.flight.locate.errors import CONFIRMED_SHARE, RIGHT_CALIBRATION
 from lpn.flight.locate.located import LocatedFlight, LocatedFrame
-from lpn.flight.locate.summary import is_unchecked, radii_on_map
 from lpn.flight.maps.named_window import describe_offset
 from lpn.flight.maps.place import placing_sentence
 

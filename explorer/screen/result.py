@@ -163,10 +163,9 @@ class ScreenResult:
         """Return the nearest tiles, and last the truth or the chosen tile that lies behind them."""
         nearest = self.analysis.matches[:STRIP]
         there = {match.index for match in nearest}
-        further = [
-            match for match in (self.analysis.positive, pinned) if match is not None and match.index not in there
-        ]
-        return [*nearest[: STRIP - len(further)], *further]
+        behind = (match for match in (self.analysis.positive, pinned) if match is not None and match.index not in there)
+        further = {match.index: match for match in behind}
+        return [*nearest[: STRIP - len(further)], *further.values()]
 
     def _word(self, compared: Match | None, pinned: bool) -> str:
         if compared is None or pinned:

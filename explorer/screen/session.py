@@ -25,8 +25,8 @@ from explorer.screen.loop import Loop, ScreenMessage
 from explorer.screen.occlusion import Covering, Occlusion
 from explorer.screen.own import OwnPhotoBytes, OwnPhotos
 from explorer.screen.panel import Action, PanelPart, SceneLines
-from explorer.screen.panels import PANELS
-from explorer.screen.rail import Rail
+from explorer.screen.panels import PANELS, scripted
+from explorer.screen.rail import Rail, listed_queries
 from explorer.screen.result import STRIP, ScreenResult, measured_scale
 from explorer.screen.scene.scene import views_of
 from explorer.screen.scene.tab import TabScene
@@ -113,7 +113,6 @@ class ScreenSession:
             "calibrate": self._calibrate,
             "hover": self.scene.hover,
             "pick": self.scene.pick,
-            "scene": self.scene.draw,
         }
 
     # What panels use, see `Tab`.
@@ -167,7 +166,18 @@ class ScreenSession:
                 self._forgo()
             if changed.own and changed.own not in self._own:
                 changed = replace(changed, own="")
+            changed = self._with_photo_of_list(state, changed)
             self._show(changed, problems)
+
+    def _with_photo_of_list(self, before: ScreenState, state: ScreenState) -> ScreenState:
+        """Show the worst of the missed queries when they are listed, and end a page over the rings for another photo."""
+        if state.filter == "missed" != before.filter and not state.own:
+            missed = listed_queries(state, self._access.workspace(state), self._access.ranking(state)).tolist()
+            if missed and state.query not in missed:
+                state = fields.changed(state, {"query": missed[0]}, self.services.workspace)[0]
+        moved = (before.query, before.own) != (state.query, state.own)
+        covers = state.panel == before.panel != "" and PANELS[state.panel].place == "page"
+        return replace(state, panel="") if moved and covers else state
 
     def send(self, message: ScreenMessage) -> None:
         """Send a message to the open panel's module."""
@@ -485,7 +495,7 @@ class ScreenSession:
             "turns": workspace.model is not None,
             "place": "City" if base.basemap is None else "Map",
             "panels": [
-                {"name": one.name, "title": one.title, "key": one.key, "place": one.place}
+                {"name": one.name, "title": one.title, "key": one.key, "place": one.place, "script": scripted(one.name)}
                 for one in PANELS.values()
                 if one.part is not None and one.offered(base)
             ],

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from lpn.core.arrays import Float32Array
 from lpn.explain import counterfactual
-from lpn.explain.counterfactual import Effect, RanksWithoutParts, Reweighting
+from lpn.explain.counterfactual import Effect, RanksWithoutParts
 from lpn.retrieval import Match, Ranking
 from lpn.tasks.task import Task
 
@@ -21,13 +22,13 @@ class Comparison:
         followed: the positive, or the chosen tile if the positive is not known.
         other: the chosen tile, or the hardest negative if the chosen tile is `followed` or another positive.
         without: the ranks of `followed` without each part.
-        change: the nearest part weights that put `followed` first; None if no weights do.
+        weights: the nearest part weights that put `followed` first; None if no weights do.
     """
 
     followed: Match
     other: Match
     without: RanksWithoutParts | None
-    change: Reweighting | None
+    weights: Float32Array | None
 
     @classmethod
     def of(cls, ranking: Ranking, chosen: Match) -> Comparison | None:

@@ -213,11 +213,6 @@ def comparisons_csv(tables: Sequence[ModelTable]) -> bytes:
     return TextTable(head, [row for table in tables for row in table._csv_rows()]).csv()
 
 
-def _repeated(names: Sequence[str]) -> str:
-    """Return the first name that occurs twice, or ""."""
-    return next((name for name, count in Counter(names).items() if count > 1), "")
-
-
 def compare(
     results: Sequence[Result | RankedModel], seed: int = 0, resamples: int = RESAMPLES, groups: Sequence[str] = ()
 ) -> ModelTable:
@@ -271,7 +266,8 @@ def compare(
                 f"{first.name} has {len(first.queries)} queries, and {other.name} {len(other.queries)}, which are not the same; "
                 "compare models on the same queries."
             )
-        if other.queries != first.queries and (repeated := _repeated(first.queries)):
+        repeated = next((name for name, count in Counter(first.queries).items() if count > 1), None)
+        if other.queries != first.queries and repeated is not None:
             raise InputError(
                 f"{first.name} and {other.name} have their queries in different orders, and {printable(repeated)} is among them "
                 "more than once; save both in one order."

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from lpn.cli.parsing import part_values
 from lpn.cli.sweep import Sweep
-from lpn.core.arrays import Float32Array
 from lpn.core.errors import InputError
 from lpn.core.files import printable
 from lpn.core.numbers import signed
@@ -24,7 +23,6 @@ if TYPE_CHECKING:
     from lpn.explain import Evidence
     from lpn.library.answer import Answer
     from lpn.models.base import Model
-    from lpn.retrieval import DescribedPicture
 
 
 @dataclass(kw_only=True)
@@ -60,6 +58,7 @@ class ExplainCommand(SourceOptions):
     def run(self) -> None:
         from lpn.core.consoles import wide_console
         from lpn.core.files import check_outputs, write_atomic, write_json
+        from lpn.core.progress import tracked
         from lpn.drawing import pair_figure, verdicts
         from lpn.explain import occlusion
 
@@ -79,7 +78,10 @@ class ExplainCommand(SourceOptions):
             said = verdicts.describe_evidence(evidence, task.part_names, *views, task.contract.part_noun)
             console.print(said, markup=False)
         assert task.model is not None
-        losses = _losses(task.model.for_task(*views), query, views[0], tile) if self.covering else None
+        losses = None
+        if self.covering:
+            steps = occlusion.occlude(task.model.for_task(*views), query.picture, views[0], tile.descriptor)
+            losses = list(tracked("Covering squares", steps, occlusion.SQUARES**2))[-1][1]
         values: dict[str, Any] = {"model": task.model.fingerprint, "match": str(files[1]), "rotate": self.rotate}
         values |= {"view_query": views[0], "view_match": views[1]}
         if losses is None:
@@ -176,15 +178,6 @@ def _position(given: str, pictures: Sequence[Picture], data_name: str) -> int | 
     file = Path(given).resolve()
     same = (i for i, one in enumerate(pictures) if one.path.name == file.name and one.path.resolve() == file)
     return next(same, None)
-
-
-def _losses(model: Model, query: DescribedPicture, view: View, tile: DescribedPicture) -> Float32Array:
-    """Return the loss of each part's cosine for each covered square."""
-    from lpn.core.progress import tracked
-    from lpn.explain import occlusion
-
-    steps = occlusion.occlude(model, query.picture, view, tile.descriptor)
-    return list(tracked("Covering squares", steps, occlusion.SQUARES**2))[-1][1]
 
 
 def _show(console: Console, answer: Answer, evidence: Evidence | None) -> None:

@@ -47,7 +47,10 @@ class ExportCommand:
             raise InputError(
                 "--data, --pictures, --provider, and --least-cosine are of --compute int8; give it, or leave them out."
             )
-        self._report(self._export(self.out))
+        files = self._export(self.out)
+        self._report(files)
+        apart = import_module("lpn.models.export").difference(self.model, files[0], self.kind, self.pooling)
+        print(f"Its descriptors of a picture of noise differ from the model's by at most {apart:.1e}.")
 
     def _export(self, out: Path) -> list[Path]:
         files: list[Path] = import_module("lpn.models.export").export(

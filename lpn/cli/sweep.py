@@ -78,11 +78,6 @@ def _swept(task: Task, model: Model, options: Sweep) -> SweepResult:
     return sweeps.SweepResult(options.over, tuple(tracked("Describing the query changed", points, len(changes))))
 
 
-def _subject(profile: SweepResult) -> str:
-    """Name the tile that scores and ranks refer to."""
-    return "the nearest true match" if profile.points[0].true else "the top match, as there is no true match"
-
-
 def _print(profile: SweepResult, title: str, views: tuple[View, View], console: Console) -> None:
     """Print a row for each transform with its score as a bar, and the gain of the best one."""
     from lpn.core.text_tables import TextTable
@@ -100,7 +95,8 @@ def _print(profile: SweepResult, title: str, views: tuple[View, View], console: 
         mark = "*" if point is profile.best else ""
         rows.append((number, mark, str(point.rank), f"{point.score:.3f}", bar, *cosines, f"{point.top_score:.3f}"))
     head = (profile.over, "", "rank", "score", f"from {low:.3f} to {max(scores):.3f}", *of_parts, "top score")
-    after = "\n".join([f"Score and rank of {_subject(profile)}; * the highest score.", *_sentences(profile, views)])
+    subject = "the nearest true match" if profile.points[0].true else "the top match, as there is no true match"
+    after = "\n".join([f"Score and rank of {subject}; * the highest score.", *_sentences(profile, views)])
     TextTable(head, rows, title, after, align="rrrrlr").print(console)
 
 

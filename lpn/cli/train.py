@@ -147,7 +147,7 @@ def _plain(value: object) -> object:
 def _resumed(arguments: Sequence[str], name: str | None, method: str | None) -> dict[str, Any] | None:
     """Return the options of the run that is to be resumed; None without one, or if another recipe or method is named."""
     out = flag_value(arguments, "--out")
-    file = import_module("lpn.training.run_log").read_run(Path(out)) if out and "--resume" in arguments else None
+    file = import_module("lpn.training.run_folder").read_run(Path(out)) if out and "--resume" in arguments else None
     if file is None:
         return None
     given = file.given

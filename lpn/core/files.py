@@ -37,9 +37,8 @@ except ImportError:  # not a POSIX system
 
 log = logging.getLogger(__name__)
 
-# Seconds without a write after which the partial file of a killed process is deleted. A process of another machine, which
-# cannot be checked from here, may still be writing a younger file.
-_ABANDONED_SECONDS = 60.0
+# Seconds without a write after which a partial file is taken for that of a killed process, and deleted.
+_ABANDONED_SECONDS = 3600.0
 # Limit of open files. An index of 7 * 10^8 tiles stays below it. With a limit of 2^30, a process can be slow to start.
 _OPEN_FILES = 65_536
 # macOS reports no limit, but refuses more than this.
@@ -327,25 +326,10 @@ def _temporary(path: Path) -> Path:
 
 def _delete_abandoned(path: Path) -> None:
     """Delete temporary files of processes that were killed while they wrote the same file."""
-    left = re.compile(re.escape(path.name) + r"\.([0-9]+)-[0-9]+\.part")
-    with os.scandir(path.parent) as entries:
-        abandoned = [(entry, match) for entry in entries if (match := left.fullmatch(entry.name))]
-    for entry, match in abandoned:
-        if time.time() - entry.stat().st_mtime > _ABANDONED_SECONDS and not _alive(int(match[1])):
-            Path(entry.path).unlink()
-
-
-def _alive(process: int) -> bool:
-    """Return whether a process runs on this machine; True if unknown."""
-    if os.name != "posix":
-        return True
-    try:
-        os.kill(process, 0)
-    except ProcessLookupError:
-        return False
-    except (OSError, OverflowError):
-        return True
-    return True
+    left = re.compile(re.escape(path.name) + r"\.[0-9]+-[0-9]+\.part")
+    for file in [file for file in path.parent.iterdir() if left.fullmatch(file.name)]:
+        if time.time() - file.stat().st_mtime > _ABANDONED_SECONDS:
+            file.unlink()
 
 
 def _prepare(path: Path) -> None:

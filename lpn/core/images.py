@@ -47,6 +47,8 @@ _TURNS = (
     *(Image.Transpose.TRANSPOSE, Image.Transpose.ROTATE_270, Image.Transpose.TRANSVERSE, Image.Transpose.ROTATE_90),
 )
 
+# Ways to resize by OpenCV.
+_OPENCV = {"linear": cv2.INTER_LINEAR_EXACT, "area": cv2.INTER_AREA}
 _HEIC = (b"heic", b"heix", b"hevc", b"heim", b"heis", b"mif1", b"msf1")
 # A number for red, green, and blue.
 Triple = tuple[float, float, float]
@@ -267,32 +269,18 @@ def crop(picture: UInt8Array, box: tuple[float, float, float, float] | None, nam
     return np.ascontiguousarray(cut)
 
 
-def resize(picture: UInt8Array, height: int, width: int) -> UInt8Array:
-    """Bicubic resize with anti-aliasing to (height, width, 3), without crop, as the published code does."""
+def resize(picture: UInt8Array, height: int, width: int, how: str = "bicubic") -> UInt8Array:
+    """Resize to (height, width, 3) without crop.
+
+    Args:
+        how: "bicubic" (as the published code) or "bilinear", with anti-aliasing, by Pillow; by OpenCV "linear", without
+            anti-aliasing and equal on every machine, or "area", the mean over the area of each pixel.
+    """
     if picture.shape[:2] == (height, width):
         return picture
-    return np.asarray(Image.fromarray(picture).resize((width, height), Image.Resampling.BICUBIC))
-
-
-def resize_linear(picture: UInt8Array, height: int, width: int) -> UInt8Array:
-    """Bilinear resize without anti-aliasing to (height, width, 3): OpenCV's INTER_LINEAR_EXACT, equal on every machine."""
-    if picture.shape[:2] == (height, width):
-        return picture
-    return cast(UInt8Array, cv2.resize(picture, (width, height), interpolation=cv2.INTER_LINEAR_EXACT))
-
-
-def resize_bilinear(picture: UInt8Array, height: int, width: int) -> UInt8Array:
-    """Bilinear resize with anti-aliasing to (height, width, 3): Pillow's."""
-    if picture.shape[:2] == (height, width):
-        return picture
-    return np.asarray(Image.fromarray(picture).resize((width, height), Image.Resampling.BILINEAR))
-
-
-def resize_area(picture: UInt8Array, height: int, width: int) -> UInt8Array:
-    """Resize to (height, width, 3) by the mean over the area of each pixel: OpenCV's INTER_AREA, bilinear where it enlarges."""
-    if picture.shape[:2] == (height, width):
-        return picture
-    return cast(UInt8Array, cv2.resize(picture, (width, height), interpolation=cv2.INTER_AREA))
+    if how in _OPENCV:
+        return cast(UInt8Array, cv2.resize(picture, (width, height), interpolation=_OPENCV[how]))
+    return np.asarray(Image.fromarray(picture).resize((width, height), Image.Resampling[how.upper()]))
 
 
 def polar(picture: UInt8Array, height: int, width: int) -> UInt8Array:

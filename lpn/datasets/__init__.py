@@ -18,37 +18,19 @@ from pkgutil import iter_modules
 from lpn.core.errors import DataError
 from lpn.core.files import first_few, printable
 from lpn.datasets import layouts
-from lpn.datasets.base import (
-    Dataset,
-    Folder,
-    LeftOut,
-    Picture,
-    PictureRow,
-    Size,
-    Truth,
-    files_below,
-    labels_of,
-    unread_below,
-    warn_left_out,
-)
+from lpn.datasets.base import Dataset as Dataset
+from lpn.datasets.base import Folder as Folder
+from lpn.datasets.base import LeftOut as LeftOut
+from lpn.datasets.base import Picture as Picture
+from lpn.datasets.base import PictureRow as PictureRow
+from lpn.datasets.base import Size as Size
+from lpn.datasets.base import Truth as Truth
+from lpn.datasets.base import files_below as files_below
+from lpn.datasets.base import labels_of as labels_of
+from lpn.datasets.base import unread_below as unread_below
+from lpn.datasets.base import warn_left_out as warn_left_out
 from lpn.datasets.layouts.university import University
 from lpn.datasets.listed_paths import hidden_name
-
-__all__ = [
-    "Dataset",
-    "Folder",
-    "LeftOut",
-    "Picture",
-    "PictureRow",
-    "Size",
-    "Truth",
-    "files_below",
-    "known_layouts",
-    "labels_of",
-    "open_dataset",
-    "unread_below",
-    "warn_left_out",
-]
 
 log = logging.getLogger(__name__)
 

@@ -7,10 +7,9 @@ import json
 import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import astuple, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
 
 import numpy as np
 
@@ -58,17 +57,10 @@ def _cached(model: Model, pictures: Sequence[Picture], view: View, change: Chang
     # The key has the folder, not the list of files, so that the other rows are reused if one picture changes.
     common = os.path.commonpath({file.parent for file in files})
     boxes = [picture.box for picture in pictures]
-    identity: list[Any] = [model.fingerprint, view, change.rotate, common]
-    identity += [f"shift {change.shift}"] if change.shift else []
-    zoom = change.scale * change.zoom
-    identity += [f"zoom {zoom}"] if zoom != 1 else []
-    identity += [f"down {change.down}"] if change.down else []
-    identity += ["around"] if change.around else []
-    identity += ["cropped"] if any(boxes) else []
-    identity += [] if model.device in FLOAT32_DEVICES else [model.device]
-    identity += ["released"] if change.released else []
-    identity += [["weather", *astuple(change.weather)]] if change.weather else []
-    folder = cache_folder() / "descriptors" / hashlib.sha256(json.dumps(identity).encode()).hexdigest()[:24]
+    of = Manifest.for_model(model, view, change, ()).to_json().decode()
+    device = "" if model.device in FLOAT32_DEVICES else model.device
+    key = json.dumps([of, common, any(boxes), device]).encode()
+    folder = cache_folder() / "descriptors" / hashlib.sha256(key).hexdigest()[:24]
     with in_cache():
         if (cached := _from_complete_store(model, files, view, folder, change, boxes)) is not None:
             return cached
@@ -104,21 +96,14 @@ def _resolved(pictures: Sequence[Picture]) -> list[Path]:
 
 def shipped_descriptors(
     model: Model, pictures: Sequence[Picture], view: View, store: Path, exact: bool = False
-) -> Float32Array | None:
-    """Return descriptors (N, n, D) from a shipped store, or None if the store is of another model or other pictures.
+) -> StoredDescriptors | None:
+    """Return descriptors from a shipped store, or None if the store is of another model or other pictures.
 
     Files are compared by name and size, as copies have other modification times.
 
     Args:
         exact: accept float32 only.
     """
-    shipped = _shipped(model, pictures, view, store, exact)
-    return None if shipped is None else shipped.descriptors
-
-
-def _shipped(
-    model: Model, pictures: Sequence[Picture], view: View, store: Path, exact: bool = False
-) -> StoredDescriptors | None:
     try:
         shipped = open_store(store)
     except StoreError:
@@ -145,7 +130,7 @@ def shipped_only(
     model: Model, pictures: Sequence[Picture], view: View, root: Path, role: Role
 ) -> StoredDescriptors | None:
     """Return the descriptors of queries or gallery that ship with the data set in `root`; None without them."""
-    stores = (_shipped(model, pictures, view, store) for store in _stores(root, f"{role}_{view}"))
+    stores = (shipped_descriptors(model, pictures, view, store) for store in _stores(root, f"{role}_{view}"))
     return next((shipped for shipped in stores if shipped is not None), None)
 
 
@@ -159,7 +144,7 @@ def descriptor_reader(root: Path) -> Reader:
         for store in [] if change else _stores(root, f"*_{view}"):
             shipped = shipped_descriptors(model, pictures, view, store, exact=True)
             if shipped is not None:
-                return shipped
+                return shipped.descriptors
         return cached_descriptors(model, pictures, view, change)
 
     return read

@@ -52,19 +52,16 @@ def verify(path: Path) -> Iterator[VerifiedFile]:
         )
     for file in files:
         try:
-            yield _verify_index(file) if _is_index(file) else VerifiedFile(file, _verify(file), True)
+            of_index = file.is_dir() and any(is_manifest(one.name) for one in file.iterdir())
+            yield _verify_index(file) if of_index else VerifiedFile(file, _verify(file), True)
         except (LPNError, OSError) as error:
             yield VerifiedFile(file, printable(str(error)), False)
 
 
-def _is_index(path: Path) -> bool:
-    return path.is_dir() and any(is_manifest(file.name) for file in path.iterdir())
-
-
 def _verify_index(folder: Path) -> VerifiedFile:
-    contents = verify_index(folder)
-    left = "an add was interrupted or is still running, and its tiles are missing" if contents.unfinished else ""
-    if contents.tiles:
+    tiles, unfinished = verify_index(folder)
+    left = "an add was interrupted or is still running, and its tiles are missing" if unfinished else ""
+    if tiles:
         more = f"; {left}, so add them again with lpn index" if left else ""
         return VerifiedFile(folder, f"is what was written{more}", True)
     again = "see that the disk has space, and add them again with lpn index"

@@ -100,16 +100,6 @@ def verdict_colour(true: bool | None, palette: Palette = DARK) -> Colour:
     return palette.colours["unknown" if true is None else "right" if true else "wrong"]
 
 
-def placed_name(sign: bool | None, by_details: bool = True) -> str:
-    """Return the name in the table of what may be believed of a photo's place: "right", "contradicted", or "unknown".
-
-    Args:
-        sign: True if the place is believed.
-        by_details: details place the photo; one that they do not, and that is not believed, is a guess or has no place.
-    """
-    return "right" if sign else "contradicted" if by_details else "unknown"
-
-
 def variables(palette: Palette) -> str:
     """Return the table as CSS variables for one palette: `--lpn-NAME` for texts, `--mark-NAME` for bars and lines."""
     inks = [f"--lpn-{name}:{css(palette.ink(colour))}" for name, colour in palette.colours.items()]

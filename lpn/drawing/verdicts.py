@@ -8,11 +8,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from lpn.core.arrays import Float64Array
+from lpn.core.arrays import Float32Array, Float64Array
 from lpn.core.numbers import rounded_to_sum, signed, wrap_degrees
 from lpn.core.views import View
 from lpn.explain import Evidence
-from lpn.explain.counterfactual import Effect, Reweighting
+from lpn.explain.counterfactual import Effect
 from lpn.explain.sweeps import SweepResult, signed_value
 from lpn.models.contract import Contract
 from lpn.tasks.task import Task
@@ -112,11 +112,11 @@ def no_cells(contract: Contract) -> str:
     )
 
 
-def describe_reweighting(change: Reweighting | None, effect: Effect | None, noun: str = "part") -> str:
+def describe_reweighting(weights: Float32Array | None, effect: Effect | None, noun: str = "part") -> str:
     """State the smallest change of weights that puts the truth first, and its effect on all queries; `noun` is a part."""
-    if change is None:
+    if weights is None:
         return f"No choice of {noun} weights would put the truth first."
-    percents = " : ".join(f"{100 * weight:.0f}" for weight in change.weights)
+    percents = " : ".join(f"{100 * weight:.0f}" for weight in weights)
     text = f"The smallest change of {noun} weights that puts the truth first is {percents} %"
     return f"{text}." if effect is None else f"{text}; {describe_effect(effect)}."
 

@@ -9,16 +9,18 @@ sum to one, a positive p, and a negative g:
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
 
-from lpn.core.arrays import Float32Array, FloatingArray, Int64Array
+from lpn.core.arrays import Float32Array, Float64Array, FloatingArray, Int64Array
 from lpn.core.errors import InputError
-from lpn.explain._least_distance import shortest
 from lpn.retrieval import Ranking, scoring
 
 # Smallest lead in score over every negative in `smallest_change`. Rounding errors of float32 are smaller.
 MIN_SCORE_LEAD = 1e-5
+# Of `shortest`.
+_TOLERANCE, _STEPS = 1e-12, 1000
 
 
 @dataclass(frozen=True)
@@ -66,29 +68,19 @@ def ranks_without_parts(ranking: Ranking, tile: int | None = None) -> RanksWitho
     return RanksWithoutParts(now, tuple(without_each), tuple(rank_by(row) for row in np.eye(n)))
 
 
-@dataclass(frozen=True, eq=False)
-class Reweighting:
-    """Part weights that put a tile first.
-
-    Attributes:
-        weights: the part weights, 0 or more, summing to one, (n,).
-    """
-
-    weights: Float32Array
-
-
-def smallest_change(ranking: Ranking, tile: int | None = None) -> Reweighting | None:
+def smallest_change(ranking: Ranking, tile: int | None = None) -> Float32Array | None:
     """Find the smallest change of the ranking's weights that puts a positive first.
 
     For each positive p this is a convex program: minimise |w - w_now|^2 subject to w_i >= 0, sum_i w_i = 1, and
-    sum_i w_i (cos_i(p) - cos_i(g)) >= MIN_SCORE_LEAD for every negative g. `lpn.explain._least_distance` solves it exactly.
+    sum_i w_i (cos_i(p) - cos_i(g)) >= MIN_SCORE_LEAD for every negative g. `shortest` solves it exactly.
     The result is the smallest solution over all positives, or no change if a positive is first already.
 
     Args:
         tile: gallery position that counts as the only positive, in place of the true matches.
 
     Returns:
-        None if no weights put a positive first by `MIN_SCORE_LEAD`, or if there is no known positive.
+        The part weights, 0 or more, summing to one, (n,). None if no weights put a positive first by `MIN_SCORE_LEAD`, or if
+        there is no known positive.
 
     Raises:
         InputError: when `tile` is not ranked.
@@ -97,7 +89,7 @@ def smallest_change(ranking: Ranking, tile: int | None = None) -> Reweighting | 
     if not len(positives):
         return None
     if _positive_rank(ranking, ranking.weights, positives, negatives) == 1:
-        return Reweighting(ranking.weights)
+        return ranking.weights
     n, now = len(ranking.weights), ranking.weights.astype(np.float64)
     now /= now.sum()
     # The columns are an orthonormal basis of the changes that sum to zero. Coordinates keep the norm of a change.
@@ -114,7 +106,7 @@ def smallest_change(ranking: Ranking, tile: int | None = None) -> Reweighting | 
         weights = scoring.part_weights(n, np.where(solution < 1e-9, 0.0, solution))
         if _positive_rank(ranking, weights, positives, negatives) == 1:
             reach = float(np.linalg.norm(step))
-            best = Reweighting(weights)
+            best = weights
     return best
 
 
@@ -161,3 +153,53 @@ def _positive_rank(ranking: Ranking, weights: Float32Array, positives: Int64Arra
     score, others = scores[index], scores[negatives]
     ties_before = np.count_nonzero(others[: np.searchsorted(negatives, index)] == score)
     return int(1 + np.count_nonzero(others > score) + ties_before)
+
+
+def shortest(rows: Float64Array, least: Float64Array, limit: float) -> Float64Array | None:
+    """The shortest x (d,) with rows (m, d) @ x >= least (m,); None when there is none of length `limit` or less.
+
+    This is least-distance programming by Lawson and Hanson (Solving Least Squares Problems, chapter 23): the non-negative
+    least squares problem min over u >= 0 of |E u - f| with E = [rows^T; least^T] and f = (0, .., 0, 1) has the residual
+    r = f - E u, and x = -r[:-1] / r[-1]. The active set holds at most one row more than x has numbers, so that thousands of rows
+    cost little.
+
+    Every u >= 0 proves the bound |x|^2 >= 1 / |r|^2 - 1 for all feasible x. When no x is feasible the bound grows without
+    limit, so that one sound test covers both cases of None.
+    """
+    columns = np.concatenate([rows.T, least[None]])
+    columns = columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
+    target = np.zeros(len(columns))
+    target[-1] = 1.0
+    active: list[int] = []
+    shares, residual = np.zeros(0), target
+    for _ in range(_STEPS):
+        if (residual @ residual) * (1 + limit**2) < 1:
+            return None
+        violated = residual @ columns
+        violated[active] = -np.inf
+        entering = int(np.argmax(violated)) if len(violated) else -1
+        if entering < 0 or violated[entering] <= _TOLERANCE:
+            break
+        active, shares = _enter(columns, target, [*active, entering], np.append(shares, 0.0))
+        previous, residual = residual, target - columns[:, active] @ shares
+        if residual @ residual >= previous @ previous:  # only rounding errors are left
+            break
+    return cast(Float64Array, -residual[:-1] / residual[-1])
+
+
+def _enter(
+    columns: Float64Array, target: Float64Array, active: list[int], shares: Float64Array
+) -> tuple[list[int], Float64Array]:
+    """Solve least squares over the active columns, dropping those whose share would not stay above zero."""
+    while active:
+        wanted = cast(Float64Array, np.linalg.lstsq(columns[:, active], target, rcond=None)[0])
+        falling = wanted <= 0
+        if not falling.any():
+            return active, wanted
+        # Rounding may make the entering column, which starts from zero, fall; the step is then zero, and it leaves again.
+        step = float(np.min(shares[falling] / np.maximum(shares[falling] - wanted[falling], 1e-300)))
+        shares = np.maximum(shares + step * (wanted - shares), 0.0)
+        remaining = (shares > 0) & ~(falling & (shares <= shares[falling].min()))
+        active = [index for index, remains in zip(active, remaining, strict=True) if remains]
+        shares = shares[remaining]
+    return active, shares

@@ -161,9 +161,9 @@ class SweepResult:
         """
         return -self.best_top_match.change.rotate % 360 if self.over == "rotation" else None
 
-    def rows(self) -> list[dict[str, Any]]:
-        """Return the rows of the CSV file, one per point."""
-        return [
+    def to_csv(self) -> bytes:
+        """Return a row for each point as comma-separated values in UTF-8."""
+        rows: list[dict[str, Any]] = [
             {
                 self.over: point.change.weather.name
                 if self.over == "weather"
@@ -178,10 +178,6 @@ class SweepResult:
             }
             for point in self.points
         ]
-
-    def to_csv(self) -> bytes:
-        """Return `rows` as comma-separated values in UTF-8."""
-        rows = self.rows()
         return csv_bytes([list(rows[0]), *(row.values() for row in rows)])
 
     def _highest(self, scores: Sequence[float]) -> SweepPoint:

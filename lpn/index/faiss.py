@@ -3,31 +3,26 @@
     0000012.faiss     the rows of the oldest parts, in their order; index.json names it and them
 
 faiss proposes candidates by compact codes, and the float32 vectors on disk score them. Tiles that faiss does not propose are
-missed. `nprobe` and `depth` trade misses for time, and can be changed at any search. Newer parts are compared exhaustively, until
-their rows are more than those of the others: then all are learnt anew.
-
-    flat        float32 vectors: the only misses are ties at the `depth`-th candidate within faiss's rounding
-    sq8         inverted lists with a byte for each number
-    pq          inverted lists with a byte for each 32 numbers: 64 bytes for 2048
+missed. Newer parts are compared exhaustively, until their rows are more than those of the others: then all are learnt anew.
+There are inverted lists with a byte for each 32 numbers (pq, 64 bytes for 2048), or for each number if their number is no
+multiple of 32 (sq8). At 10^6 tiles pq finds as many of the true ten as sq8, and is far quicker.
 """
 
 from __future__ import annotations
 
 from importlib import import_module
 from pathlib import Path
-from typing import Any, Literal, cast, get_args
+from typing import Any, cast
 
 import numpy as np
 import numpy.typing as npt
 from msgspec.structs import replace
 
 from lpn.core.arrays import Float32Array, Int64Array
-from lpn.core.errors import InputError, StoreError
+from lpn.core.errors import StoreError
 from lpn.index.base import DegreeBox, DescriptorKind, SearchResult, check_box, check_count
 from lpn.index.folder import EngineFile, FolderIndex, IndexManifest, IndexSnapshot, create
 from lpn.index.parts import Part, readable, sum_of
-
-Codes = Literal["flat", "sq8", "pq"]
 
 # If at most this many tiles are in a box, all are compared, which is as fast and exact.
 _FEW = 4096
@@ -45,6 +40,8 @@ class FaissIndex(FolderIndex):
 
     Args:
         folder: folder of the index.
+
+    Attributes:
         nprobe: inverted lists to visit; more miss fewer tiles and take longer.
         depth: candidates to score, as a multiple of k.
 
@@ -54,41 +51,26 @@ class FaissIndex(FolderIndex):
     """
 
     engine = "faiss"
+    nprobe, depth = 64, 16
     # So many rows, at least, are compared exhaustively before codes are learnt.
     plain = 16384
 
-    def __init__(self, folder: str | Path, nprobe: int = 64, depth: int = 16) -> None:
+    def __init__(self, folder: str | Path) -> None:
         self._faiss = cast(Any, import_module("faiss"))
-        self.nprobe, self.depth = check_count(nprobe, "number of lists looked through"), check_count(depth, "depth")
         super().__init__(folder)
-        self.codes = cast(Codes, self._state.manifest.settings["codes"])
-        self._lists = self.codes != "flat"
         # The faiss index that is open, with its file's name and the identities of the parts that it covers.
         self._codes: tuple[object, Any] = None, None
 
     @classmethod
-    def create(
-        cls, folder: str | Path, kind: DescriptorKind, codes: Codes | None = None, nprobe: int = 64, depth: int = 16
-    ) -> FaissIndex:
+    def create(cls, folder: str | Path, kind: DescriptorKind) -> FaissIndex:
         """Make an empty index, or open an existing one of the same kind.
-
-        Args:
-            codes: by default pq, which at 10^6 tiles finds as many of the true ten as sq8 and is far quicker; sq8 if the length
-                of a descriptor is not a multiple of 32.
 
         Raises:
             StoreError: when the folder holds something else, or cannot be written.
         """
         import_module("faiss")
-        codes = codes or ("sq8" if kind.numbers % _PER_CODE else "pq")
-        if codes not in get_args(Codes):
-            raise InputError(f"The codes are {codes!r}; expected one of {', '.join(get_args(Codes))}.")
-        if codes == "pq" and kind.numbers % _PER_CODE:
-            raise InputError(
-                f"A descriptor has {kind.numbers} numbers, which are no multiple of {_PER_CODE}; choose the codes sq8."
-            )
-        create(Path(folder), IndexManifest(engine=cls.engine, **vars(kind), settings={"codes": codes}))
-        return cls(folder, nprobe, depth)
+        create(Path(folder), IndexManifest(engine=cls.engine, **vars(kind)))
+        return cls(folder)
 
     def search(
         self, query: npt.ArrayLike, weights: npt.ArrayLike | None, k: int, box: DegreeBox | None = None
@@ -127,15 +109,16 @@ class FaissIndex(FolderIndex):
             for start, part, some in zip(state.starts.tolist(), state.parts, rows, strict=False):
                 mask[start : start + part.rows] = 1 if some is None else np.isin(np.arange(part.rows), some)
             selector = self._faiss.IDSelectorBitmap(np.packbits(mask, bitorder="little"))
-        lists = index.nlist if self._lists else 1
-        nprobe = min(self.nprobe, lists)
+        nprobe = min(self.nprobe, index.nlist)
         while True:
-            found = index.search(wanted[None], min(size, depth), params=self._parameters(selector, nprobe))[1][0]
+            found = index.search(
+                wanted[None], min(size, depth), params=self._faiss.SearchParametersIVF(sel=selector, nprobe=nprobe)
+            )[1][0]
             found = found[found >= 0]
             # With a box, the visited lists may hold fewer than k tiles.
-            if len(found) >= min(k, size) or nprobe == lists:
+            if len(found) >= min(k, size) or nprobe == index.nlist:
                 return np.concatenate([found, self._best_of(state, covered, wanted, depth, box)])
-            nprobe = min(2 * nprobe, lists)
+            nprobe = min(2 * nprobe, index.nlist)
 
     def _best_of(
         self, state: IndexSnapshot, first: int, wanted: Float32Array, depth: int, box: DegreeBox | None
@@ -143,11 +126,6 @@ class FaissIndex(FolderIndex):
         """Return the best rows of the parts from a first one on; single precision reorders only ties in its last digits."""
         places, scores = state.scores(range(first, len(state.parts)), wanted, box)
         return places if len(places) <= depth else places[np.argpartition(scores, len(places) - depth)[-depth:]]
-
-    def _parameters(self, selector: Any, nprobe: int) -> Any:
-        if self._lists:
-            return self._faiss.SearchParametersIVF(sel=selector, nprobe=nprobe)
-        return self._faiss.SearchParameters(sel=selector)
 
     def _opened_codes(self, state: IndexSnapshot, file: EngineFile) -> Any:
         which = file.name, *(part.identity for part in state.parts[: len(file.parts)])
@@ -158,11 +136,10 @@ class FaissIndex(FolderIndex):
         with readable(path):
             path.open("rb").close()
             try:
-                index = self._faiss.read_index(str(path), self._faiss.IO_FLAG_MMAP if self._lists else 0)
+                index = self._faiss.read_index(str(path), self._faiss.IO_FLAG_MMAP)
             except RuntimeError as error:
                 raise ValueError("faiss cannot read it") from error
-        if self._lists:
-            index.parallel_mode = 1  # threads share the lists of one query
+        index.parallel_mode = 1  # threads share the lists of one query
         self._codes = which, index
         return index
 
@@ -183,19 +160,16 @@ class FaissIndex(FolderIndex):
         """Train lists and codes on a sample of all vectors, and write the faiss index."""
         starts = np.cumsum([0, *map(len, parts)])
         rows = int(starts[-1])
-        name = _factory(self.codes, rows, self.kind)
+        # About sqrt(N) lists. "np" skips the sorting of codes for polysemous filtering, which is unused and slow.
+        codes = "SQ8" if self.kind.numbers % _PER_CODE else f"PQ{self.kind.numbers // _PER_CODE}np"
+        name = f"IVF{max(1, round(rows**0.5))},{codes}"
         index = self._faiss.index_factory(self.kind.numbers, name, self._faiss.METRIC_INNER_PRODUCT)
-        if self._lists:
-            learners = [index.cp] if self.codes == "sq8" else [index.cp, index.pq.cp]
-            for learner in learners:
-                learner.niter, learner.max_points_per_centroid, learner.min_points_per_centroid = _ROUNDS, _SAMPLE, 1
-            sample = np.sort(np.random.default_rng(0).permutation(rows)[: max(_SAMPLE * index.nlist, _LEAST)])
-            bounds = np.searchsorted(sample, starts)
-            index.train(
-                np.concatenate(
-                    [part[sample[a:b] - at] for part, at, a, b in zip(parts, starts, bounds, bounds[1:], strict=False)]
-                )
-            )
+        for learner in [index.cp] if codes == "SQ8" else [index.cp, index.pq.cp]:
+            learner.niter, learner.max_points_per_centroid, learner.min_points_per_centroid = _ROUNDS, _SAMPLE, 1
+        sample = np.sort(np.random.default_rng(0).permutation(rows)[: max(_SAMPLE * index.nlist, _LEAST)])
+        bounds = np.searchsorted(sample, starts)
+        chosen = [part[sample[a:b] - at] for part, at, a, b in zip(parts, starts, bounds, bounds[1:], strict=False)]
+        index.train(np.concatenate(chosen))
         for part in parts:
             for start in range(0, len(part), _ROWS):
                 index.add(np.ascontiguousarray(part[start : start + _ROWS]))
@@ -203,12 +177,3 @@ class FaissIndex(FolderIndex):
             self._faiss.write_index(index, str(file))
         except RuntimeError as error:
             raise StoreError(f"{file} cannot be written; free space or choose another folder.") from error
-
-
-def _factory(codes: Codes, rows: int, kind: DescriptorKind) -> str:
-    """Return the faiss factory string: about sqrt(N) inverted lists, or none."""
-    if codes == "flat":
-        return "Flat"
-    lists = max(1, round(rows**0.5))
-    # "np" skips the sorting of codes for polysemous filtering, which is unused and slow.
-    return f"IVF{lists},SQ8" if codes == "sq8" else f"IVF{lists},PQ{kind.numbers // _PER_CODE}np"

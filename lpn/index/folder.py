@@ -1,6 +1,6 @@
 """An index in a folder: a manifest and immutable parts.
 
-    index.json       format, engine and its settings, model fingerprint, n, D, the parts, oldest first, and a checksum
+    index.json       format, engine, model fingerprint, n, D, the parts, oldest first, and a checksum
     0000012/ ...     parts, see `lpn.index.parts`
 
 An add writes a part that the manifest does not name yet, and replaces the manifest last. If it is killed, the index is as it was
@@ -93,7 +93,6 @@ class IndexManifest(msgspec.Struct, frozen=True, kw_only=True):
     Attributes:
         engine: "exact" or "faiss".
         fingerprint, n_parts, embedding: the descriptors, see `DescriptorKind`.
-        settings: settings of the engine.
         next: number of the next part to be written.
         parts: oldest first.
         codes: file of the engine, if it has one.
@@ -106,7 +105,6 @@ class IndexManifest(msgspec.Struct, frozen=True, kw_only=True):
     fingerprint: str
     n_parts: int
     embedding: int
-    settings: dict[str, str] = {}
     next: int = 1
     parts: tuple[PartEntry, ...] = ()
     codes: EngineFile | None = None
@@ -160,21 +158,10 @@ def is_manifest(name: str) -> bool:
     return name == MANIFEST or _UNFINISHED.fullmatch(name) is not None
 
 
-@dataclass(frozen=True)
-class IndexContents:
-    """The verified contents of an index.
+def verify(folder: Path) -> tuple[int, int]:
+    """Read an index in full and compare it with its checksums; return its tiles and its unfinished parts.
 
-    Attributes:
-        tiles: number of tiles.
-        unfinished: parts of an add that was interrupted or is still running, whose tiles are not in the index.
-    """
-
-    tiles: int
-    unfinished: int
-
-
-def verify(folder: Path) -> IndexContents:
-    """Read an index in full and compare it with its checksums.
+    An unfinished part is one of an add that was interrupted or is still running, whose tiles are not in the index.
 
     Raises:
         StoreError: when the folder is not an index, or a file of it is damaged.
@@ -196,7 +183,7 @@ def verify(folder: Path) -> IndexContents:
             )
     known = {part.name for part in manifest.parts}
     unfinished = sum(_PART.fullmatch(path.name) is not None and path.name not in known for path in folder.iterdir())
-    return IndexContents(manifest.tiles, unfinished)
+    return manifest.tiles, unfinished
 
 
 def create(folder: Path, manifest: IndexManifest) -> IndexManifest:
@@ -476,7 +463,7 @@ def _alive(part: Part, newer: Sequence[Part]) -> BoolArray:
 
 def _check_same_kind(folder: Path, existing: IndexManifest, wanted: IndexManifest) -> IndexManifest:
     kind = "{0.n_parts} x {0.embedding} numbers of model {0.fingerprint}"
-    for text in ("the engine {0.engine}", kind, "settings {0.settings}", "windows of {0.windows}"):
+    for text in ("the engine {0.engine}", kind, "windows of {0.windows}"):
         present, new = text.format(existing), text.format(wanted)
         if present != new:
             raise StoreError(

@@ -56,7 +56,8 @@ _NOWHERE = 1000.0
 # Bytes of a message's vectors at most, far below a server's limit of 64 MB, and its rows.
 _BYTES, _ROWS = 8 << 20, 1000
 _CALL = 30.0
-_EFFORT, _MOST_EFFORT = 128, 32768
+# Neighbours that hnsw visits, at least.
+_EFFORT = 128
 # Seconds between two attempts to reach a server.
 _PAUSE = 1.0
 _BUILD: dict[Structure, dict[str, Any]] = {
@@ -79,11 +80,10 @@ class MilvusIndex(Index):
     Args:
         url: milvus://host:port/collection, or milvus://user:password@host:port/collection.
         patience: seconds for which an unreachable server is tried again.
-        effort: neighbours that hnsw visits, 1 to 32,768; more miss fewer tiles and take longer.
 
     Raises:
         StoreError: when there is no such server or collection, or lpn did not make it.
-        InputError: when the address is malformed, or the effort is out of range.
+        InputError: when the address is malformed.
         ModuleNotFoundError: when pymilvus is not installed.
     """
 
@@ -91,8 +91,8 @@ class MilvusIndex(Index):
     most = 16384
     _client: Any = None
 
-    def __init__(self, url: str, patience: float = 60.0, effort: int = _EFFORT) -> None:
-        self._open(url, patience, effort)
+    def __init__(self, url: str, patience: float = 60.0) -> None:
+        self._open(url, patience)
         try:
             description = self._call(self._description)
             if description is None:
@@ -115,7 +115,7 @@ class MilvusIndex(Index):
         if structure not in get_args(Structure):
             raise InputError(f"The structure is {structure!r}; expected one of {', '.join(get_args(Structure))}.")
         made = cls.__new__(cls)
-        made._open(url, patience, _EFFORT)
+        made._open(url, patience)
         try:
             made._call(partial(made._make, kind, structure))
         finally:
@@ -147,7 +147,7 @@ class MilvusIndex(Index):
         k, box = check_count(k), check_box(box)
         if k > self.most:
             raise InputError(f"The number of tiles asked for is {k}; Milvus gives {self.most} at most.")
-        effort = {} if self.structure == "flat" else {"ef": max(self._effort, k)}
+        effort = {} if self.structure == "flat" else {"ef": max(_EFFORT, k)}
 
         def searched(client: Any) -> list[str]:
             hits = client.search(
@@ -196,15 +196,13 @@ class MilvusIndex(Index):
             with suppress(Exception):  # the connection may be lost already
                 client.close()
 
-    def _open(self, url: str, patience: float, effort: int) -> None:
-        if int(effort) != effort or not 1 <= effort <= _MOST_EFFORT:
-            raise InputError(f"The effort is {effort}; expected 1 to {_MOST_EFFORT} neighbours to look through.")
+    def _open(self, url: str, patience: float) -> None:
         self._milvus = cast(Any, import_module("pymilvus"))
         # pymilvus logs a traceback of each attempt; we report a permanent error once.
         logging.getLogger("pymilvus").setLevel(logging.CRITICAL + 1)
         self._address, self._token, self._name = parse_url(url)
         self._url = f"{SCHEME}://{self._address}/{self._name}"
-        self._patience, self._effort = patience, effort
+        self._patience = patience
 
     @property
     def _step(self) -> int:

@@ -37,6 +37,7 @@ class IndexQueries:
         places: what each query shows; None if no position is known.
         listed: gallery pictures that the index holds, by their names in it, with their positions in the data set's gallery.
         truth: of each query, by positions in the data set's gallery; None where labels or `spots` tell it.
+        gallery_size: number of pictures in the data set's gallery.
         spots: metres in the frame of a map, (Q, 2), NaN where unknown: the windows that hold them are true.
         folders: where the pictures of other tiles are looked for, by their names.
     """
@@ -49,6 +50,7 @@ class IndexQueries:
     places: Sequence[Position | None] | None = None
     listed: Mapping[str, tuple[int, Picture]] = field(default_factory=dict)
     truth: Sequence[Truth] | None = None
+    gallery_size: int = 0
     spots: Float64Array | None = None
     folders: Sequence[Path] = ()
 
@@ -101,6 +103,7 @@ def dataset_queries(model: Model, dataset: Dataset, index: Index) -> IndexQuerie
         places=None if positions is None else positions.of(queries),
         listed=held,
         truth=dataset.truth(name) if held else unknown_truth(queries),
+        gallery_size=len(galleries[name]),
         folders=tuple(dict.fromkeys((*(dataset.root / folder for folder in folders), dataset.root))),
     )
 

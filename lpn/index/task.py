@@ -1,25 +1,115 @@
-"""A task whose gallery is the tiles of an index."""
+"""A task whose gallery is the tiles of an index: all of them, or those of a large index that its engine proposes.
+
+An index has no pictures: those of its tiles are cut from a map, read from a folder, or placeholders.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import cached_property, partial
+from pathlib import Path
 
 import numpy as np
 
-from lpn.core.arrays import Int64Array
-from lpn.core.errors import InputError
+from lpn.core.arrays import Float32Array, Float64Array, UInt8Array
+from lpn.core.errors import DataError, InputError
 from lpn.core.files import printable
+from lpn.core.progress import report_progress
 from lpn.core.views import views_of
-from lpn.datasets import Truth, labels_of
+from lpn.datasets import Picture, Truth, geo, labels_of
 from lpn.datasets.geo import Position
-from lpn.flight.maps import Map
+from lpn.datasets.listed_paths import listed_path
+from lpn.drawing import captions
+from lpn.flight.maps import Map, NamedWindow
+from lpn.flight.maps.named_window import WindowCut, caption_of, covers_part_of, describe_place
 from lpn.index.base import Index
-from lpn.index.gallery import IndexGallery, open_gallery
 from lpn.index.queries import IndexQueries
-from lpn.index.tile_pictures import tile_pictures
 from lpn.models.base import Model
+from lpn.retrieval.saved import in_rows
 from lpn.tasks.gallery_geometry import GalleryGeometry
 from lpn.tasks.task import Task, descriptor_clauses
+
+# Largest number of tiles that are ranked for a query. Their descriptors of 2048 numbers take 1.6 GB.
+MOST_TILES = 200_000
+# Number of tiles that an engine proposes for each query.
+PROPOSED = 100
+
+
+# Side of a placeholder in pixels.
+_SIDE = 256
+# Labels of tiles that no data set names begin here.
+_NO_PLACE = 1 << 40
+
+
+@dataclass(frozen=True, eq=False)
+class IndexGallery:
+    """Tiles of an index.
+
+    Attributes:
+        names: in the index.
+        descriptors: (G, n, D); those of a folder of one part stay on disk.
+        degrees: latitude and longitude, (G, 2), NaN for a tile without a position.
+        chosen: how the tiles were chosen from a larger index, in words; empty for all tiles.
+    """
+
+    names: list[str]
+    descriptors: Float32Array
+    degrees: Float64Array
+    chosen: str = ""
+
+    @cached_property
+    def windows(self) -> list[NamedWindow | None]:
+        """The window of a map that each name tells; None for other tiles."""
+        return list(map(NamedWindow.parse, self.names))
+
+    @property
+    def sizes(self) -> Float64Array:
+        """Sides of the windows in metres, (G,), NaN for other tiles."""
+        return np.array([np.nan if window is None else window.size for window in self.windows], np.float64)
+
+
+def open_gallery(index: Index, queries: IndexQueries) -> IndexGallery:
+    """Read all tiles of an index, or, of one that is large or does not list its tiles, those that matter to some queries.
+
+    These are the tiles that the engine proposes for each query, and the true ones. Their ranks are those among all tiles
+    down to the last proposed one, as far as the engine misses none.
+
+    Raises:
+        InputError: if the index holds no tiles, or too many are proposed.
+        StoreError: if the index cannot be read.
+    """
+    count = index.count()
+    if not count:
+        raise InputError("The index holds no tiles; add some with lpn index.")
+    if count <= MOST_TILES and (tiles := index.tiles()) is not None:
+        return IndexGallery(*tiles)
+    total = len(queries.pictures)
+    names = dict.fromkeys(queries.true_tiles())
+    for i, descriptor in enumerate(queries.descriptors):
+        names |= dict.fromkeys(index.search(descriptor, None, PROPOSED).ids)
+        report_progress("Searching the index", i, total)
+    if queries.spots is not None:
+        windows = [window for name in names if (window := NamedWindow.parse(name)) is not None]
+        reach = max((window.size for window in windows), default=0) / 2
+        for descriptor, place in zip(queries.descriptors, queries.places or (), strict=True):
+            if place is not None:
+                high, wide = (reach / metres for metres in geo.metres_per_degree(place.latitude))
+                middle = place.latitude, place.longitude
+                box = middle[0] - high, middle[1] - wide, middle[0] + high, middle[1] + wide
+                names |= dict.fromkeys(index.search(descriptor, None, PROPOSED, box).ids)
+    if len(names) > MOST_TILES:
+        raise InputError(
+            f"The index of {count:,} tiles is searched for {total:,} queries, which gives {len(names):,} tiles to rank; expected "
+            f"{MOST_TILES:,} at most, so give fewer queries, or search with lpn search."
+        )
+    report_progress("Searching the index", total, total)
+    chosen = (
+        f"of {count:,} in the index: the {PROPOSED} that its engine ({index.engine}) proposes for each query, and the true ones; "
+        "ranks and AP are among these"
+    )
+    return IndexGallery(list(names), *index.read(list(names)), chosen)
 
 
 def index_task(
@@ -44,7 +134,7 @@ def index_task(
     model = model.for_task(*views)
     index.check_model(model.fingerprint)
     gallery = open_gallery(index, queries)
-    tiles = tile_pictures(gallery, queries, basemap, max(model.input_size))
+    tiles = _tile_pictures(gallery, queries, basemap, max(model.input_size))
     geometry, no_map = _geometry(gallery, queries.places or [None] * len(queries.pictures), basemap)
     return Task(
         name=queries.name,
@@ -84,23 +174,10 @@ def _truth(gallery: IndexGallery, queries: IndexQueries, basemap: Map | None) ->
     if queries.truth is None:
         return None
     rows = {name: row for row, name in enumerate(gallery.names)}
-    row_of = {place: rows[name] for name, (place, _) in queries.listed.items() if name in rows}
-
-    def moved(places: Int64Array) -> Int64Array:
-        return np.array(sorted(row_of[place] for place in places.tolist() if place in row_of), np.int64)
-
-    # The queries of a region share an array.
-    shared = {id(one.among): moved(one.among) for one in queries.truth if one.among is not None}
-    truth = []
-    for one in queries.truth:
-        good, semi, overlaps = moved(one.good), moved(one.semi), one.overlaps
-        if overlaps is not None:
-            places = [*one.good.tolist(), *one.semi.tolist()]
-            by_row = {row_of.get(place): overlap for place, overlap in zip(places, overlaps.tolist(), strict=True)}
-            overlaps = np.array([by_row[row] for row in (*good.tolist(), *semi.tolist())], np.float64)
-        junk, among = moved(one.junk), shared.get(id(one.among))
-        truth.append(Truth(good, junk, one.known, one.trapezoid, semi, overlaps, among))
-    return truth
+    row_of = np.full(queries.gallery_size, -1)
+    for name, (place, _) in queries.listed.items():
+        row_of[place] = rows.get(name, -1)
+    return in_rows(queries.truth, row_of)
 
 
 def _geometry(
@@ -131,3 +208,56 @@ def _geometry(
     origin = Position(*basemap.frame.degrees([middle])[0].tolist())
     width = max(east - west, north - south) / 20 if np.isnan(sizes).all() else float(np.nanmedian(sizes))
     return GalleryGeometry(places, tiles, origin, xy - middle, width), ""
+
+
+def _tile_pictures(gallery: IndexGallery, queries: IndexQueries, basemap: Map | None, pixels: int) -> list[Picture]:
+    """Return the pictures of tiles: a data set's, cut from the map, read from a folder of the queries, or placeholders.
+
+    Args:
+        pixels: side of a picture that is cut from the map.
+    """
+    windows = [window for window in gallery.windows if window is not None]
+    on_map = iter([] if basemap is None else NamedWindow.all_on(windows, basemap.frame))
+    pictures = []
+    for i, (name, window) in enumerate(zip(gallery.names, gallery.windows, strict=True)):
+        place = None if window is None else next(on_map, None)
+        if name in queries.listed:
+            picture = queries.listed[name][1]
+        elif basemap is not None and place is not None and covers_part_of(basemap, place):
+            file, cut = queries.root / "windows" / name, WindowCut(basemap, place, pixels)
+            picture = Picture(file, _NO_PLACE + i, describe_place(place), cut=cut, caption=caption_of(place))
+        elif window is None and (found := _file(name, queries.folders)) is not None:
+            picture = Picture(found, _NO_PLACE + i, printable(name))
+        else:
+            reason = "no file of this name is at hand; give the folder that was described as --data."
+            if window is not None:
+                reason = "it is a window of a map; give that map as --map."
+            if basemap is not None and window is not None:
+                reason = f"the window lies outside the map {printable(basemap.name)}."
+            drawn = partial(_placeholder, printable(name), np.full(2, np.nan) if window else gallery.degrees[i])
+            file = queries.root / "index" / str(i)
+            picture = Picture(file, _NO_PLACE + i, printable(name), cut=drawn, missing=reason)
+        pictures.append(picture)
+    return pictures
+
+
+def _file(name: str, folders: Sequence[Path]) -> Path | None:
+    """Return the file of a tile's name in the first folder that has one; None without."""
+    with suppress(DataError, OSError):
+        for folder in folders:
+            if (file := folder / listed_path(name, "The index")).is_file():
+                return file
+    return None
+
+
+def _placeholder(name: str, degrees: Float64Array) -> UInt8Array:
+    """Draw plain grey with a tile's name and position, (256, 256, 3)."""
+    image, draw = captions.caption(_SIDE, _SIDE)
+    draw.rectangle((0, 0, _SIDE, _SIDE), fill=(60, 60, 60))
+    lines = ["no picture", *(name[i : i + 22] for i in range(0, min(len(name), 66), 22))]
+    if np.isfinite(degrees).all():
+        lines.append(f"{degrees[0]:.5f}, {degrees[1]:.5f}")
+    for i, line in enumerate(lines):
+        at = 128, 128 + 26 * (i - (len(lines) - 1) / 2)
+        draw.text(at, line, (190, 190, 190), captions.font(20), anchor="mm")
+    return np.asarray(image)

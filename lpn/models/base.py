@@ -20,12 +20,6 @@ from lpn.models.contract import Contract, ForwardPass, Heads, Role, check_parts
 from lpn.models.spec import ModelSpec
 
 _CHUNK = 16
-_RESIZES = {
-    "bicubic": pictures.resize,
-    "linear": pictures.resize_linear,
-    "area": pictures.resize_area,
-    "bilinear": pictures.resize_bilinear,
-}
 Floats = TypeVar("Floats", Float32Array, Float64Array)
 
 
@@ -169,7 +163,7 @@ class Model(ABC):
         """Resize a picture to the input size, (height, width, 3) uint8; a polar model's tiles are unrolled into panoramas."""
         if self.contract.unrolled(view):
             return pictures.polar(picture, *self.input_size)
-        return _RESIZES[self.contract.resize](picture, *self.input_size)
+        return pictures.resize(picture, *self.input_size, self.contract.resize)
 
     def as_partitioned(self, picture: UInt8Array, view: View) -> UInt8Array:
         """Return the picture on which parts are drawn: the unrolled tile of a polar model, else the picture itself."""

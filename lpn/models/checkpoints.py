@@ -8,14 +8,15 @@ import re
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, Literal, cast
 
+import numpy as np
 import torch
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save as save_tensors
 from torch import Tensor
 
-from lpn.core.arrays import Float32Array
+from lpn.core.arrays import Float32Array, Int8Array
 from lpn.core.checksums import SEAL, UNSEALED, check_claimed_size, check_seal, with_seal
 from lpn.core.errors import InputError, ModelFileError
 from lpn.core.files import fingerprint, printable, write_atomic
@@ -40,11 +41,11 @@ from lpn.models.published_checkpoints import (
 )
 from lpn.models.spec import SLOPES, ModelSpec, is_timm
 from lpn.models.timm_networks import TimmMap
-from lpn.models.weight_storage import WeightType, to_eight_bits
 
 log = logging.getLogger(__name__)
 
 FORMAT = "lpn-explorer/1"
+WeightType = Literal["float32", "float16", "int8"]
 # Behind the name of kernels of 8 bits, the name of their scales.
 _SCALE = ".scale"
 _AGAIN = "copy it again from where it came, or make it again"
@@ -221,20 +222,25 @@ def _narrow(key: str, tensor: Tensor, storage: WeightType) -> list[tuple[str, Te
     return [(key, half)]
 
 
+def to_eight_bits(kernels: Float32Array) -> tuple[Int8Array, Float32Array]:
+    """Round kernels to 8 bits, each output channel by the largest of its own values.
+
+    Args:
+        kernels: (O, I, h, w).
+
+    Returns:
+        Integers from -127 to 127 (O, I, h, w), and scales (O, 1, 1, 1); their product is the kernels to within half a scale.
+    """
+    scale = np.maximum(np.abs(kernels).max(axis=(1, 2, 3), keepdims=True), 1e-30) / np.float32(127)
+    return np.round(kernels / scale).astype(np.int8), scale.astype(np.float32)
+
+
 def _with_sorted_header(data: bytes) -> bytes:
     """Return a `.safetensors` file with the keys of its header sorted, so that equal networks give equal files."""
     start = 8 + int.from_bytes(data[:8], "little")
     header = json.dumps(json.loads(data[8:start]), sort_keys=True, separators=(",", ":")).encode()
     header += b" " * (-len(header) % 8)  # tensors begin at a multiple of eight bytes
     return len(header).to_bytes(8, "little") + header + data[start:]
-
-
-def epochs_of(path: Path) -> int | None:
-    """Return the number of epochs that a model of ours was trained; None if unknown."""
-    try:
-        return int(_read_tensors(path)[1]["epochs"])
-    except (ModelFileError, OSError, KeyError, ValueError):
-        return None
 
 
 def recipe_of(path: Path) -> dict[str, Any]:
@@ -432,23 +438,15 @@ def read_state(path: Path) -> StateDict:
         raise ModelFileError(f"{path.name} holds no tensors; expected a state_dict of named tensors.")
     for key, tensor in items.items():
         of_bytes = tensor.dtype in (torch.int8, torch.uint8) and tensor.ndim > 1 and key.endswith("weight")
-        if tensor.device.type != "cpu" or tensor.layout != torch.strided or tensor.is_quantized or of_bytes:
+        plain = tensor.device.type == "cpu" and tensor.layout == torch.strided and not tensor.is_quantized
+        if not plain or of_bytes or tensor.is_complex():
             raise ModelFileError(
-                f"In {path.name}, {printable(key)} is no plain tensor but quantised, sparse, or without values; give the weights "
-                "as they were trained."
+                f"In {path.name}, {printable(key)} is no plain tensor but quantised, sparse, complex, or without values; give "
+                "the weights as they were trained."
             )
-    _check_real(items, path.name)
     # A tensor of stride 0 can claim any size.
     check_claimed_size(path, sum(tensor.numel() * tensor.element_size() for tensor in items.values()), _AGAIN)
     return {key.removeprefix("module."): value for key, value in items.items()}
-
-
-def _check_real(state: StateDict, name: str) -> None:
-    for key, tensor in state.items():
-        if tensor.is_complex():
-            raise ModelFileError(
-                f"In {name}, {printable(key)} holds complex numbers; expected real ones, so give the model's own weights."
-            )
 
 
 def _read_tensors(path: Path) -> tuple[StateDict, dict[str, str]]:
@@ -456,7 +454,6 @@ def _read_tensors(path: Path) -> tuple[StateDict, dict[str, str]]:
     try:
         with safe_open(str(path), framework="pt") as file:
             state, metadata = {key: file.get_tensor(key) for key in file.keys()}, file.metadata() or {}  # noqa: SIM118
-            _check_real(state, path.name)
             state = _widened(state, path.name)
     except (SafetensorError, OSError, ValueError) as error:
         raise ModelFileError(f"{path.name} is damaged, truncated, or no .safetensors file; {_AGAIN}.") from error

@@ -26,14 +26,13 @@ from lpn.models.adapters import Kind
 from lpn.models.adapters.load import load_file
 from lpn.models.adapters.model import PublishedModel
 from lpn.models.base import Model
-from lpn.models.checkpoints import TorchModel
+from lpn.models.checkpoints import TorchModel, WeightType, to_eight_bits
 from lpn.models.contract_metadata import to_metadata
-from lpn.models.onnx_engine import TRUNK, graph_files
+from lpn.models.onnx_engine import TRUNK, Engine, graph_files
 from lpn.models.registered import timm_file
 from lpn.models.shipped import model_file
 from lpn.models.spec import SLOPES
 from lpn.models.token_pooling import TokenPooling
-from lpn.models.weight_storage import WeightType, to_eight_bits
 
 # The submodules that compute a model's map or tokens, or a vector as the network itself pools it.
 _TRUNK_MODULES = ("branch", *(f"network.{vector}{own}" for vector in ("", "vector.") for own in ("trunk", "network")))
@@ -126,16 +125,11 @@ def export(
         ModelFileError: if the model cannot be loaded.
         OutputError: if `out` cannot be written.
     """
-    network, model = timm_file(model) or (None, Path(model))
-    model, out = model_file(model, trained=True), Path(out)
+    out = Path(out)
     if out.suffix != ".onnx":
         raise InputError(f"The output is named {out.name}; expected a name ending in .onnx.")
-    if model.suffix == ".onnx":
-        raise InputError(f"{model.name} is exported already; give the .safetensors or .pth it was made from.")
     check_writable(out)
-    loaded = load_file(
-        model, kind=kind, pooling=None if pooling is None else TokenPooling.parse(pooling), network=network
-    )
+    loaded = _trained(model, kind, pooling)
     groups = list(loaded.contract.groups)
     metadata = {**to_metadata(loaded.contract), "source": loaded.fingerprint}
     graphs = {
@@ -145,6 +139,28 @@ def export(
     for path, graph in reversed(graphs.items()):
         write_atomic(path, graph)
     return list(graphs)
+
+
+def difference(model: str | Path, exported: Path, kind: Kind | None = None, pooling: str | None = None) -> float:
+    """Return the largest difference between descriptors of an exported model and its own, for one picture of noise.
+
+    Args:
+        model, kind, pooling: as for `export`.
+
+    Raises:
+        InputError, ModelFileError: if either cannot be opened.
+    """
+    own, other = _trained(model, kind, pooling), Engine(exported)
+    noise = np.random.default_rng(0).standard_normal((1, 3, *own.input_size)).astype(np.float32)
+    return max(float(np.abs(own.descriptors(noise, v) - other.descriptors(noise, v)).max()) for v in own.views)
+
+
+def _trained(model: str | Path, kind: Kind | None, pooling: str | None) -> Model:
+    """Open the model in PyTorch that is exported."""
+    network, file = timm_file(model) or (None, model_file(model, trained=True))
+    if file.suffix == ".onnx":
+        raise InputError(f"{file.name} is exported already; give the .safetensors or .pth it was made from.")
+    return load_file(file, kind=kind, pooling=None if pooling is None else TokenPooling.parse(pooling), network=network)
 
 
 @contextmanager

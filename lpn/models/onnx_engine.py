@@ -143,10 +143,6 @@ class Engine(Model):
     def _with_one_thread(self) -> Engine:
         return Engine(self._path, threads=1)
 
-    def calibration_providers(self) -> list[tuple[str, dict[str, str]]]:
-        """Return ONNX Runtime's providers with their options for other graphs of this model, as in a quantisation."""
-        return providers.settings(self.device)
-
     def map_size(self, view: View) -> tuple[int, int]:
         """Return (h, w) of the feature map, as the graph declares it if it does."""
         self.check_view(view)

@@ -26,6 +26,7 @@ from lpn.core.resources import ProviderName
 from lpn.core.views import View
 from lpn.datasets import Dataset, Picture
 from lpn.datasets.integrity import check_whole
+from lpn.models import providers
 from lpn.models.export import quiet
 from lpn.models.onnx_engine import COMPUTE, TRUNK, Engine, graph_files
 from lpn.models.shipped import model_file
@@ -195,7 +196,7 @@ def _quantised(file: Path, engine: Engine, pictures: Sequence[tuple[View, Pictur
             f"{file.name} has no convolution and no linear layer in a trunk that lpn export marked; "
             "export the model with lpn export first."
         )
-    options = {"calibration_providers": engine.calibration_providers()}
+    options = {"calibration_providers": providers.settings(engine.device)}
     if "calibration_providers" not in signature(quantize_static).parameters:  # before ONNX Runtime 1.21
         options = {}
     with tempfile.TemporaryDirectory(prefix="lpn-") as folder, quiet():

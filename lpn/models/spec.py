@@ -41,14 +41,7 @@ TIMM = "timm:"
 _TIMM_NAME = re.compile(r"timm:[A-Za-z0-9_]{1,80}")
 
 # Far beyond any sensible network; a file that claims more would take all memory.
-_MAXIMA = {
-    "n_parts": 256,
-    "embedding": 1 << 17,
-    "classes": 1 << 24,
-    "last_stride": 8,
-    "maps": 256,
-    "input_size": 4096,
-}
+_MAXIMA = {"n_parts": 256, "embedding": 1 << 17, "classes": 1 << 24, "last_stride": 8, "maps": 256, "input_size": 4096}
 
 
 @dataclass(frozen=True)

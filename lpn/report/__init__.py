@@ -5,8 +5,8 @@ write_atomic(Path("report.html"), lpn.report.build(task, [17, 4]))
 """
 
 from lpn.library.analyser import OwnPicture
+from lpn.report._rendering import table_page
 from lpn.report.cases import Options
 from lpn.report.page import build
-from lpn.report.tables import table_page
 
 __all__ = ["Options", "OwnPicture", "build", "table_page"]

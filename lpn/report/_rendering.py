@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
 
@@ -12,6 +13,7 @@ from markupsafe import Markup
 from lpn.core.arrays import UInt8Array
 from lpn.core.files import TYPED, printable
 from lpn.core.templates import environment
+from lpn.core.text_tables import TextTable
 from lpn.drawing import charts, overlays, theme
 
 _THUMBNAIL = 60
@@ -44,3 +46,8 @@ def _environment() -> Environment:
     templates.globals["evidence_colours"] = charts.EVIDENCE_COLOURS
     templates.filters["thousands"] = "{:,.0f}".format
     return templates
+
+
+def table_page(title: str, tables: Sequence[TextTable]) -> bytes:
+    """Return tables as UTF-8 HTML, without a script or anything from the network."""
+    return render("table_page.html.j2", title=title, tables=tables, style=style_sheet()).encode()

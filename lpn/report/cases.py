@@ -194,8 +194,8 @@ class Cases:
         ]
 
     def _effect(self, comparison: Comparison) -> Effect | None:
-        change = comparison.change
-        return None if comparison.followed.rank == 1 or change is None else effect_on(self._graded, change.weights)
+        weights = comparison.weights
+        return None if comparison.followed.rank == 1 or weights is None else effect_on(self._graded, weights)
 
 
 def _rival(answer: Answer) -> list[Match]:

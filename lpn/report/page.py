@@ -89,10 +89,6 @@ def _figures(task: Task) -> list[tuple[str, float, str]]:
     ]
 
 
-def _gallery(task: Task) -> str:
-    return f"{task.gallery_description}, pieces of the map" if task.of_map else task.gallery_description
-
-
 def _facts(task: Task, options: Options, count: int, made: datetime) -> list[tuple[str, str]]:
     """List what the report is about as names and values."""
     facts = [
@@ -101,6 +97,7 @@ def _facts(task: Task, options: Options, count: int, made: datetime) -> list[tup
     ]
     if task.model is not None:
         facts.append(("Fingerprint", task.model.fingerprint))
+    pieces = ", pieces of the map" if task.of_map else ""
     chosen = f", {options.selection}" if options.selection else ""
     known = task.known
     certain = ", for certain" if options.doubtful else ""
@@ -109,7 +106,7 @@ def _facts(task: Task, options: Options, count: int, made: datetime) -> list[tup
     )
     facts += [
         ("Data", task.data_name),
-        ("Task", f"{task.name}: {len(task.queries):,} queries{graded}, {_gallery(task)}"),
+        ("Task", f"{task.name}: {len(task.queries):,} queries{graded}, {task.gallery_description}{pieces}"),
         ("Protocol", sentence(task).removeprefix("Protocol: ")),
         ("In this report", f"{count} {'query' if count == 1 else 'queries'}{chosen}"),
     ]

@@ -130,7 +130,7 @@ def _sentences(case: Case) -> list[str]:
     pair = case.comparison
     if len(case.answer.task.part_names) == 1 or pair is None or pair.followed.rank == 1:
         return []
-    return [verdicts.describe_reweighting(pair.change, case.effect, case.answer.task.contract.part_noun)]
+    return [verdicts.describe_reweighting(pair.weights, case.effect, case.answer.task.contract.part_noun)]
 
 
 def _role(case: Case, match: Match) -> str:

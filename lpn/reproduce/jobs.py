@@ -29,9 +29,8 @@ from lpn.models.shipped import model_file
 from lpn.reproduce.sources import Source
 from lpn.reproduce.tables import Training
 from lpn.training.loader import Loader
-from lpn.training.provenance import Provenance
 from lpn.training.recipe import Recipe
-from lpn.training.run_log import read_run
+from lpn.training.run_folder import Provenance, read_run
 from lpn.training.trainer import Trainer
 from lpn.training.training_set import Fold
 

@@ -28,8 +28,8 @@ from lpn.reproduce.sources import TASKS, Source
 from lpn.reproduce.tables import Measure, TableRow, Values
 from lpn.tasks.changes import turned, with_parts
 from lpn.tasks.opening import lazy_task
-from lpn.training.provenance import Provenance, here
 from lpn.training.recipe import Recipe
+from lpn.training.run_folder import Provenance, here
 
 log = logging.getLogger(__name__)
 

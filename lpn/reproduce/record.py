@@ -6,7 +6,7 @@ import msgspec
 
 from lpn.analysis.statistics import half_interval
 from lpn.reproduce.tables import PrintedValues, Values
-from lpn.training.provenance import Provenance
+from lpn.training.run_folder import Provenance
 
 
 class RowRecord(msgspec.Struct, frozen=True, omit_defaults=True):

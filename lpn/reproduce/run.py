@@ -15,7 +15,7 @@ from lpn.core.views import View, views_of
 from lpn.drawing import network_figures
 from lpn.models.base import Model
 from lpn.models.spec import METHODS, ModelSpec
-from lpn.reproduce import figures, jobs, notes, report
+from lpn.reproduce import figures, jobs, report
 from lpn.reproduce.jobs import TrainingJob
 from lpn.reproduce.measure import MeasurementStore, features_alone
 from lpn.reproduce.record import RowRecord, TableRecord
@@ -117,7 +117,6 @@ class Reproduction:
         self._loaded = self._load(uses)
         self._check_data(wanted, drawn)
         self._jobs = self._planned(uses)
-        self._check_starts(wanted)
         for table in wanted:
             self._say(plan(table, {row.label: self._reason(table, row) for row in table.rows}))
         left = self._check_jobs(uses)
@@ -227,19 +226,6 @@ class Reproduction:
             planned.append(TrainingJob(training, seed, recipe, folder, source, start))
         return planned
 
-    def _check_starts(self, wanted: Sequence[PaperTable]) -> None:
-        """Raise InputError if nothing starts from some of the given weights."""
-        backbones = {job.recipe.backbone for job in self._jobs}
-        if any(row.training is None and not row.quoted for table in wanted for row in table.rows):
-            backbones.add(self.scale.base.backbone)
-        rather = f"the backbones are {', '.join(sorted(backbones))}" if backbones else "nothing is left to train"
-        for backbone, file in self._starts.items():
-            if backbone not in backbones:
-                raise InputError(
-                    f"--init gives {file.name}, which holds a {backbone}, and no requested row starts from it: {rather}; leave "
-                    "it out, or give other weights."
-                )
-
     def _check_jobs(self, uses: Sequence[NetworkUse]) -> list[TrainingJob]:
         """Check that the trainings can run and their networks can be measured, and return those that are left."""
         for job in self._jobs:
@@ -280,7 +266,7 @@ class Reproduction:
                 begun = f", {done} epochs done" if done else ""
                 self._say(f"  {job.name}: {epochs} epochs of {steps} updates, {epochs * steps:,} in all{begun}")
             if self.scale.changes:
-                self._say(notes.changed(self.scale, [job.training for job in left]))
+                self._say(report.changes_note(self.scale, [job.training for job in left]))
         if not self.train:
             there = {*self._loaded, *(job.training.name for job in self._jobs if job.done)}
             for name in drawn:
@@ -360,7 +346,11 @@ class Reproduction:
             rows.append(RowRecord(row.label, values, row.paper, row.note, row.quoted, trained, made, reason))
         columns, beside, alone = _columns(table, data)
         title = table.title if table.measure == "landmarks" or not data else f"{table.title}, on {data[0].kind}"
-        below = [notes.protocol(protocols), *notes.about(table, data, self.scale), *self._of_networks(table)]
+        below = [
+            report.protocol_note(protocols),
+            *report.data_notes(table, data, self.scale),
+            *self._of_networks(table),
+        ]
         record = TableRecord(table.key, title, columns, beside, tuple(rows), tuple(below), alone)
         self._store.keep(record)
         return report.write(record, self.out)
@@ -372,7 +362,7 @@ class Reproduction:
             f"{n} = {self.models[n].name} ({self._loaded[n].describe()})" for n in sorted(names & set(self._loaded))
         ]
         said = [f"Networks given: {', '.join(given)}."] if given else []
-        said += notes.networks([job for job in self._jobs if job.training.name in names], self.scale, self.seeds)
+        said += report.network_notes([job for job in self._jobs if job.training.name in names], self.scale, self.seeds)
         places = self._sources.get("places", []) if MEASURED_ON[table.measure] == "places" else []
         if places and names - set(self._loaded) and not places[0].has_google:
             said.append("There is no train/google, so all networks are trained without it.")

@@ -199,14 +199,7 @@ def calibrate(
             f"A calibration takes the mean of each of two views or more, and all pictures are of {' and '.join(lists)}; leave "
             "--calibrate out."
         )
-    sides = {view: _Side(model, view, of_view, read) for view, of_view in lists.items()}
-    for view, side in sides.items():
-        model.check_view(view)
-        if len(side.pictures) < MIN_PICTURES:
-            raise InputError(
-                f"A calibration takes the mean of each view's descriptors, and there are {len(side.pictures)} {view} pictures; "
-                f"expected {MIN_PICTURES} or more, so leave --calibrate out."
-            )
+    sides = _sides(model, lists, read, "A calibration", "leave --calibrate out")
     zooms = {view: dict.fromkeys(side.files, 1.0) for view, side in sides.items()}
     if not _comparable(model, sides):
         means = {view: side.read(0).mean(axis=0) for view, side in sides.items()}
@@ -249,15 +242,9 @@ def ground_ratio(
         InputError: if there are fewer than 20 pictures of a view, one is not a picture from above, or the model lacks a view.
     """
     model = model.for_task("drone", "satellite")
-    lists: dict[View, Sequence[Picture]] = {"drone": drones, "satellite": tiles}
-    sides = {view: _Side(model, view, [pictures], read) for view, pictures in lists.items()}
-    for view, side in sides.items():
-        model.check_view(view)
-        if len(side.pictures) < MIN_PICTURES:
-            raise InputError(
-                f"The ratio of ground is measured on {MIN_PICTURES} pictures of each view or more, and there are "
-                f"{len(side.pictures)} {view} pictures; set ground_ratio yourself."
-            )
+    sides = _sides(
+        model, {"drone": [drones], "satellite": [tiles]}, read, "The ratio of ground", "set ground_ratio yourself"
+    )
     if not _comparable(model, sides):
         raise InputError(
             "The ratio of ground is that of drone pictures and whole tiles, and these are panoramas or unrolled; leave it at 1."
@@ -291,6 +278,25 @@ class _Side:
 
     def _described(self, pictures: Sequence[Picture], step: int) -> Float32Array:
         return self._read(self._model, pictures, self._view, Change(scale=STEP**step))
+
+
+def _sides(
+    model: Model,
+    lists: Mapping[View, Sequence[Sequence[Picture]]],
+    read: descriptors.Reader,
+    what: str,
+    otherwise: str,
+) -> dict[View, _Side]:
+    """Return the sides of lists; InputError unless the model has each view, and each has enough pictures."""
+    sides = {view: _Side(model, view, of_view, read) for view, of_view in lists.items()}
+    for view, side in sides.items():
+        model.check_view(view)
+        if len(side.pictures) < MIN_PICTURES:
+            raise InputError(
+                f"{what} is measured on {MIN_PICTURES} pictures of each view or more, and there are {len(side.pictures)} {view} "
+                f"pictures; {otherwise}."
+            )
+    return sides
 
 
 def _comparable(model: Model, sides: Mapping[View, _Side]) -> bool:

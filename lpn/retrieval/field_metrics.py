@@ -20,8 +20,8 @@ from lpn.core.arrays import BoolArray, Float32Array, Float64Array, Int64Array
 from lpn.core.errors import InputError
 from lpn.datasets import geo
 from lpn.datasets.base import PositionProtocol
-from lpn.retrieval.inner_products import Scores
 from lpn.retrieval.metrics import checked_sides
+from lpn.retrieval.ranks import Scores
 
 # Decay of DenseUAV's SDM, per degree, and of GTA-UAV's, per metre.
 DENSEUAV_DECAY = 5000.0
@@ -70,8 +70,6 @@ def distance_at(metres: npt.ArrayLike, k: int) -> Float64Array:
 def accuracy_within(top_distances: npt.ArrayLike, metres: float) -> float:
     """Return DenseUAV's MA@m: the share in percent of queries whose top answer is nearer than m metres; top_distances: (Q,)."""
     values = np.asarray(top_distances, np.float64)
-    if values.ndim != 1:
-        raise InputError(f"The distances have the shape {values.shape}; expected that of the top answer of each query.")
     return float(100 * (values < metres).mean()) if len(values) else 0.0
 
 
@@ -114,7 +112,7 @@ def nearest(query: npt.ArrayLike, gallery: npt.ArrayLike, k: int, junk: BoolArra
             block[:, junk] = -np.inf
         limit = np.partition(block, -depth, axis=1)[:, -depth].astype(np.float64) - 2 * errors
         for row, query_index in enumerate(range(rows.start, rows.stop)):
-            close = block[row] >= limit[row] if np.isfinite(limit[row]) else np.ones(len(tiles), bool)
+            close = block[row] >= limit[row]
             if junk is not None:
                 close &= ~junk
             candidates = np.flatnonzero(close)

@@ -1,14 +1,21 @@
-"""Exact ranks of the true matches of a block of queries, mostly from single-precision scores.
+"""Exact ranks of the true matches of many queries, mostly from single-precision scores.
 
 The rank of a true match is the number of tiles ahead of it. If the single-precision scores of a true and a false tile differ
-by more than their rounding errors, they decide the order. The few closer false tiles are compared in double precision, and
-equal scores rank in gallery order. If there are many closer tiles, as in a gallery of equal tiles, the query's whole row is
-computed in double precision.
+by more than their rounding errors, they decide the order. The closer false tiles are compared in double precision, and equal
+scores rank in gallery order.
+
+An inner product of F numbers in single precision (u = 2^-24), summed in any order over chunks of L and then over the chunks,
+has an error of at most
+
+    (L + ceil(F / L) + 2) u |q| |g|
+
+which includes two roundings of the numbers themselves to single precision (Higham, "Accuracy and Stability of Numerical
+Algorithms", 3.1). Numbers far from 1 are multiplied by powers of two first, so that no product overflows.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 
@@ -16,16 +23,23 @@ import numpy as np
 
 from lpn.core.arrays import AnyArray, BoolArray, Float32Array, Float64Array, Int64Array
 from lpn.datasets import Truth
-from lpn.retrieval.inner_products import Scores
 
 # Label of gallery pictures that are ignored.
 JUNK = -1
 
 _NONE = np.zeros(0, np.int64)
-# Maximum number of tiles that are compared with a query one by one in double precision, and for large galleries their
-# maximum share of the gallery.
-_MAX_CLOSE = 256
-_MAX_CLOSE_SHARE = 1 / 16
+_BLOCK_BYTES = 160_000_000
+# Maximum number of queries in a block.
+_BLOCK_ROWS = 1024
+# Tiles multiplied at a time, so that partial sums stay in the processor's cache.
+_COLUMNS = 4096
+# Numbers of a descriptor that are summed in one chunk: shorter chunks give a tighter bound and cost more additions.
+_CHUNK = 512
+# Unit roundoff of single precision.
+_UNIT = 2.0**-24
+_PAIRS_AT_A_TIME = 1024
+# Norms beyond 2^30 or 2^-30 are scaled.
+_MOST_EXPONENT = 30
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,137 +132,144 @@ class Ranked:
     gap: Float64Array
 
 
-def rank(scores: Scores, ground_truth: GroundTruth, rows: slice, block: Float32Array, errors: Float64Array) -> Ranked:
-    """Rank the gallery for the queries of a block of `Scores.blocks`; `block` is overwritten."""
-    # Rows with an infinite error bound are not used.
-    with np.errstate(over="ignore", invalid="ignore"):
-        return _Block(scores, ground_truth, rows, block, errors).ranked()
+class Scores:
+    """Inner products of queries (Q, F) with tiles (G, F) of any floating type, without a copy in double precision.
 
+    Args:
+        norms: upper bounds on the norms of the queries (Q,) and of the tiles (G,).
+        factors: multiplied into each query first, (F,).
 
-class _Block:
-    """Ranks one block of queries: `_block` has the scores of false tiles, and -inf for all other tiles."""
+    Attributes:
+        exponents: the products of `blocks` are the true ones divided by 2 to these powers, (Q,).
+    """
 
     def __init__(
-        self, scores: Scores, ground_truth: GroundTruth, rows: slice, block: Float32Array, errors: Float64Array
+        self,
+        queries: AnyArray,
+        tiles: AnyArray,
+        norms: tuple[Float64Array, Float64Array],
+        factors: Float64Array | None = None,
     ) -> None:
-        self._scores, self._start, self._block = scores, rows.start, block
-        self._gap = 2 * errors
-        self._ground_truth, self._rows = ground_truth, rows
-        self._row, self._tile = ground_truth.true.entries(rows)
-        self._true = block[self._row, self._tile]
-        ground_truth.drop(block, rows, -np.inf)
-        self._lead = _gaps(block)
-        block[self._row, self._tile] = -np.inf
-        size = block.shape
-        self._max_close = max(_MAX_CLOSE, int(_MAX_CLOSE_SHARE * size[1]))
-        self._trapezoid = ground_truth.trapezoid[rows]
-        self._needs_double = ~np.isfinite(errors)
-        self._first, self._nearest, self._false = (np.full(size[0], -1, np.int64) for _ in range(3))
-        self._precision = np.zeros(size[0])
+        self._queries, self._tiles, self._factors = queries, tiles, factors
+        length = queries.shape[1]
+        reach = norms[0] * (1.0 if factors is None else float(np.abs(factors).max(initial=0.0)))
+        longest = float(norms[1].max(initial=0.0))
+        powers, of_tiles = np.frexp(reach)[1], int(np.frexp(longest)[1])
+        if max(np.abs(powers).max(initial=0), abs(of_tiles)) <= _MOST_EXPONENT:
+            powers, of_tiles = np.zeros_like(powers), 0
+        self._powers, self.exponents = powers, powers + of_tiles
+        self._single = (np.ldexp(tiles, -of_tiles) if of_tiles else tiles).astype(np.float32, copy=False)
+        terms = min(length, _CHUNK) + -(-length // _CHUNK) + 2
+        reach, longest = np.ldexp(reach, -powers), float(np.ldexp(longest, -of_tiles))
+        # The second term is the extra error of subnormal numbers, which have fewer than 24 digits.
+        self._errors = 1.02 * terms * _UNIT * reach * longest + length * 2.0**-120 * (1 + reach) * (1 + longest)
 
-    def ranked(self) -> Ranked:
-        if self._block.shape[1]:
-            counts = np.bincount(self._row, minlength=len(self._block))
-            begins = np.cumsum(counts) - counts
-            self._find_false()
-            self._rank_single(begins[counts == 1])
-            for row in np.flatnonzero((counts > 1) & ~self._needs_double).tolist():
-                self._rank_several(row, slice(begins[row], begins[row] + counts[row]))
-            self._rank_in_double()
-        return Ranked(self._first, self._nearest, self._false, self._precision, self._lead)
+    def blocks(self) -> Iterator[tuple[slice, Float32Array, Float64Array]]:
+        """Yield blocks of queries of at most 160 MB.
 
-    def _find_false(self) -> None:
-        """Find the nearest false tile of each query."""
-        best = np.argmax(self._block, axis=1)
-        self._top = self._block[np.arange(len(self._block)), best].astype(np.float64)
-        self._false = np.where(self._top > -np.inf, best, -1)
-        floor = _round_down(self._top - self._gap)
-        near = _count_true(self._block >= floor[:, None])
-        for row in np.flatnonzero((near > 1) & (self._false >= 0) & ~self._needs_double).tolist():
-            if near[row] > self._max_close:
-                self._needs_double[row] = True
-                continue
-            close = np.flatnonzero(self._block[row] >= floor[row])
-            self._false[row] = close[np.argmax(self._exact(row, close))]
+        Yields:
+            The rows of the block, their products with all tiles (B, G), which the caller may overwrite, and the error bound of
+            each row, (B,).
+        """
+        block = max(1, min(_BLOCK_ROWS, _BLOCK_BYTES // (4 * max(len(self._tiles), 1))))
+        for start in range(0, len(self._queries), block):
+            rows = slice(start, min(start + block, len(self._queries)))
+            queries, powers = self._asked(rows), self._powers[rows]
+            scaled = np.ldexp(queries, -powers[:, None]) if powers.any() else queries
+            yield rows, self._products(scaled.astype(np.float32, copy=False)), self._errors[rows]
 
-    def _rank_single(self, entries: Int64Array) -> None:
-        """Rank queries with one true match, given the positions of their entries."""
-        rows, tiles, score = self._row[entries], self._tile[entries], self._true[entries].astype(np.float64)
-        above, between = np.zeros(len(rows), np.int64), np.zeros(len(rows), np.int64)
-        low, high = _round_down(score - self._gap[rows]), _round_up(score + self._gap[rows])
-        contested = np.flatnonzero(self._top[rows] >= low)
-        some = self._block[rows[contested]]
-        above[contested] = _count_true(some > high[contested, None])
-        between[contested] = _count_true(some >= low[contested, None]) - above[contested]
-        self._needs_double[rows[between > self._max_close]] = True
-        unsure = np.flatnonzero((between > 0) & ~self._needs_double[rows])
-        queries, error = self._start + rows[unsure], self._gap[rows[unsure]] / 2
-        exact = self._scores.pairs(queries, tiles[unsure])
-        low, high = (edge[:, None] for edge in (_round_down(exact - error), _round_up(exact + error)))
-        some = self._block[rows[unsure]]
-        line, close = np.nonzero((some >= low) & (some <= high))
-        before = _ranks_before(exact[line], tiles[unsure][line], self._scores.pairs(queries[line], close), close)
-        above[unsure] = _count_true(some > high) + np.bincount(line[before], minlength=len(unsure))
-        self._first[rows], self._nearest[rows] = above, tiles
-        precision = 1 / (above + 1)
-        self._precision[rows] = np.where(self._trapezoid[rows], (precision + (above == 0)) / 2, precision)
+    def exact(self, queries: int | Int64Array, tiles: Int64Array) -> Float64Array:
+        """Return the products of pairs, or of one query with tiles, in double precision, equal for equal tiles, (P,)."""
+        queries = np.broadcast_to(queries, tiles.shape)
+        products = np.empty(len(tiles))
+        for start in range(0, len(tiles), _PAIRS_AT_A_TIME):
+            some = slice(start, start + _PAIRS_AT_A_TIME)
+            # Rows must be summed in the same order: a matrix product may change it from row to row, and einsum splits long
+            # rows by their position in its buffer.
+            asked = self._asked(queries[some]).astype(np.float64, copy=False)
+            products[some] = (asked * self._tiles[tiles[some]]).sum(axis=1)
+        return products
 
-    def _rank_several(self, row: int, entries: slice) -> None:
-        """Rank a query with several true matches."""
-        tiles, score, gap = self._tile[entries], self._true[entries].astype(np.float64), self._gap[row]
-        low, high = _round_down(score - gap), _round_up(score + gap)
-        line = self._block[row]
-        near = (line >= low.min()).nonzero()[0]
-        order = near[line[near].argsort()]
-        ordered = line[order]
-        start, stop = ordered.searchsorted(low, "left"), ordered.searchsorted(high, "right")
-        above, unsure = len(ordered) - stop, (stop > start).nonzero()[0]
-        nearest = (score >= score.max() - gap).nonzero()[0]
-        exact = np.zeros(len(tiles))
-        recomputed = np.union1d(unsure, nearest) if len(nearest) > 1 else unsure
-        if len(recomputed):
-            exact[recomputed] = self._exact(row, tiles[recomputed])
-            # Now only the false tile's score has a rounding error.
-            start = ordered.searchsorted(_round_down(exact[unsure] - gap / 2), "left")
-            stop = ordered.searchsorted(_round_up(exact[unsure] + gap / 2), "right")
-            counts = stop - start
-            if counts.sum() > self._max_close:
-                self._needs_double[row] = True
-                return
-            owner = unsure.repeat(counts)
-            close = order[np.arange(len(owner)) + (start - counts.cumsum() + counts).repeat(counts)]
-            before = _ranks_before(exact[owner], tiles[owner], self._exact(row, close), close)
-            above[unsure] = len(ordered) - stop
-            above += np.bincount(owner[before], minlength=len(above))
-        above.sort()
-        self._set_ranks(row, above + np.arange(len(above)))
-        self._nearest[row] = tiles[nearest[exact[nearest].argmax()]]
+    def _asked(self, rows: slice | Int64Array) -> AnyArray:
+        queries = self._queries[rows]
+        return queries if self._factors is None else queries.astype(np.float64) * self._factors
 
-    def _rank_in_double(self) -> None:
-        """Rank the queries whose scores are too close together, or too large, for single precision."""
-        rows = np.flatnonzero(self._needs_double)
-        for query, line in self._scores.double(rows + self._start):
-            row = query - self._start
-            own = slice(*np.searchsorted(self._row, [row, row + 1]))
-            tiles = self._tile[own]
-            self._ground_truth.drop(line[None], slice(query, query + 1), -np.inf)
-            true = line[tiles].copy()
-            line[tiles] = -np.inf
-            false = int(np.argmax(line))
-            self._false[row] = false if line[false] > -np.inf else -1
-            if len(tiles):
-                order = np.argsort(line)
-                ordered = line[order]
-                start, stop = np.searchsorted(ordered, true, "left"), np.searchsorted(ordered, true, "right")
-                before = [np.count_nonzero(order[a:b] < tile) for a, b, tile in zip(start, stop, tiles, strict=True)]
-                self._set_ranks(row, np.sort(len(ordered) - stop + before) + np.arange(len(tiles)))
-                self._nearest[row] = tiles[np.argmax(true)]
+    def _products(self, queries: Float32Array) -> Float32Array:
+        products = np.empty((len(queries), len(self._single)), np.float32)
+        chunk_sums = np.empty((len(queries), min(_COLUMNS, len(self._single))), np.float32)
+        for begin in range(0, len(self._single), _COLUMNS):
+            tiles = self._single[begin : begin + _COLUMNS]
+            sums = products[:, begin : begin + _COLUMNS]
+            np.matmul(queries[:, :_CHUNK], tiles[:, :_CHUNK].T, out=sums)
+            for first in range(_CHUNK, queries.shape[1], _CHUNK):
+                chunk = slice(first, first + _CHUNK)
+                sums += np.matmul(queries[:, chunk], tiles[:, chunk].T, out=chunk_sums[:, : len(tiles)])
+        return products
 
-    def _set_ranks(self, row: int, ranks: Int64Array) -> None:
-        self._first[row], self._precision[row] = ranks[0], average_precision(ranks, bool(self._trapezoid[row]))
 
-    def _exact(self, row: int, tiles: Int64Array) -> Float64Array:
-        return self._scores.exact(self._start + row, tiles)
+def rank(scores: Scores, ground_truth: GroundTruth, rows: slice, block: Float32Array, errors: Float64Array) -> Ranked:
+    """Rank the gallery for the queries of a block of `Scores.blocks`; `block` is overwritten."""
+    row, tile = ground_truth.true.entries(rows)
+    score, gap, lines = block[row, tile].astype(np.float64), 2 * errors, np.arange(len(block))
+    ground_truth.drop(block, rows, -np.inf)
+    lead = np.ldexp(_gaps(block), scores.exponents[rows])
+    block[row, tile] = -np.inf  # from here on it has the false tiles
+    false = np.argmax(block, axis=1)
+    top = block[lines, false].astype(np.float64)
+    floor = _rounded(top - gap, -np.inf)
+    for i in np.flatnonzero((_count_true(block >= floor[:, None]) > 1) & (top > -np.inf)).tolist():
+        close = np.flatnonzero(block[i] >= floor[i])
+        false[i] = close[np.argmax(scores.exact(rows.start + i, close))]
+    first, true, precision = np.full(len(block), -1), np.full(len(block), -1), np.zeros(len(block))
+    counts, trapezoid = np.bincount(row, minlength=len(block)), ground_truth.trapezoid[rows]
+    begins = np.cumsum(counts) - counts
+
+    one = begins[counts == 1]
+    alone, own_tile = row[one], tile[one]
+    low, high = _rounded(score[one] - gap[alone], -np.inf), _rounded(score[one] + gap[alone], np.inf)
+    above, between = np.zeros(len(one), np.int64), np.zeros(len(one), np.int64)
+    contested = np.flatnonzero(top[alone] >= low)
+    some = block[alone[contested]]
+    above[contested] = _count_true(some > high[contested, None])
+    between[contested] = _count_true(some >= low[contested, None]) - above[contested]
+    unsure = np.flatnonzero(between)
+    some, queries = block[alone[unsure]], rows.start + alone[unsure]
+    line, close = np.nonzero((some >= low[unsure, None]) & (some <= high[unsure, None]))
+    exact, tiles = scores.exact(queries, own_tile[unsure]), own_tile[unsure]
+    before = _ranks_before(exact[line], tiles[line], scores.exact(queries[line], close), close)
+    above[unsure] += np.bincount(line[before], minlength=len(unsure))
+    first[alone], true[alone] = above, own_tile
+    whole = 1 / (first[alone] + 1)
+    precision[alone] = np.where(trapezoid[alone], (whole + (first[alone] == 0)) / 2, whole)
+    for i in np.flatnonzero(counts > 1).tolist():
+        own = slice(begins[i], begins[i] + counts[i])
+        ranks, true[i] = _ranks_of_several(scores, rows.start + i, tile[own], score[own], block[i], gap[i])
+        first[i], precision[i] = ranks[0], average_precision(ranks, bool(trapezoid[i]))
+    return Ranked(first, true, np.where(top > -np.inf, false, -1), precision, lead)
+
+
+def _ranks_of_several(
+    scores: Scores, query: int, tiles: Int64Array, score: Float64Array, line: Float32Array, gap: float
+) -> tuple[Int64Array, int]:
+    """Return the ascending ranks of the true tiles of a query, and the nearest of them; `line` has the false tiles, (G,)."""
+    low, high = _rounded(score - gap, -np.inf), _rounded(score + gap, np.inf)
+    near = (line >= low.min()).nonzero()[0]
+    order = near[line[near].argsort()]
+    ordered = line[order]
+    start, stop = ordered.searchsorted(low, "left"), ordered.searchsorted(high, "right")
+    above, counts = len(ordered) - stop, stop - start
+    unsure, nearest = counts.nonzero()[0], (score >= score.max() - gap).nonzero()[0]
+    exact = np.zeros(len(tiles))
+    recomputed = np.union1d(unsure, nearest) if len(nearest) > 1 else unsure
+    if len(recomputed):
+        exact[recomputed] = scores.exact(query, tiles[recomputed])
+        owner = np.arange(len(tiles)).repeat(counts)
+        close = order[np.arange(len(owner)) + (start - counts.cumsum() + counts).repeat(counts)]
+        others, place = np.unique(close, return_inverse=True)
+        before = _ranks_before(exact[owner], tiles[owner], scores.exact(query, others)[place], close)
+        above += np.bincount(owner[before], minlength=len(above))
+    above.sort()
+    return above + np.arange(len(above)), int(tiles[nearest[exact[nearest].argmax()]])
 
 
 def average_precision(ranks: Int64Array, trapezoid: bool = True) -> float:
@@ -266,20 +287,17 @@ def average_precision(ranks: Int64Array, trapezoid: bool = True) -> float:
 
 def _gaps(block: Float32Array) -> Float64Array:
     """Return twice the difference of the two highest scores of each row, NaN without two of them; `block` is left as it is."""
-    if block.shape[1] < 2:
-        return np.full(len(block), np.nan)
     rows, highest = np.arange(len(block)), np.argmax(block, axis=1)
     first = block[rows, highest]
     block[rows, highest] = -np.inf
     second = block.max(axis=1)
     block[rows, highest] = first
-    gaps = 2.0 * (first.astype(np.float64) - second)
+    with np.errstate(invalid="ignore"):
+        gaps = 2.0 * (first.astype(np.float64) - second)
     return np.where(np.isfinite(gaps), gaps, np.nan)
 
 
-def _ranks_before(
-    score: float | Float64Array, tile: int | Int64Array, others: Float64Array, tiles: Int64Array
-) -> BoolArray:
+def _ranks_before(score: Float64Array, tile: Int64Array, others: Float64Array, tiles: Int64Array) -> BoolArray:
     """True for the `tiles` that rank before `tile`; equal scores rank in gallery order."""
     return np.asarray((others > score) | ((others == score) & (tiles < tile)))
 
@@ -290,10 +308,5 @@ def _count_true(mask: BoolArray) -> Int64Array:
     return total.astype(np.int64)
 
 
-def _round_down(values: Float64Array) -> Float32Array:
-    """Round down to single precision."""
-    return np.nextafter(values.astype(np.float32), np.float32(-np.inf))
-
-
-def _round_up(values: Float64Array) -> Float32Array:
-    return np.nextafter(values.astype(np.float32), np.float32(np.inf))
+def _rounded(values: Float64Array, towards: float) -> Float32Array:
+    return np.nextafter(values.astype(np.float32), np.float32(towards))

@@ -138,22 +138,27 @@ def truth_of_rows(
                 f"The result holds {printable(picture.name)} twice in its gallery; expected one descriptor of each picture."
             )
     row_of = np.array([rows.get(picture.path, -1) for picture in dataset.gallery(views[1])], np.int64)
-    return [_in_rows(of_query[picture.path], row_of) for picture in queries]
+    return in_rows([of_query[picture.path] for picture in queries], row_of)
 
 
-def _in_rows(lists: Truth, row_of: Int64Array) -> Truth:
+def in_rows(truth: Sequence[Truth], row_of: Int64Array) -> list[Truth]:
     """Return lists of rows; `row_of` has the row of each gallery position, -1 for those without one."""
 
     def there(tiles: Int64Array) -> Int64Array:
         rows = row_of[tiles]
         return np.sort(rows[rows >= 0])
 
-    good, junk, semi, overlaps = there(lists.good), there(lists.junk), there(lists.semi), None
-    if lists.overlaps is not None:
-        of_row = dict(zip(row_of[[*lists.good, *lists.semi]].tolist(), lists.overlaps.tolist(), strict=True))
-        overlaps = np.array([of_row[row] for row in (*good.tolist(), *semi.tolist())], np.float64)
-    among = None if lists.among is None else there(lists.among)
-    return Truth(good, junk, lists.known, lists.trapezoid, semi, overlaps, among)
+    # The queries of a region share an array.
+    regions = {id(lists.among): there(lists.among) for lists in truth if lists.among is not None}
+    moved = []
+    for lists in truth:
+        good, junk, semi, overlaps = there(lists.good), there(lists.junk), there(lists.semi), None
+        if lists.overlaps is not None:
+            of_row = dict(zip(row_of[[*lists.good, *lists.semi]].tolist(), lists.overlaps.tolist(), strict=True))
+            overlaps = np.array([of_row[row] for row in (*good.tolist(), *semi.tolist())], np.float64)
+        among = regions.get(id(lists.among))
+        moved.append(Truth(good, junk, lists.known, lists.trapezoid, semi, overlaps, among))
+    return moved
 
 
 def check_n_parts(n_parts: int | None) -> int:
@@ -205,11 +210,7 @@ def _published_side(
         raise DataError(
             f"{side}_f in {name} is {array.dtype} of shape {array.shape}; expected floats, one row for each picture."
         )
-    count, length = array.shape
-    if n_parts < 1 or length % n_parts:
-        raise InputError(
-            f"The descriptors in {name} have {length} numbers, which cannot be divided into {n_parts} equal parts; see --n-parts."
-        )
+    parts, count = _parts(array, name, n_parts, "parts-last"), len(array)
     if not np.isfinite(array).all():
         raise DataError(f"{side}_f in {name} holds values that are not finite; save the result again.")
     # MATLAB saves integers as doubles.
@@ -228,8 +229,7 @@ def _published_side(
             raise DataError(
                 f"{side}_path in {name} has {len(paths)} entries; expected one for each of {count} descriptors."
             )
-    parts = array.astype(np.float32, copy=False).reshape(count, length // n_parts, n_parts).transpose(0, 2, 1)
-    return np.ascontiguousarray(parts), labels.astype(np.int64), None if paths is None else tuple(paths)
+    return np.ascontiguousarray(parts, np.float32), labels.astype(np.int64), None if paths is None else tuple(paths)
 
 
 def _pictures_of_rows(

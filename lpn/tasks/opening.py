@@ -5,34 +5,40 @@ from __future__ import annotations
 import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import cast
 
+import numpy as np
 import numpy.typing as npt
 
 from lpn import descriptors
-from lpn.core.arrays import Float32Array
+from lpn.core.arrays import DAMAGED_ARRAY, Float32Array
 from lpn.core.demo import own_file
-from lpn.core.errors import DataError, InputError, PictureError
+from lpn.core.errors import DataError, InputError, PictureError, StoreError
 from lpn.core.files import printable
 from lpn.core.progress import counted_among, ended
 from lpn.core.views import View, views_of
 from lpn.datasets import Dataset, Picture, labels_of
 from lpn.datasets.integrity import check_test_split, lists_of
+from lpn.descriptors import STORES, open_store
 from lpn.descriptors.transforms import Change
 from lpn.models.base import Model
 from lpn.models.contract import Role
 from lpn.retrieval import scoring, transfer
-from lpn.retrieval.calibration import MIN_PICTURES, Calibration, calibrate
+from lpn.retrieval.calibration import MIN_PICTURES, Calibration, ZoomLevel, calibrate
 from lpn.retrieval.csls import NEIGHBOURS, check_neighbours
 from lpn.tasks import notes
 from lpn.tasks.changes import by_csls, calibrated
 from lpn.tasks.gallery_geometry import GalleryGeometry
 from lpn.tasks.notes import Note
-from lpn.tasks.shipped_calibration import FOLDER, NAME, read_calibration
 from lpn.tasks.task import Task, descriptor_clauses
 
 log = logging.getLogger(__name__)
 
+# A calibration that ships with a data set, beside stores of its descriptors, so that no picture is described at several zooms.
+FOLDER, NAME = Path(STORES) / "calibrated", "calibration.npz"
+# The store of the tiles against which the zoom of an uploaded picture is chosen.
+_TILES = "gallery_satellite"
 _ROLES: tuple[Role, Role] = ("query", "gallery")
 
 
@@ -254,7 +260,7 @@ def shipped_calibration(model: Model, dataset: Dataset) -> Calibration | None:
     """Return the calibration of a model that ships with a data set; None without one."""
     if not (dataset.root / FOLDER / NAME).is_file():
         return None  # do not list the pictures
-    return read_calibration(model, dataset.root, _lists(model, dataset))
+    return _read_calibration(model, dataset.root, _lists(model, dataset))
 
 
 def _lists(model: Model, dataset: Dataset) -> dict[View, list[Sequence[Picture]]]:
@@ -318,3 +324,40 @@ def choose_task(model: Model, dataset: Dataset, name: str | None = None) -> str:
             f"The task is {name}; with this model, {dataset.root.name} has the tasks {', '.join(offered)}."
         )
     return name
+
+
+def _read_calibration(
+    model: Model, root: Path, lists: Mapping[View, Sequence[Sequence[Picture]]]
+) -> Calibration | None:
+    """Return the calibration that ships with a data set; None without one, and if it is of another model or lacks a picture.
+
+    Args:
+        lists: for each view, the lists of pictures that it must have.
+    """
+    try:
+        with np.load(root / FOLDER / NAME, allow_pickle=False) as archive:
+            values = dict(archive)
+        if str(values["fingerprint"]) != model.fingerprint:
+            return None
+        zooms = {
+            view: dict(
+                zip(
+                    (root / name for name in values[f"{view} files"].tolist()),
+                    values[f"{view} zooms"].tolist(),
+                    strict=True,
+                )
+            )
+            for view in lists
+        }
+        levels = [
+            ZoomLevel(zoom, cost, mean)
+            for (zoom, cost), mean in zip(values["levels"].tolist(), values["level_means"], strict=True)
+        ]
+        means = {view: values[f"{view} mean"] for view in lists}
+        tiles = open_store(root / FOLDER / _TILES).float32
+    except (*DAMAGED_ARRAY, KeyError, StoreError):
+        return None
+    if any(picture.path not in zooms[view] for view, of_view in lists.items() for some in of_view for picture in some):
+        return None
+    tried = {float(ratio): float(value) for ratio, value in values["tried"].tolist()}
+    return Calibration(means, zooms, tried, float(values["ratio"]), levels, tiles)

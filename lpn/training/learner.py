@@ -1,17 +1,19 @@
-"""The state that one training step changes: the network, its optimizer, and the average of its weights."""
+"""The network of a recipe, and the state that one training step changes: the network, its optimizer, its average."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, cast
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
-from lpn.core.views import branch_of
+from lpn.core.views import View, branch_of
 from lpn.models import checkpoints
+from lpn.models.backbones import CHANNELS
 from lpn.models.lpn import LPN
+from lpn.models.spec import ModelSpec, is_timm
 from lpn.training.loader import TrainingBatch
 from lpn.training.losses import TrainingStep, loss_terms, open_loss
 from lpn.training.optimizer import MixedPrecision, average_weights, build_optimizer, loss_factor, rate_factor
@@ -83,10 +85,6 @@ class Learner:
             outputs |= dict(zip(names, of_sets, strict=True))
         return outputs
 
-    def is_finite(self) -> bool:
-        """Check that every weight is a finite number."""
-        return all(bool(torch.isfinite(tensor).all()) for tensor in self.network.state_dict().values())
-
     def save_model(self, path: Path, metadata: dict[str, str]) -> None:
         """Write the averaged model, or the model itself if the recipe has no average."""
         model = self.network if self.average is None else cast(LPN, self.average.module)
@@ -114,3 +112,52 @@ class Learner:
         # The scaler's state is empty if the run did not use float16.
         if state["scaler"]:
             self.mixed_precision.scaler.load_state_dict(state["scaler"])
+
+
+def build_network(recipe: Recipe, views: Sequence[View], classes: int) -> LPN:
+    """Build a recipe's network for some views, with a class for each place; torch's seed decides its weights."""
+    # `last_layer` is defined for our own backbones only.
+    last_layer = "layer4" if is_timm(recipe.backbone) else recipe.last_layer
+    embedding = ModelSpec.embedding
+    if recipe.pooling == "safa":
+        embedding = recipe.maps * CHANNELS[recipe.backbone, last_layer]
+    elif not recipe.linear:
+        embedding = CHANNELS[recipe.backbone, last_layer]
+    network = LPN(
+        ModelSpec(
+            backbone=recipe.backbone,
+            last_layer=last_layer,
+            last_stride=recipe.last_stride,
+            views=tuple(views),
+            shared=recipe.shared and "drone" in views,
+            n_parts=recipe.n_parts,
+            layout=recipe.layout,
+            weighting=recipe.weighting,
+            activation=recipe.activation,
+            # A map has none, and a network at least one.
+            classes=1 if recipe.windows else classes,
+            dropout=recipe.dropout,
+            input_size=recipe.input_size,
+            pooling=recipe.pooling,
+            maps=recipe.maps,
+            polar=recipe.polar,
+            backbone_dropout=recipe.backbone_dropout,
+            embedding=embedding,
+        )
+    )
+    initialise_heads(network, recipe)
+    return network
+
+
+def initialise_heads(network: LPN, recipe: Recipe) -> None:
+    """Initialise the class layers as the recipe says, and make the first layer of heads without one the identity.
+
+    The identity is not trained.
+    """
+    for head in network.heads:
+        if recipe.class_init == "kaiming":
+            nn.init.kaiming_normal_(cast(nn.Linear, head.classifier[0]).weight, mode="fan_out")
+        if not recipe.linear:
+            identity = cast(nn.Linear, head.add_block[0])
+            nn.init.eye_(identity.weight)
+            identity.requires_grad_(False)

@@ -141,7 +141,7 @@ class Loader:
         seed, sets = [self.recipe.seed, epoch], self.places
         if isinstance(sets, MapWindows):
             for places in self._chunks(len(sets), seed):
-                rows: list[_Row] = [partial(_draw_window, sets, place, epoch) for place in places.tolist()]
+                rows: list[_Row] = [partial(sets.draw, place, epoch) for place in places.tolist()]
                 yield dict.fromkeys(sets.views, places), sets.overlapping(places, epoch), rows
         elif self.recipe.sampling == "places":
             for places in self._chunks(len(sets), seed):
@@ -230,11 +230,6 @@ class Loader:
         np.stack(pictures, out=raw.numpy())
         moved = raw.to(self.device, non_blocking=cuda).permute(0, 3, 1, 2)
         return moved.to(torch.float32).mul_(self._scale).add_(self._offset)
-
-
-def _draw_window(windows: MapWindows, window: int, epoch: int) -> _Drawn:
-    """Draw both views of a window of a map, (H, W, 3) uint8 each; runs in a worker."""
-    return {name: [view] for name, view in windows.draw(window, epoch).items()}
 
 
 def choose_workers(device: torch.device) -> int:

@@ -120,9 +120,12 @@ def loss_terms(step: TrainingStep, recipe: Recipe, own: PackageLoss | None = Non
     elif recipe.metric != "none":
         terms[recipe.metric] = _over_pairs(step, lambda tiles, others, _: _soft_margin(tiles, others, recipe))
     if recipe.infonce:
-        terms["infonce"] = _over_pairs(
-            step, lambda tiles, others, overlaps: recipe.infonce * _infonce(tiles, others, overlaps, recipe)
-        )
+
+        def infonce(tiles: Tensor, others: Tensor, overlaps: Tensor | None) -> Tensor:
+            views = descriptors(tiles), descriptors(others)
+            return recipe.infonce * infonce_loss(*views, recipe.temperature, recipe.label_smoothing, overlaps)
+
+        terms["infonce"] = _over_pairs(step, infonce)
     if own is not None:
         terms[recipe.loss] = recipe.loss_weight * _of_package(own, step, recipe)
     return terms
@@ -132,17 +135,13 @@ def open_loss(name: str) -> PackageLoss:
     """Return the loss that a package registers by an entry point of the group `lpn.losses`.
 
     Raises:
-        InputError: if no package does, the name is that of a term of ours, or the loss cannot be loaded.
+        InputError: if no package does, or the loss cannot be loaded.
     """
-    if name in _TERMS:
-        raise InputError(
-            f"The loss {name} has the name of a term of ours ({', '.join(_TERMS)}); register another name."
-        )
-    found = {point.name: point for point in entry_points(group=GROUP)}
+    found = {point.name: point for point in entry_points(group=GROUP) if point.name not in _TERMS}
     if name not in found:
         raise InputError(
-            f"There is no loss {printable(name)}; an installed package has to register it as an entry point of {GROUP}"
-            + (f", which has {', '.join(sorted(found))}." if found else ", which has none.")
+            f"There is no loss {printable(name)}; an installed package has to register it by an entry point of {GROUP}, which "
+            f"has {', '.join(sorted(found)) or 'none'}; {', '.join(_TERMS)} are names of ours."
         )
     try:
         loss: PackageLoss = found[name].load()
@@ -186,11 +185,6 @@ def _over_pairs(step: TrainingStep, loss: Callable[[Tensor, Tensor, Tensor | Non
         shared = None if step.overlaps is None else step.overlaps[same][:, same]
         pairs.append(loss(tiles[same], parts[same], shared))
     return torch.stack(pairs).mean()
-
-
-def _infonce(tiles: Tensor, pictures: Tensor, overlaps: Tensor | None, recipe: Recipe) -> Tensor:
-    views = descriptors(tiles), descriptors(pictures)
-    return infonce_loss(*views, recipe.temperature, recipe.label_smoothing, overlaps)
 
 
 def _soft_margin(tiles: Tensor, pictures: Tensor, recipe: Recipe) -> Tensor:

@@ -24,7 +24,7 @@ from lpn.flight.files import Frame, footprint
 from lpn.flight.files.cut import CUT, cut_square
 from lpn.flight.maps import Map, Window
 from lpn.flight.maps.window import grid
-from lpn.training.appearance import change_appearance, compress, recolour
+from lpn.training.augmentation import change_appearance, compress, recolour
 from lpn.training.recipe import Recipe
 
 # Default sides of windows, as multiples of the ground that the network's input shows at the map's resolution.
@@ -37,10 +37,6 @@ _LEVELS = 6
 _MIN_VALID = 0.75
 _STEPS = 8
 _MAX_PLACES = 50_000
-# Default of `in_memory`: 64 MB of pixels and mask, and a third more for the coarser levels.
-_IN_MEMORY = 4096
-# Levels of a map in memory, each of half the resolution of the one before.
-_RESOLUTIONS = 6
 # Side of the ground that is read about a window, as a multiple of the window's side.
 _AROUND = 1.8
 # Proportions of the photos, and the range of fields of view in degrees.
@@ -56,10 +52,10 @@ class MapWindows:
         recipe: its `windows` are the places of an epoch; its other settings change the views.
         sizes: smallest and largest side of a window in metres; by default half to twice what the network's input shows at the
             map's resolution, as far as they fit.
-        in_memory: a map of up to so many pixels a side is held in memory; of a larger one, the ground about each window is read.
 
     Attributes:
         sizes: the sides in metres.
+        windows: a function of the epoch; each window is turned by up to the recipe's `place_rotation`.
 
     Raises:
         InputError: if the sizes are no range, or the windows do not fit on the map.
@@ -69,9 +65,7 @@ class MapWindows:
     views: tuple[View, ...] = ("satellite", "drone")
     panoramas = False
 
-    def __init__(
-        self, basemap: Map, recipe: Recipe, sizes: tuple[float, float] | None = None, in_memory: int = _IN_MEMORY
-    ) -> None:
+    def __init__(self, basemap: Map, recipe: Recipe, sizes: tuple[float, float] | None = None) -> None:
         if not recipe.windows:
             raise InputError("The recipe cuts no windows of a map, as windows is 0; give --recipe map with --map.")
         self.basemap, self.recipe = basemap, recipe
@@ -83,11 +77,7 @@ class MapWindows:
                 f"The map {printable(basemap.name)} has no window of up to {self.sizes[1]:.3g} m with data on "
                 f"{_MIN_VALID:.0%} of it; give smaller ones with --window-sizes."
             )
-        resolution = max(basemap.resolution, self.sizes[0] / recipe.size)
-        side = max(basemap.bounds[2] - basemap.bounds[0], basemap.bounds[3] - basemap.bounds[1])
-        pixels = math.ceil(side / resolution)
-        self._whole = _ground_of(basemap, pixels) if pixels <= in_memory else None
-        self._windows = lru_cache(4)(self._draw_windows)
+        self.windows = lru_cache(4)(self._draw_windows)
 
     def __len__(self) -> int:
         return self.recipe.windows
@@ -96,23 +86,19 @@ class MapWindows:
         """Hash map and sizes: a run can be resumed only with the same ones."""
         return hashlib.sha256(json.dumps([self.basemap.digest(), self.sizes]).encode()).hexdigest()
 
-    def windows(self, epoch: int) -> list[Window]:
-        """Return the windows of an epoch; each is turned by up to the recipe's `place_rotation`."""
-        return self._windows(epoch)
-
     def overlapping(self, places: Int64Array, epoch: int) -> BoolArray:
         """Return which windows of an epoch share ground, (B, B), for their numbers (B,); each does so with itself."""
         windows = self.windows(epoch)
         return overlaps(np.stack([windows[place].corners for place in places.tolist()]))
 
-    def draw(self, place: int, epoch: int) -> dict[str, UInt8Array]:
-        """Return both views of a window, (H, W, 3) uint8; thread safe.
+    def draw(self, place: int, epoch: int) -> dict[str, list[UInt8Array]]:
+        """Return the picture of each view of a window, (H, W, 3) uint8; thread safe.
 
         The satellite view is the window as retrieval cuts it. The drone view is cut from a photo as retrieval cuts one.
         """
         recipe, window = self.recipe, self.windows(epoch)[place]
         rng = np.random.default_rng([recipe.seed, epoch, place + 1])
-        ground = self._whole or _ground_about(self.basemap, window, recipe.size)
+        ground = GroundPicture.read(self.basemap, window, recipe.size)
         tile = ground.tile(window, recipe.size)
         photo = ground.photo(draw_photo(window, recipe, rng), recipe.size)
         if recipe.flip == "place" and rng.random() < 0.5:
@@ -121,7 +107,7 @@ class MapWindows:
             tile = recolour(tile, recipe.colour, rng)
         photo = draw_any(change_appearance(photo, recipe, rng), recipe.weather, rng)
         photo = compress(photo, recipe.compression, rng)
-        return {"satellite": tile, "drone": photo}
+        return {"satellite": [tile], "drone": [photo]}
 
     def _draw_windows(self, epoch: int) -> list[Window]:
         recipe, (low, high) = self.recipe, self.sizes
@@ -185,47 +171,45 @@ def draw_photo(window: Window, recipe: Recipe, rng: np.random.Generator) -> Simu
 
 
 @dataclass(frozen=True, eq=False)
-class GroundPyramid:
-    """A picture of the ground in halves of halves of its resolution, so that no view of it aliases.
+class GroundPicture:
+    """A picture of the ground about a window, at about the resolution of the window's views.
 
     Attributes:
         window: what the picture shows, north up.
-        pixels: the window's side in pixels of the first level; the picture may lack rows or columns at its end.
-        levels: of each level, the picture without holes (rows, columns, 3), and 0 or, where there is data, 255 (rows, columns).
+        picture: the ground (pixels, pixels, 3); where the map has no data, the colour of the nearest place that has some.
+        valid: 0 or, where there is data, 255 (pixels, pixels).
     """
 
     window: Window
-    pixels: int
-    levels: list[tuple[UInt8Array, UInt8Array]]
+    picture: UInt8Array
+    valid: UInt8Array
+
+    @classmethod
+    def read(cls, basemap: Map, window: Window, pixels: int) -> GroundPicture:
+        """Read the ground about a window, at the resolution at which the window fills `pixels` a side."""
+        around = Window(window.x, window.y, _AROUND * window.size)
+        picture, valid = basemap.read(around, math.ceil(_AROUND * pixels))
+        mask = valid.astype(np.uint8) * np.uint8(255)
+        return cls(around, _filled(picture, mask), mask)
 
     def tile(self, window: Window, pixels: int) -> UInt8Array:
         """Cut a window's picture as `Map.read` does, (pixels, pixels, 3): black where the map has no data."""
-        to_ground = four_point_homography(corner_pixels(pixels, pixels), window.corners)
-        level, matrix = self._from_view(to_ground, pixels, pixels)
-        picture, valid = self.levels[level]
-        cut = _warp(picture, matrix, pixels, pixels)
-        inside = cv2.warpPerspective(valid, matrix, (pixels, pixels), flags=cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP)
-        cut[inside == 0] = 0
+        matrix = self._to_pixels(four_point_homography(corner_pixels(pixels, pixels), window.corners))
+        cut = _warp(self.picture, matrix, pixels, pixels)
+        nearest = cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP
+        cut[cv2.warpPerspective(self.valid, matrix, (pixels, pixels), flags=nearest) == 0] = 0
         return cut
 
     def photo(self, shot: SimulatedPhoto, pixels: int) -> UInt8Array:
         """Take a photo and cut the square from it, (pixels, pixels, 3); the photo has no holes."""
-        width, height = shot.frame.width, shot.frame.height
-        level, matrix = self._from_view(shot.to_ground(), width, height)
-        taken = _warp(self.levels[level][0], matrix, width, height)
+        taken = _warp(self.picture, self._to_pixels(shot.to_ground()), shot.frame.width, shot.frame.height)
         return cut_square(taken, shot.heading, shot.share, pixels)
 
-    def _from_view(self, to_ground: Float64Array, width: int, height: int) -> tuple[int, Float64Array]:
-        """Return the level for a view and the homography from its pixels to the level's, (3, 3)."""
-        origin, along = self.window.to_pixels([(0.0, 0.0), (1.0, 1.0)], self.pixels)
-        to_pixels = np.array([[along[0] - origin[0], 0, origin[0]], [0, along[1] - origin[1], origin[1]], [0, 0, 1]])
-        matrix = to_pixels @ to_ground
-        middle = middle_pixel(width, height)
-        a, b, c = apply_homography(matrix, np.array([(0, 0), (1, 0), (0, 1)]) + middle)
-        scale = math.sqrt(abs((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])))
-        level = min(max(round(math.log2(max(scale, 1e-9))), 0), len(self.levels) - 1)
-        half = 0.5**level
-        return level, np.array([[half, 0, half / 2 - 0.5], [0, half, half / 2 - 0.5], [0, 0, 1]]) @ matrix
+    def _to_pixels(self, to_ground: Float64Array) -> Float64Array:
+        """Return the homography from a view's pixels to the picture's, (3, 3), from that to metres."""
+        origin, along = self.window.to_pixels([(0.0, 0.0), (1.0, 1.0)], len(self.picture))
+        step = along - origin
+        return np.array([[step[0], 0, origin[0]], [0, step[1], origin[1]], [0, 0, 1]]) @ to_ground
 
 
 def overlaps(corners: npt.ArrayLike) -> BoolArray:
@@ -274,39 +258,6 @@ def _places(basemap: Map, size: float) -> tuple[Float64Array, float]:
     step = max(size / _STEPS, math.sqrt((east - west) * (north - south) / _MAX_PLACES))
     centres = grid(basemap.bounds, size, step)
     return centres[basemap.valid_shares(centres, size) >= _MIN_VALID], step
-
-
-def _ground_of(basemap: Map, pixels: int) -> GroundPyramid:
-    """Hold a whole map, `pixels` along its longer side."""
-    west, south, east, north = basemap.bounds
-    side = max(east - west, north - south)
-    return _ground(Window(west + side / 2, north - side / 2, side), pixels, *basemap.overview(pixels))
-
-
-def _ground_about(basemap: Map, window: Window, pixels: int) -> GroundPyramid:
-    """Read the ground about a window, at the resolution at which it fills `pixels` a side."""
-    around = Window(window.x, window.y, _AROUND * window.size)
-    side = math.ceil(_AROUND * pixels)
-    return _ground(around, side, *basemap.read(around, side), levels=1)
-
-
-def _ground(
-    window: Window, pixels: int, picture: UInt8Array, valid: BoolArray, levels: int = _RESOLUTIONS
-) -> GroundPyramid:
-    mask = valid.astype(np.uint8) * np.uint8(255)
-    picture = _filled(picture, mask)
-    pyramid = []
-    for _ in range(levels):
-        pyramid.append((picture, mask))
-        # An odd row or column at the end is left out, so that pixels of all levels have common edges.
-        rows, columns = (side // 2 * 2 for side in mask.shape)
-        if min(rows, columns) < 2:
-            break
-        picture, mask = (
-            cast(UInt8Array, cv2.resize(of[:rows, :columns], (columns // 2, rows // 2), interpolation=how))
-            for of, how in ((picture, cv2.INTER_AREA), (mask, cv2.INTER_NEAREST))
-        )
-    return GroundPyramid(window, pixels, pyramid)
 
 
 def _filled(picture: UInt8Array, mask: UInt8Array) -> UInt8Array:

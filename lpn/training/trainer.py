@@ -26,14 +26,12 @@ from lpn.models import checkpoints
 from lpn.models.lpn import LPN
 from lpn.models.pretrained_weights import AUTO, find_weights
 from lpn.models.shipped import model_file
-from lpn.training.learner import Learner
+from lpn.training.learner import Learner, build_network
 from lpn.training.loader import Loader, TrainingBatch
 from lpn.training.map_windows import MapWindows
 from lpn.training.model_selection import EpochMetrics, HeldOut, TestSplit, best_epoch
-from lpn.training.networks import build_network
 from lpn.training.recipe import Recipe
-from lpn.training.resume_state import ResumeState, read_state
-from lpn.training.run_log import RunFile, begin, epoch_line, read_run, save_log
+from lpn.training.run_folder import ResumeState, RunFile, begin, epoch_line, read_run, read_state, save_log
 from lpn.training.training_set import Fold, TrainingSet
 
 # A training has diverged if its mean loss exceeds the loss of the first step (about chance) by this factor.
@@ -90,9 +88,6 @@ class Trainer:
         self.out, self.recipe, self.evaluate_every = out, recipe, evaluate_every
         held = self._open_places(source, window_sizes, validate)
         there = [name for name in ("state.pt", "last.safetensors", "log.csv") if (out / name).exists()]
-        if resume and there and "state.pt" not in there and _first_epoch_alone(out):
-            self.console.print(f"The run in {out} was stopped during its first epoch, so it starts anew.")
-            resume, there = False, []
         if not resume or from_scratch:
             check_start(init, from_scratch)
         if not resume and there:
@@ -169,6 +164,8 @@ class Trainer:
             TimeRemainingColumn(),
         )
         done, epochs = len(self.history), self.recipe.epochs
+        if done:
+            self._save()
         stream = self.loader.stream(done, epochs)
         with closing(cast(Any, stream)), Progress(*columns, console=self.console) as bar:
             task = bar.add_task("Training", total=epochs * self.steps, completed=done * self.steps, status="")
@@ -207,7 +204,7 @@ class Trainer:
         assert previous is not None
         total += self._check_loss(float(previous), total, epoch, self.steps)
         on_progress(f"loss {total / self.steps:.3f}")
-        if not self.learner.is_finite():
+        if not all(bool(tensor.isfinite().all()) for tensor in self.network.state_dict().values()):
             raise self._diverged("A weight is no longer a number", epoch, self.steps)
         seconds = time.perf_counter() - started
         return {
@@ -334,12 +331,12 @@ class Trainer:
             self.console.print(checkpoints.load_heads(network, init))
 
     def _save(self) -> None:
-        """Write model and log, then the state, from which a run is resumed."""
+        """Write the state, then model and log, which a resumed run writes again."""
         with uninterrupted():
-            self.learner.save_model(self.out / "last.safetensors", self._metadata())
-            save_log(self.out, self.history)
             state = ResumeState(self.history, self.first_loss, self.learner.state())
             state.write(self.out / "state.pt", self.recipe, self._places_digest)
+            self.learner.save_model(self.out / "last.safetensors", self._metadata())
+            save_log(self.out, self.history)
 
     def _metadata(self) -> dict[str, str]:
         run = {"run": self._run_file.metadata()} if self._run_file else {}
@@ -375,14 +372,6 @@ def check_start(init: Path | None, from_scratch: bool) -> None:
             "Every recipe starts from a backbone trained on ImageNet; give its weights with --init FILE, let --init auto find "
             "them, or say --from-scratch to start from random weights."
         )
-
-
-def _first_epoch_alone(out: Path) -> bool:
-    """Check that a run without state.pt was killed in its first epoch; more epochs must not be overwritten."""
-    rows = (out / "log.csv").read_bytes().count(b"\n") if (out / "log.csv").exists() else 0
-    last = out / "last.safetensors"
-    epochs = checkpoints.epochs_of(last) if last.exists() else 1
-    return rows <= 2 and epochs == 1 and not (out / "best.safetensors").exists()
 
 
 def _counted(number: int, noun: str) -> str:

@@ -98,7 +98,6 @@ class TrainingSet:
                 "train/google is left out: its pictures train the street branch, and there is no train/street."
             )
         by_place = {name: _by_label(pictures) for name, pictures in sets.items() if pictures}
-        _check_sets(by_place, dataset.root)
         by_place = _without_broken(by_place, dataset.root, console)
         _check_sets(by_place, dataset.root)
         training_places = trainable(by_place)

@@ -206,17 +206,6 @@ def new_context(browser: Browser, **options: Any) -> BrowserContext:
     return context
 
 
-def outlast(page: Page, milliseconds: int) -> None:
-    """Give timers of a limit in a page's scripts `PATIENCE`: a page goes on without what is late, as a busy machine is."""
-    page.evaluate(
-        """([limit, patience]) => {
-          const timer = window.setTimeout;
-          window.setTimeout = (act, delay, ...rest) => timer(act, delay === limit ? patience : delay, ...rest);
-        }""",
-        [milliseconds, 1000 * PATIENCE],
-    )
-
-
 @pytest.fixture(scope="package")
 def _warm_context(browser: Browser) -> Iterator[BrowserContext]:
     """A profile that keeps the page's scripts in its cache, which halves the time to open a page.

@@ -22,8 +22,6 @@ from playwright.sync_api import Browser, BrowserContext, Page, expect
 
 import lpn
 from lpn.cli import main
-from lpn.core.files import printable
-from lpn.flight.locate.tracks import TrackPoint, write_track
 from lpn.flight.maps import MapPlace
 from lpn.flight.maps.folder import build_map
 from lpn.models.contract import Contract
@@ -270,35 +268,6 @@ def test_no_text_runs_in_the_files_that_leave(
 
 
 @pytest.mark.slow
-def test_a_browser_reads_tracks_of_such_names_and_runs_none(tmp_path: Path, file_page: tuple[Page, list[str]]) -> None:
-    """KML by the browser's XML parser; a viewer shows the description of KML as HTML."""
-    page, alarms = file_page
-    names = [*NAMES, TEXT, "]]> & \x07 \ufffe \udce9 \u2028"]
-    points = [
-        TrackPoint(frame=name, stage="retrieval", state="accepted", latitude=46.0, longitude=7.0, reason=name)
-        for name in names
-    ]
-    write_track(tmp_path / "track.kml", NAMES[0], points)
-    entries = page.evaluate(
-        """text => {
-            const file = new DOMParser().parseFromString(text, "application/xml");
-            if (file.querySelector("parsererror")) return file.querySelector("parsererror").textContent;
-            return [...file.querySelectorAll("Placemark:has(Point)")].map(entry => {
-                const balloon = document.body.appendChild(document.createElement("div"));
-                balloon.innerHTML = entry.querySelector("description")?.textContent || "";
-                return [entry.querySelector("name").textContent, balloon.textContent];
-            });
-        }""",
-        (tmp_path / "track.kml").read_text("utf-8"),
-    )
-    where = " The position is the middle of the picture on the ground."
-    assert entries == [[printable(name), printable(name) + where] for name in names]
-    page.wait_for_timeout(300)
-    assert page.evaluate("window.hurt") is None
-    assert not alarms
-
-
-@pytest.mark.slow
 def test_without_a_token_a_browser_is_asked_for_it_and_then_stays_signed_in(
     app: RunningApp, contexts: Callable[..., BrowserContext], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -331,35 +300,6 @@ def test_without_a_token_a_browser_is_asked_for_it_and_then_stays_signed_in(
             stranger.evaluate(f"document.querySelector('a').href = {running.url!r}")
             stranger.get_by_role("link").click()
             Screen(stranger, plain).rest()
-
-
-def test_another_site_cannot_drive_a_server_on_this_machine(
-    app: RunningApp, contexts: Callable[..., BrowserContext], tmp_path: Path
-) -> None:
-    page = contexts().new_page()
-    with elsewhere(tmp_path, "<p>another site") as site:
-        page.goto(site)
-        said = page.evaluate(
-            """url => new Promise(done => {
-                const socket = new WebSocket(`${url.replace("http", "ws")}api/0123456789abcdef`, ["lpn-json"]);
-                socket.onopen = () => done("open");
-                socket.onerror = () => done("refused");
-            })""",
-            app.url,
-        )
-        assert said == "refused"
-        framed = page.evaluate(
-            """url => new Promise(done => {
-                const frame = document.body.appendChild(document.createElement("iframe"));
-                frame.onload = () => setTimeout(() => done(frame.contentWindow.length), 500);
-                frame.src = url;
-            })""",
-            app.url,
-        )
-        assert framed == 0
-        assert all("blocked" in frame.url or "chrome-error" in frame.url for frame in page.frames[1:])
-        page.goto(f"{app.url}?websocket={site.replace('http', 'ws')}")
-        expect(page.get_by_role("heading")).to_have_text("This address leads elsewhere")
 
 
 @contextmanager

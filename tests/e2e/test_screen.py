@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import BrowserContext, Locator, Page, expect
 
-from tests.e2e.conftest import Running, RunningApp, Screen, box, expect_accessible, outlast, started
+from tests.e2e.conftest import Running, RunningApp, Screen, box, expect_accessible, started
 from tools.fixtures import panorama_model, small_worlds
 from tools.fixtures.published_results import save_result
 
@@ -97,7 +97,17 @@ def test_a_phone_shows_pictures_rows_and_three_matches_without_scrolling(
         assert place["y"] + place["height"] <= height
         assert place["x"] + place["width"] <= 390
     expect(page.locator("#about")).to_contain_text("Which tile shows the photo's place?")
-    expect(page.locator("#photo .key")).to_contain_text(re.compile("weak.*strong"))
+    key = page.locator("#photo .key")
+    expect(key).to_have_text(re.compile("response.*weak.*strong"))
+    key.tap()
+    expect(key).to_have_text(re.compile("evidence.*against.*for"))
+    expect(page.locator("#headline p")).to_contain_text("Exact evidence")
+    screen.rest()
+    place = box(screen.photo)
+    screen.photo.tap(position={"x": place["width"] / 2, "y": place["height"] / 2})
+    expect(screen.rows.first).to_have_class(re.compile("on"))
+    page.locator("#rows .head .term").nth(1).tap()
+    expect(page.locator("#tip")).to_contain_text("share of the squared distance")
     page.locator("#strip").evaluate("one => (one.scrollLeft = 60)")
     screen.page.get_by_role("button", name="Next").click()
     expect(page).to_have_url(re.compile("query=0003"))
@@ -143,7 +153,10 @@ def test_the_photo_follows_the_hand_and_one_result_the_photo(running: Running, s
     page.mouse.wheel(0, 100)
     screen.rest("75")
     screen.expect_numbers(running.analysis(query=3, angle=75.0))
-    page.locator("#curve .plot").click(position={"x": 0, "y": 10})
+    plot = page.locator("#curve .plot")
+    plot.hover(position={"x": box(plot)["width"] / 4, "y": 10})
+    expect(plot.locator(".value")).to_have_text(re.compile(r"^↻ 90°: rank \d$"))
+    plot.click(position={"x": 0, "y": 10})
     screen.rest("-180")
     assert not screen.complaints
 
@@ -184,10 +197,15 @@ def test_a_tile_is_compared_by_a_click_and_released(running: Running, screen: Sc
 
 def test_one_ring_is_lit_wherever_it_is_drawn(screen: Screen) -> None:
     screen.open()
-    screen.key("3")
+    screen.rows.nth(2).click()
+    screen.page.mouse.move(0, 0)
     for place in ("#photo svg rect", "#tile svg rect", "#rows .row", "#strip .tile:first-child .stack i"):
         lit = screen.page.locator(f"{place}.on")
         assert {one.get_attribute("data-part") for one in lit.all()} == {"2"}, place
+    screen.key("Escape")
+    expect(screen.page.locator("#rows .on")).to_have_count(0)
+    screen.key("3")
+    expect(screen.rows.nth(2)).to_have_class(re.compile("on"))
     screen.key("3")
     expect(screen.page.locator("#rows .on")).to_have_count(0)
     screen.rows.nth(1).hover()
@@ -244,11 +262,13 @@ def test_evidence_and_occlusion_take_the_place_of_activation(screen: Screen) -> 
 def test_the_missed_queries_are_listed_worst_first(running: Running, screen: Screen) -> None:
     screen.open()
     ranks = running.workspace.rankings["drone-to-satellite"].ranks + 1
+    screen.key("y")
+    expect(screen.page.locator("#panel")).to_be_visible()
     screen.key("m")
     marks = screen.page.locator("#list .query b")
     expect(marks).to_have_text([str(rank) for rank in sorted(ranks[ranks > 1], reverse=True)])
-    screen.key("n")
     expect(marks.first.locator("xpath=..")).to_have_attribute("aria-current", "true")
+    expect(screen.page.locator("#panel")).to_be_hidden()
     screen.rest()
     expect(screen.headline.locator("h1")).to_contain_text(f"Missed, truth is {ranks.max()}")
     expect(screen.page.locator("#rows .head")).to_contain_text("truth")
@@ -364,21 +384,6 @@ def test_the_screen_is_accessible_in_both_themes(
     expect_accessible(page)
 
 
-def test_a_lost_connection_is_said_and_found_again(screen: Screen) -> None:
-    screen.page.add_init_script(
-        """(() => { const made = window.WebSocket; window.sockets = [];
-          window.WebSocket = function (...given) { const one = new made(...given); sockets.push(one); return one };
-          window.WebSocket.OPEN = made.OPEN; })()"""
-    )
-    screen.open("?angle=30")
-    outlast(screen.page, 2000)  # the page waits for the test before it connects again
-    screen.page.evaluate("sockets[0].close()")
-    expect(screen.headline.locator("h1")).to_have_text("Connection lost. Trying again.")
-    expect(screen.page.locator("#rows")).to_have_css("opacity", "0.32")
-    screen.page.reload()
-    screen.rest("30")
-
-
 @pytest.mark.slow
 def test_the_scene_shows_the_place_and_the_rings_apart(running: Running, screen: Screen) -> None:
     screen.open("?query=0005")
@@ -464,11 +469,3 @@ def test_without_webgl_all_but_the_scene_is_there(running: Running, screen: Scre
     screen.rest()
     expect(screen.page.locator("#scene")).to_be_hidden()
     assert not screen.complaints
-
-
-def test_a_second_browser_has_its_own_photo(running: Running, contexts: Callable[..., BrowserContext]) -> None:
-    one, other = (Screen(contexts().new_page(), running.url).open() for _ in range(2))
-    one.key("n")
-    one.rest()
-    expect(one.page).to_have_url(re.compile("query=0003"))
-    expect(other.page).to_have_url(re.compile("query=0002"))

@@ -10,7 +10,6 @@ from playwright.sync_api import BrowserContext, Page, expect
 
 from tests.e2e.conftest import Running, RunningApp, Screen, started
 from tools.fixtures.processes import free_port
-from tools.fixtures.waiting import wait_until
 
 
 def test_all_that_can_be_pressed_is_reached_by_tab_and_says_its_name(screen: Screen) -> None:
@@ -43,22 +42,6 @@ def test_all_that_can_be_pressed_is_reached_by_tab_and_says_its_name(screen: Scr
     screen.rest("15")
 
 
-def test_a_wrong_address_is_a_sentence_and_the_screen_opens(running: Running, screen: Screen) -> None:
-    for search, said in (
-        ("?query=nobody", "Query: there is no such picture"),
-        ("?angle=nan", "Angle: expected a number"),
-        ("?weights=0,0,0,0", "Weights: expected 4 numbers"),
-        ("?task=%00%ff<img src=x>", "Task: expected"),
-    ):
-        screen.page.goto(screen.url + search)
-        expect(screen.headline.locator("h1")).to_contain_text(said)
-        expect(screen.tiles.first).to_be_visible()
-        screen.key("Escape")
-        expect(screen.headline.locator("h1")).to_contain_text(re.compile("Found|Missed"))
-    assert not screen.complaints
-    assert running.app is not None
-
-
 def test_a_browser_that_denies_its_storage_shows_all(screen: Screen) -> None:
     screen.page.add_init_script(
         """for (const use of ["getItem", "setItem", "removeItem"])
@@ -83,16 +66,6 @@ def test_two_tabs_of_one_browser_are_two_screens(running: Running, contexts: Cal
     other.rest("15")
     one.expect_numbers(running.analysis(query=1, angle=15.0))
     other.expect_numbers(running.analysis(query=0, angle=15.0))
-
-
-def test_a_tab_that_leaves_takes_its_session_along(running: Running, contexts: Callable[..., BrowserContext]) -> None:
-    context = contexts()
-    screen = Screen(context.new_page(), running.url).open()
-    tab = screen.page.evaluate("document.documentElement.dataset.tab")
-    assert tab in running.app._channel.sessions
-    screen.key("j")
-    screen.page.close()
-    wait_until(lambda: tab not in running.app._channel.sessions)
 
 
 def test_a_page_finds_its_server_again_as_it_was(app: RunningApp, tmp_path: Path, new_page: Callable[[], Page]) -> None:

@@ -58,7 +58,7 @@ def test_weights_of_a_click_find_a_missed_photo(running: Running, screen: Screen
 def test_a_region_is_painted_by_mouse_and_keys(screen: Screen) -> None:
     screen.open("?panel=region")
     panel = screen.page.locator("#panel")
-    grid = panel.locator("canvas.cells")
+    grid = panel.locator(".cells")
     expect(grid).to_be_visible()
     place = box(grid)
     mouse = screen.page.mouse

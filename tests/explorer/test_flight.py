@@ -13,10 +13,7 @@ import cv2
 import numpy as np
 import pytest
 
-import explorer.app
-import lpn
 from explorer import opening
-from explorer.cli import Explore
 from explorer.compute import own_photos
 from explorer.compute.own_photos import CameraPicture, OwnPhotoJobs
 from explorer.opening import open_flight_over
@@ -30,7 +27,7 @@ from lpn.flight.files import Frame, write_flight
 from lpn.flight.locate.located import LocatedFlight, StageRecord
 from lpn.flight.locate.matchers import SiftMatcher
 from lpn.flight.locate.task import TASK
-from lpn.flight.maps import Map, Window
+from lpn.flight.maps import Map
 from lpn.flight.maps.named_window import WindowCut
 from lpn.library.analyser import OwnPicture
 from lpn.sources import ModelOptions
@@ -88,22 +85,6 @@ def test_a_window_that_cannot_be_read_has_a_grey_thumbnail(
     task = workspace.tasks[TASK]
     shown = cv2.imdecode(np.frombuffer(workspace.thumbnail_file(task.gallery[3]), np.uint8), cv2.IMREAD_COLOR)
     assert np.abs(shown.astype(int) - 60).max() < 3
-
-
-def test_the_picture_of_all_tiles_is_the_map(workspace: Workspace) -> None:
-    located, task = workspace.flight, workspace.tasks[TASK]
-    assert located is not None
-    assert located.retrieval is not None
-    assert task.geometry is not None
-    picture, (west, south, east, north) = workspace.mosaic(task), task.geometry.bounds()
-    x, y = located.retrieval.places[7]
-    origin = located.retrieval.places[7] - task.geometry.ground[7]
-    column = (x - origin[0] - west) / (east - west) * picture.shape[1]
-    row = (north - (y - origin[1])) / (north - south) * picture.shape[0]
-    shown = picture[int(row) - 20 : int(row) + 20, int(column) - 20 : int(column) + 20]
-    metres = 40 * (east - west) / picture.shape[1]
-    expected, _ = located.basemap.read(Window(x, y, metres), 40)
-    assert np.abs(shown.astype(float) - expected).mean() < 12
 
 
 def test_registration_replaces_the_flight_when_it_is_done(
@@ -178,29 +159,6 @@ def test_a_frame_that_the_flight_lacks_is_refused_after_what_was_noticed(
     told = capsys.readouterr().err
     assert "1 of 21 photos has no GPS tag" in told
     assert "1 of 21 photos cannot be read" in told
-
-
-def test_the_kind_of_a_bare_checkpoint_is_named_for_a_flight_and_for_an_index(
-    files: tuple[Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    kinds = []
-
-    def load(*_: object, kind: str | None = None, **__: object) -> None:
-        kinds.append(kind)
-        raise InputError("It is not opened.")
-
-    monkeypatch.setattr(lpn, "load", load)
-    monkeypatch.setattr(explorer.app, "serve", lambda opened, *_: opened())
-    bare: dict[str, Any] = {"model": tmp_path / "bare.pth", "kind": "dac"}
-    (tmp_path / "index").mkdir()
-    (tmp_path / "index" / "index.json").touch()
-    for command in (
-        Explore(source=str(files[1]), map=files[0], **bare),
-        Explore(source=str(tmp_path / "index"), data=tmp_path, **bare),
-    ):
-        with pytest.raises(InputError, match="It is not opened"):
-            command.run()
-    assert kinds == ["dac", "dac"]
 
 
 def test_an_own_picture_is_compared_with_the_map_by_its_details(
@@ -299,14 +257,3 @@ def test_a_comparison_goes_on_behind_other_pictures_until_the_browser_leaves(
     jobs.leave(other)
     assert left.wait(60)
     assert left.cancelled
-
-
-def test_an_error_of_the_comparison_is_a_sentence(workspace: Workspace, monkeypatch: pytest.MonkeyPatch) -> None:
-    def fail(*_: Any) -> None:
-        raise DataError("The sheet is damaged.")
-
-    monkeypatch.setattr(own_photos, "register_own_photo", fail)
-    jobs, client = OwnPhotoJobs(workspace.own_photos.basemap), object()  # type: ignore[union-attr]
-    job = jobs.join(OwnPicture("mine.jpg", land()), (), client)
-    assert job.wait(60)
-    assert job.error == "The sheet is damaged."

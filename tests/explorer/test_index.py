@@ -2,32 +2,23 @@
 
 from __future__ import annotations
 
-from contextlib import closing
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-import lpn
-from explorer.app import App
 from explorer.opening import open_model, open_source
 from explorer.screen import fields
-from explorer.screen.panels.why import words
 from explorer.screen.result import ScreenResult
 from explorer.workspace import Workspace
-from lpn import report
-from lpn.analysis.comparison import effect_on
 from lpn.cli.main import main
+from lpn.core.errors import InputError
 from lpn.flight.files import write_flight
 from lpn.flight.maps import NamedWindow
-from lpn.index import gallery
+from lpn.index import task as index_tasks
 from lpn.sources import SourceOptions, source_of
-from lpn.tasks import changes
 from tests.explorer.conftest import TASK, answered
 from tests.lpn.flight.locate.scenery import FLOWN_PLACES, land, small_flight, write_map
-from tools.fixtures.screen_tab import ScreenTab
-from tools.fixtures.small_contracts import GATES, GateModel
 
 
 def _run(*arguments: object) -> None:
@@ -73,13 +64,6 @@ def test_the_screen_shows_what_that_of_the_data_set_shows(workspace: Workspace, 
     assert workspace.tasks[TASK].tiles == 14
 
 
-def test_the_page_behind_the_verdict_says_why_tiles_have_no_place(workspace: Workspace) -> None:
-    result = answered(workspace, query=0)
-    page = words.page(result, workspace.rankings[TASK])
-    assert result.task.no_map
-    assert result.task.no_map in page["scored"]
-
-
 def test_turns_weights_and_own_pictures_are_searched_as_in_memory(workspace: Workspace, live: Workspace) -> None:
     own = live.tasks[TASK].queries[9].path.read_bytes()
     for given in ({"query": 3, "angle": 40.0, "weights": [1, 1, 0, 1]}, {"own": own}):
@@ -88,17 +72,6 @@ def test_turns_weights_and_own_pictures_are_searched_as_in_memory(workspace: Wor
         for match, expected in zip(one.analysis.matches, other.analysis.matches, strict=True):
             np.testing.assert_allclose(match.contributions, expected.contributions, atol=1e-5)
             assert match.contributions.sum() == pytest.approx(match.distance2, abs=1e-5)
-
-
-def test_a_curve_ranks_at_every_angle(workspace: Workspace, live: Workspace) -> None:
-    curves, worst = [], live.tasks[TASK].query_names[int(np.argmax(live.rankings[TASK].ranks))]
-    for opened in (workspace, live):
-        with closing(App(opened, "127.0.0.1", 0)) as app, ScreenTab(app.link) as tab:
-            tab.open(f"?query={worst}")
-            points = tab.until(lambda last: len(last.get("curve", {"points": []})["points"]) == 24)["curve"]["points"]
-            curves.append([(angle, rank) for angle, rank, _ in points])
-    assert curves[0] == curves[1]
-    assert len({rank for _, rank in curves[0]}) > 1
 
 
 def test_a_link_names_a_tile_as_the_data_set_does(workspace: Workspace) -> None:
@@ -112,16 +85,6 @@ def test_a_link_names_a_tile_as_the_data_set_does(workspace: Workspace) -> None:
         state, problems = fields.from_values(fields.parsed(f"?with={bad}"), workspace)
         assert state.compare is None
         assert "no such picture" in problems[0]
-
-
-def test_outcomes_and_reports_are_those_of_a_data_set(workspace: Workspace, live: Workspace) -> None:
-    tables = [one.outcomes(one.tasks[TASK]) for one in (workspace, live)]
-    ranks = [table.columns["rank"].values.tolist() for _, table in filter(None, tables)]
-    assert ranks[0] == ranks[1]
-    task = workspace.tasks[TASK]
-    assert b"14 tiles" in report.build(task, [1], report.Options())
-    assert effect_on(task, (1, 1, 1, 0)).after == pytest.approx(effect_on(live.tasks[TASK], (1, 1, 1, 0)).after)
-    assert not changes.why_not(task)
 
 
 @pytest.fixture(scope="module")
@@ -180,8 +143,8 @@ def test_the_windows_that_hold_a_tag_are_among_those_of_a_large_index(
     index, town, flight = flown
     source = SourceOptions(source=str(flight), map=town, index=str(index), model=model_file)
     whole = source_of(source).open().task
-    monkeypatch.setattr(gallery, "MOST_TILES", whole.tiles - 1)
-    monkeypatch.setattr(gallery, "PROPOSED", 4)  # of which some about a tag do not hold it
+    monkeypatch.setattr(index_tasks, "MOST_TILES", whole.tiles - 1)
+    monkeypatch.setattr(index_tasks, "PROPOSED", 4)  # of which some about a tag do not hold it
     nearest = source_of(source).open().task
     assert nearest.tiles < whole.tiles
     assert nearest.truth is not None
@@ -208,40 +171,6 @@ def test_windows_without_their_map_are_placeholders(
     assert result.analysis.ranking.relevant is None  # the data set's places are not in the index
 
 
-@pytest.mark.parametrize(
-    ("options", "said"),
-    [
-        (["INDEX", "--model", "MODEL"], "tiles and no queries"),
-        (["INDEX", "--model", "MODEL", "--index", "x"], "is an index, and --index fits a flight; leave it out"),
-        (["DATA", "--model", "MODEL", "--map", "y", "--index", "INDEX"], "is a data set, and --map fits"),
-        (["DATA", "--model", "MODEL", "--data", "DATA"], "is a data set, and --data fits"),
-    ],
-)
-def test_mistakes_get_one_sentence(
-    options: list[str], said: str, index: Path, data: Path, model_file: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    places = {"INDEX": index, "MODEL": model_file, "DATA": data}
-    assert main(["explore", "--port", "0", *(str(places.get(option, option)) for option in options)]) == 2
-    error = capsys.readouterr().err
-    assert said in error
-    assert error.strip().count("\n") == 0
-
-
-def test_an_index_of_drone_tiles_is_a_gallery_for_satellite_queries(
-    data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The model has one branch for queries and one for the gallery; the index has the fingerprint of this task alone."""
-    model = GateModel(replace(GATES, roles="role", groups=()))
-    monkeypatch.setattr(lpn, "load", lambda *_, **__: model)
-    tiles = data / "test" / "gallery_drone"
-    described = ("describe", "--model", "m.pth", "--images", tiles, "--view", "drone", "--role", "gallery")
-    _run(*described, "--out", tmp_path / "store")
-    _run("index", "--descriptors", tmp_path / "store", "--out", tmp_path / "tiles")
-    task = open_source(SourceOptions(source=str(tmp_path / "tiles"), model=Path("m.pth"), data=data)).tasks[
-        "satellite-to-drone"
-    ]
-    live = open_model(data, model).tasks["satellite-to-drone"]
-    weights = np.full(3, 1 / 3, np.float32)
-    ours, theirs = (one.start_search(0, one.query_descriptors[0])(weights) for one in (task, live))
-    found = [task.gallery[i].path for i in ours.order]
-    assert found == [live.gallery[i].path for i in theirs.order]
+def test_an_index_alone_has_no_queries(index: Path, model_file: Path) -> None:
+    with pytest.raises(InputError, match="tiles and no queries"):
+        open_source(SourceOptions(source=str(index), model=model_file))

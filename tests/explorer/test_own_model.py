@@ -2,22 +2,15 @@
 
 from __future__ import annotations
 
-import html
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-import lpn
-from explorer.opening import open_model, open_source
+from explorer.opening import open_model
 from explorer.workspace import Workspace
-from lpn.core.errors import StoreError
 from lpn.explain import sweeps
-from lpn.index import create_index
-from lpn.index.base import DescriptorKind
-from lpn.report import Options, build
-from lpn.sources import SourceOptions
 from tests.explorer.conftest import TASK, answered
 from tools.fixtures import small_worlds
 from tools.fixtures.rankings import ranked_in
@@ -64,36 +57,6 @@ def test_a_part_without_cells_has_a_row_and_no_place(regions: Workspace) -> None
     )
 
 
-def test_an_index_of_a_gallery_by_role_is_explored(data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    model, name = GateModel(replace(GATES, roles="role", groups=())), "satellite-to-drone"
-    monkeypatch.setattr(lpn, "load", lambda *_, **__: model)
-    whole = answered(open_model(data, model), task=name).analysis
-    kind = DescriptorKind(model.for_task("satellite", "drone").fingerprint, model.n_parts, model.embedding)
-    index = create_index(tmp_path / "index", kind)
-    gallery = whole.task.gallery
-    index.add(
-        [gallery[i].path.relative_to(data).as_posix() for i in range(len(gallery))], whole.task.gallery_descriptors
-    )
-    index.close()
-    opened = open_source(SourceOptions(source=str(tmp_path / "index"), model=Path("m.pth"), data=data))
-    assert list(opened.tasks) == [name]
-    found = answered(opened, task=name).analysis
-    assert [one.distance2 for one in found.matches] == pytest.approx([one.distance2 for one in whole.matches], abs=1e-5)
-    # Plain pictures are queries of the task whose gallery it is.
-    pictures = open_source(
-        SourceOptions(
-            source=str(tmp_path / "index"),
-            model=Path("m.pth"),
-            data=data,
-            pictures=data / "test" / "query_satellite",
-        )
-    )
-    assert list(pictures.tasks) == [name]
-    create_index(tmp_path / "other", replace(kind, fingerprint="other")).close()
-    with pytest.raises(StoreError, match="holds descriptors of model other"):
-        open_source(SourceOptions(source=str(tmp_path / "other"), model=Path("m.pth"), data=data))
-
-
 @pytest.mark.parametrize("cells", [True, False])
 def test_a_model_of_one_vector_has_one_part(data: Path, cells: bool) -> None:
     workspace = open_model(data, WholeModel() if cells else PartsModel(RegionModel(), one=True))
@@ -103,18 +66,6 @@ def test_a_model_of_one_vector_has_one_part(data: Path, cells: bool) -> None:
     known = workspace.outcomes(workspace.tasks[TASK])
     assert known is not None
     assert not {"part", "margin_1"} & set(known[1].columns)
-
-
-def test_a_report_names_the_level(regions: Workspace, without_cells: Workspace) -> None:
-    made = build(regions.tasks[TASK], [0], Options(matches=2)).decode()
-    assert (
-        "Exact, with the regions of each picture held: cells and constant add up to each part's share"
-        in html.unescape(made)
-    )
-    assert "No cell belongs to part 4 whole picture" in made
-    made = build(without_cells.tasks[TASK], [0], Options(matches=2)).decode()
-    assert "Parts gives 4 parts for a picture and no cells" in made
-    assert "Evidence for and against" not in made
 
 
 def test_without_cells_there_is_a_reason_in_place_of_a_heatmap(without_cells: Workspace, regions: Workspace) -> None:

@@ -5,12 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-import pytest
 
 from explorer.opening import open_source
 from lpn.analysis import breakdown
-from lpn.cli.main import main
-from lpn.core.demo import DEMO
 from lpn.sources import SourceOptions
 from tests.explorer.conftest import answered
 
@@ -41,21 +38,3 @@ def test_arrays_are_ranked_without_a_model(tmp_path: Path) -> None:
     assert workspace.areas(task.query_view) is None
     pairs = breakdown.confusions(task.outcomes, task.query_labels, task.gallery_labels, task.table.rows())
     assert sum(pair.count for pair in pairs) == int(task.outcomes.failed.sum())
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        (["--paths", "paths.csv"], "--paths is of a source, and none is given"),
-        (
-            [str(DEMO), "--paths", "paths.csv"],
-            "demo is a data set, and --paths fits arrays of descriptors; leave it out",
-        ),
-        (["absent.npy", "--gallery", "absent.npy"], "no file of query descriptors at absent.npy"),
-    ],
-)
-def test_options_that_do_not_fit_are_refused(
-    options: list[str], message: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["explore", *options, "--port", "0"]) == 2
-    assert message in capsys.readouterr().err

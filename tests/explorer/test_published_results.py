@@ -9,7 +9,7 @@ import pytest
 
 from explorer.opening import open_model, open_source, open_tasks
 from explorer.workspace import Workspace
-from lpn.core.errors import DataError, InputError
+from lpn.core.errors import InputError
 from lpn.core.views import TaskName, views_of
 from lpn.datasets import open_dataset
 from lpn.models.base import normalise
@@ -17,7 +17,7 @@ from lpn.retrieval.saved import PublishedResult
 from lpn.sources import SourceOptions
 from lpn.tasks.saved import saved_task
 from tests.explorer.conftest import TASK, RefusedError, answered
-from tools.fixtures import layouts, small_worlds
+from tools.fixtures import layouts
 from tools.fixtures.published_results import save_result
 
 
@@ -53,24 +53,6 @@ def test_a_saved_result_is_ranked_as_its_model_ranks(workspace: Workspace, data:
 def test_what_needs_a_network_is_refused(workspace: Workspace) -> None:
     with pytest.raises(RefusedError, match="cannot describe a photo"):
         answered(workspace, own=b"x")
-
-
-def test_pictures_of_equal_files_are_told_apart_by_their_query(workspace: Workspace) -> None:
-    first, second = (answered(workspace, query=query).analysis for query in (0, 1))
-    assert first.query is not second.query
-    assert not np.array_equal(first.ranking.scores, second.ranking.scores)
-
-
-def test_results_that_cannot_be_explored_are_refused(data: Path, model_file: Path, tmp_path: Path) -> None:
-    save_result(tmp_path / "r.mat", data, model_file, length=2.0)
-    with pytest.raises(InputError, match="parts of norm"):
-        open_source(SourceOptions(source=str(tmp_path / "r.mat"), data=data))
-    save_result(tmp_path / "r.mat", data, model_file)
-    other = small_worlds.make_dataset(tmp_path / "other", train=1, test=2)
-    with pytest.raises(DataError, match="give the data set"):
-        open_source(SourceOptions(source=str(tmp_path / "r.mat"), data=other))
-    with pytest.raises(InputError, match="no query x"):
-        open_source(SourceOptions(source=str(tmp_path / "r.mat"), data=data), "x")
 
 
 def random_result(root: Path, task: TaskName, seed: int = 0) -> PublishedResult:

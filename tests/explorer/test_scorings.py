@@ -10,9 +10,7 @@ import pytest
 
 import lpn
 from explorer.opening import open_model
-from explorer.screen import fields
 from explorer.workspace import Workspace
-from lpn import report
 from lpn.core import images
 from lpn.core.demo import DEMO, DEMO_MODEL
 from lpn.core.progress import listening, report_progress
@@ -88,26 +86,6 @@ def test_contributions_and_evidence_add_up_to_what_is_ranked(
             assert (match.constants is not None) == (scoring == "csls")
 
 
-@pytest.mark.parametrize("scoring", SCORINGS)
-def test_a_search_the_outcomes_and_the_report_agree(workspace: Workspace, scoring: Scoring) -> None:
-    key = scored_key(TASK, scoring)
-    job = workspace.rankings[key]
-    known = workspace.outcomes(job.task)
-    assert known is not None
-    outcomes, table = known
-    for query in range(len(job.task.queries)):
-        analysis = answered(workspace, query=query, scoring=scoring).analysis
-        assert analysis.positive is not None
-        assert analysis.positive.rank == table.columns["rank"].values[query]
-        negative = analysis.ranking.hardest_negative()
-        assert negative is not None
-        margin = float(outcomes.margin[query])
-        assert negative.distance2 - analysis.positive.distance2 == pytest.approx(margin, abs=1e-5)
-    page = report.build(job.task, [0], report.Options()).decode()
-    assert f"{job.results['recall@1']:.1f}" in page
-    assert ("(CSLS)" in page) == (scoring == "csls")
-
-
 def test_shares_and_gains_add_up_as_they_are_shown(workspace: Workspace) -> None:
     for query in range(22):
         message = answered(workspace, query=query, scoring="csls").message()
@@ -119,16 +97,6 @@ def test_shares_and_gains_add_up_as_they_are_shown(workspace: Workspace) -> None
         assert round(sum(gains), 3) == round(lead, 3)
 
 
-def test_csls_alters_ranks_and_keeps_the_query_term_out_of_them(workspace: Workspace) -> None:
-    calibrated, csls = (answered(workspace, query=1, scoring=one).analysis for one in ("calibrated", "csls"))
-    assert np.array_equal(calibrated.ranking.cosines, csls.ranking.cosines)
-    terms = csls.ranking.csls
-    assert terms is not None
-    order = np.argsort(-((csls.ranking.cosines - terms.tiles) @ csls.ranking.weights), kind="stable")
-    assert np.array_equal(order, csls.ranking.order)
-    assert not np.array_equal(calibrated.ranking.scores, csls.ranking.scores)
-
-
 def test_an_own_picture_is_described_as_the_task_is_calibrated(workspace: Workspace) -> None:
     task = workspace.tasks[TASK]
     own = task.queries[3].path.read_bytes()
@@ -137,19 +105,6 @@ def test_an_own_picture_is_described_as_the_task_is_calibrated(workspace: Worksp
         mine = answered(workspace, f"?scoring={scoring}", own).analysis
         assert mine.zoom == pytest.approx(listed.zoom)
         assert mine.ranking.scores == pytest.approx(listed.ranking.scores, abs=1e-5)
-
-
-def test_links_bring_the_scoring_back(workspace: Workspace) -> None:
-    opened = workspace.default_scoring(TASK)
-    for scoring in SCORINGS:
-        state, problems = fields.changed(fields.opening(workspace), {"query": 2, "scoring": scoring}, workspace)
-        address = fields.to_address(state, workspace)
-        assert not problems
-        assert ("scoring" in address) == (scoring != opened)
-        assert fields.from_values(fields.parsed(address), workspace) == (state, [])
-    kept, problems = fields.from_values(fields.parsed("scoring=best"), workspace)
-    assert kept.scoring == opened
-    assert problems == ["scoring: expected plain or calibrated or csls."]
 
 
 def is_query(pictures: Sequence[Picture]) -> bool:

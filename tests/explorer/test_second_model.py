@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import shutil
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -16,10 +15,10 @@ import explorer.cli
 import explorer.opening
 import lpn
 from explorer.cli import Explore
-from explorer.opening import open_flight_over, open_model
+from explorer.opening import open_model
 from explorer.workspace import Workspace
 from lpn.cli.failures import FailuresCommand
-from lpn.core.errors import DataError, InputError, ModelFileError, PictureError
+from lpn.core.errors import DataError, InputError, ModelFileError
 from lpn.datasets import open_dataset
 from lpn.descriptors.transforms import Change
 from lpn.descriptors.weather import Weather
@@ -72,26 +71,6 @@ def test_a_damaged_model_is_reported_and_may_be_tried_again(
     assert second.error == ""
 
 
-def test_what_cannot_be_shown_is_told_whole(data: Path, model_file: Path, tmp_path: Path) -> None:
-    (tmp_path / "photos" / "test").mkdir(parents=True)
-    with pytest.raises(DataError, match=r"^photos has no pictures to test with; expected queries"):
-        open_model(tmp_path / "photos", model_file)
-    data = shutil.copytree(data, tmp_path / "places")
-    broken = ("query_drone/0007/image-01.png", "gallery_satellite/0008/0008.png", "gallery_drone/0009/image-01.png")
-    for name in broken:
-        (data / "test" / name).write_bytes(b"no picture")
-    with pytest.raises(PictureError) as error:
-        open_model(data, model_file)
-    assert all(f"test/{name} is not a picture" in str(error.value) for name in broken)
-    shutil.rmtree(data / "test")
-    small_worlds.write(data / "test" / "query_street" / "0001" / "a.png", small_worlds.place(1))
-    small_worlds.write(data / "test" / "gallery_satellite" / "0001" / "a.png", small_worlds.place(1))
-    with pytest.raises(
-        DataError, match="is for street-to-satellite, and the model knows only satellite and drone pictures"
-    ):
-        open_model(data, model_file)
-
-
 def test_a_model_given_at_the_start_is_open(
     data: Path, model_file: Path, one_part_model_file: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -108,19 +87,6 @@ def test_a_model_given_at_the_start_is_open(
     # Both files are called model.onnx.
     assert second.label == "/".join(one_part_model_file.parts[-3:])
     assert open_model(data, model_file).beside == []
-
-
-def test_a_workspace_names_the_extra_that_it_lacks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def lacking(_: Path) -> None:
-        raise ModuleNotFoundError("No module named 'rasterio'", name="rasterio")
-
-    monkeypatch.setattr("lpn.flight.maps.open_map", lacking)
-    opens = partial(open_flight_over, tmp_path, tmp_path, ModelOptions(model=tmp_path / "model.onnx"))
-    flight = explorer.opening.offered("a flight", [tmp_path], opens)
-    assert flight.open().wait(PATIENCE)
-    assert flight.error == (
-        "This needs the package rasterio, which is not installed; pip install 'lpn-explorer[maps]'."
-    )
 
 
 @pytest.mark.parametrize("there", [True, False])
@@ -174,39 +140,6 @@ def test_the_kinds_of_both_models_may_be_named(
             command.run()
 
 
-def test_tokens_of_one_file_are_pooled_in_two_ways_beside_a_model(
-    data: Path, model_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    opened: list[Workspace] = []
-    monkeypatch.setattr(explorer.app, "serve", lambda open_workspace, *_: opened.append(open_workspace()))
-    network = timm_networks.named_network("test_vit", (32, 32), own_size=True)
-    torch.save(network.state_dict(), tmp_path / "weights.pth")
-    (tmp_path / "opts.yaml").write_text("h: 32\nw: 32\n")
-    weights = Path(f"timm:test_vit:{tmp_path / 'weights.pth'}")
-    both = ("rings:3", "mean")
-    Explore(source=str(data), model=model_file, beside=(weights, weights), beside_pooling=both).run()
-    Explore(source=str(data), model=weights, pooling="gem").run()
-    first, last = opened[0].beside
-    assert [first.label, last.label] == ["weights.pth, rings:3", "weights.pth, mean"]
-    wait_until(lambda: first.workspace is not None)
-    assert first.workspace is not None
-    assert (first.workspace.contract.n_parts, first.workspace.contract.level) == (3, "exact")
-    assert opened[1].contract.method == "test_vit, gem"
-    refused: dict[str, Explore | FailuresCommand] = {
-        "Found 1 pooling for 2 models of --beside": Explore(
-            source=str(tmp_path), model=model_file, beside=(weights, weights), beside_pooling=("mean",)
-        ),
-        "--pooling needs --model": Explore(source=str(tmp_path), pooling="mean"),
-        "--beside-pooling needs --beside": FailuresCommand(source=str(data), model=model_file, beside_pooling="mean"),
-        "is given twice": Explore(
-            source=str(data), model=weights, pooling="mean", beside=(weights,), beside_pooling=("mean",)
-        ),
-    }
-    for message, command in refused.items():
-        with pytest.raises(InputError, match=message):
-            command.run()
-
-
 def test_of_many_models_the_first_is_open_and_the_others_wait_for_a_browser(
     data: Path, model_file: Path, one_part_model_file: Path, tmp_path: Path
 ) -> None:
@@ -257,3 +190,36 @@ def test_a_model_is_compared_with_itself_in_a_weather(data: Path, model_file: Pa
     assert [task.metrics["recall@1"], task.metrics["ap"]] == pytest.approx([result.recall["1"], result.ap])
     with pytest.raises(InputError, match="expected weathers other than normal, each of them once"):
         open_model(data, model_file, beside_weathers=["fog", "fog"])
+
+
+def test_tokens_of_one_file_are_pooled_in_two_ways_beside_a_model(
+    data: Path, model_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    opened: list[Workspace] = []
+    monkeypatch.setattr(explorer.app, "serve", lambda open_workspace, *_: opened.append(open_workspace()))
+    network = timm_networks.named_network("test_vit", (32, 32), own_size=True)
+    torch.save(network.state_dict(), tmp_path / "weights.pth")
+    (tmp_path / "opts.yaml").write_text("h: 32\nw: 32\n")
+    weights = Path(f"timm:test_vit:{tmp_path / 'weights.pth'}")
+    both = ("rings:3", "mean")
+    Explore(source=str(data), model=model_file, beside=(weights, weights), beside_pooling=both).run()
+    Explore(source=str(data), model=weights, pooling="gem").run()
+    first, last = opened[0].beside
+    assert [first.label, last.label] == ["weights.pth, rings:3", "weights.pth, mean"]
+    wait_until(lambda: first.workspace is not None)
+    assert first.workspace is not None
+    assert (first.workspace.contract.n_parts, first.workspace.contract.level) == (3, "exact")
+    assert opened[1].contract.method == "test_vit, gem"
+    refused: dict[str, Explore | FailuresCommand] = {
+        "Found 1 pooling for 2 models of --beside": Explore(
+            source=str(tmp_path), model=model_file, beside=(weights, weights), beside_pooling=("mean",)
+        ),
+        "--pooling needs --model": Explore(source=str(tmp_path), pooling="mean"),
+        "--beside-pooling needs --beside": FailuresCommand(source=str(data), model=model_file, beside_pooling="mean"),
+        "is given twice": Explore(
+            source=str(data), model=weights, pooling="mean", beside=(weights,), beside_pooling=("mean",)
+        ),
+    }
+    for message, command in refused.items():
+        with pytest.raises(InputError, match=message):
+            command.run()

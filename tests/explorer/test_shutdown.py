@@ -31,16 +31,6 @@ def slow(self, state):
     return answer(self, state)
 ScreenSession._answer = slow
 """
-SLOW_RANKING = """
-import time
-from explorer.compute import ranking_job
-from lpn.retrieval import metrics
-ranking_job.QUICK_COST = -1
-def slow(*given, progress, **more):
-    print("ranking", flush=True)
-    time.sleep(600)
-metrics.retrieve = slow
-"""
 SLOW_NOTES = """
 import time, lpn.core.own_files
 write = lpn.core.own_files.write_atomic
@@ -111,13 +101,6 @@ def test_in_the_middle_of_an_answer(places: Path, model_file: Path, tmp_path: Pa
         tabs[0].set(angle=30)
         explorer.until(lambda: "answering" in explorer.out)
         explorer.terminate()
-        explorer.stopped()
-
-
-def test_while_queries_are_ranked(places: Path, model_file: Path, tmp_path: Path) -> None:
-    with Explorer(places, model_file, tmp_path / "cache", SLOW_RANKING) as explorer, explorer.browsers(1):
-        explorer.until(lambda: "ranking" in explorer.out)
-        explorer.interrupt()
         explorer.stopped()
 
 

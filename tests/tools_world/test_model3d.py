@@ -11,7 +11,6 @@ import pytest
 import trimesh
 
 from lpn.core.errors import InputError
-from lpn.datasets import geo
 from lpn.datasets.city_model import MAX_BYTES, NAME, city_model
 from lpn.datasets.geo import Position
 from tools.fixtures.glb_parts import Points, header, parts
@@ -53,11 +52,6 @@ def test_the_model_is_small_whole_and_says_where_it_stands(atlas: Atlas, data: b
     assert read is not None
     assert read.data == data
     assert read.origin == Position(atlas.site.latitude, atlas.site.longitude)
-
-
-@pytest.mark.slow
-def test_the_same_city_gives_the_same_file(atlas: Atlas, window: model3d.PlanBounds, data: bytes) -> None:
-    assert model3d.city_model(make_atlas(atlas.settings).city, atlas.site, window) == data
 
 
 def test_buildings_stand_where_and_as_high_as_they_were_planned(
@@ -137,16 +131,6 @@ def test_less_room_is_less_detail_and_too_little_is_said(atlas: Atlas, window: m
     assert sum(map(len, parts(smaller).values())) < sum(map(len, parts(data).values()))
     with pytest.raises(InputError, match=r"does not fit into 0\.0 MB"):
         model3d.city_model(atlas.city, atlas.site, window, 20_000)
-
-
-def test_metres_of_the_model_are_metres_between_positions(atlas: Atlas) -> None:
-    """Model and tiles meet on the map: 3 km from the origin they are less than a metre apart."""
-    site = atlas.site
-    tiles = Position(*site.degrees(900.0, -300.0))
-    places = [Position(*site.degrees(x, y)) for x, y in ((1500.0, -1200.0), (300.0, 1200.0), (2000.0, 2000.0))]
-    origin = geo.on_plane([Position(site.latitude, site.longitude)], tiles)[0]
-    found = geo.on_plane(places, tiles) - origin
-    np.testing.assert_allclose(found, [(1500, -1200), (300, 1200), (2000, 2000)], atol=1.0)
 
 
 def test_triangles_come_back_as_they_were_written() -> None:

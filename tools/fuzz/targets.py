@@ -274,7 +274,7 @@ def checkpoints(folder: Path) -> list[FuzzCase]:
     from lpn.models.checkpoints import FORMAT, load_torch
     from lpn.models.file_contents import check_trained_file
     from lpn.training.recipes import RECIPES
-    from lpn.training.resume_state import ResumeState, read_state
+    from lpn.training.run_folder import ResumeState, read_state
     from tools.fixtures.small_models import SPEC, pth_file, state_dict
 
     own, net, options, state = (folder / name for name in ("own.safetensors", "net.pth", "opts.yaml", "state.pt"))

@@ -6,7 +6,6 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
 import tyro
 
@@ -14,13 +13,13 @@ from lpn.core.errors import InputError, LPNError
 from lpn.core.files import printable
 from lpn.core.requirements import missing_package
 from tools.world.atlas import Settings
-from tools.world.build import RenderShare, build_world
+from tools.world.build import build_world
+from tools.world.cameras import Factor
 from tools.world.flight import FlightSettings, build_flight
-from tools.world.variety import FACTORS, Factor
 
 # Options of the pictures of places, and those of --flight.
-_OF_PLACES = ("views", "pixels", "tile_pixels", "vary", "part")
-_OF_FLIGHTS = ("frames", "width", "map_pixel", "oblique")
+_OF_PLACES = ("views", "pixels", "tile_pixels", "vary")
+_OF_FLIGHTS = ("frames", "width", "map_pixel")
 
 
 @dataclass
@@ -41,23 +40,18 @@ class Rendering:
     """Side of a satellite tile, which shows 160 m."""
     samples: int = 4
     """Light paths per pixel; more are slower and less noisy."""
-    vary: tuple[Factor | Literal["all"], ...] = ()
-    """Properties to draw at random, for training: cameras, poses (in place of University-1652's spiral), and materials (roofs,
-    walls, pavements)."""
-    part: str = "1/1"
-    """Part i/k of the work: k processes with the same --out render one world."""
+    vary: tuple[Factor, ...] = ()
+    """Properties to draw at random, for training: cameras, and poses (in place of University-1652's spiral)."""
     threads: int = 0
     """Processor threads; 0 for all."""
     flight: bool = False
-    """Render a flight over the city in place of the data set: photos, a video with .SRT, a map, and the truth."""
+    """Render a flight over the city in place of the data set: photos, a map, and the truth."""
     frames: int = 150
     """Pictures of --flight."""
     width: int = 960
     """Width of a picture of --flight, whose proportions are 4:3."""
     map_pixel: float = 0.3
     """Metres a pixel of the map of --flight."""
-    oblique: bool = False
-    """Fly --flight at 60 to 200 m, with the gimbal at 0 to 45 degrees from straight down, in place of 80 to 120 m and 0 to 11."""
 
     def run(self) -> None:
         """Render what is missing, and print a sentence about it."""
@@ -66,15 +60,13 @@ class Rendering:
             if getattr(self, name) != getattr(type(self), name):
                 raise InputError(f"{what} takes no --{name.replace('_', '-')}; leave it out.")
         if self.flight:
-            flight = FlightSettings(
-                self.seed, self.buildings, self.frames, self.width, self.samples, self.map_pixel, self.oblique
-            )
-            print(f"{build_flight(flight, self.out, self.threads).describe()} The flight is in {self.out}.")
-            return
-        vary = tuple(factor for factor in FACTORS if factor in self.vary or "all" in self.vary)
-        world = Settings(self.seed, self.buildings, self.views, self.pixels, self.tile_pixels, self.samples, vary)
-        tally = build_world(world, self.out, RenderShare.parse(self.part), self.threads)
-        print(f"{tally.describe()} The world is in {self.out}.")
+            flight = FlightSettings(self.seed, self.buildings, self.frames, self.width, self.samples, self.map_pixel)
+            made = build_flight(flight, self.out, self.threads)
+        else:
+            vary = tuple(sorted(set(self.vary)))
+            world = Settings(self.seed, self.buildings, self.views, self.pixels, self.tile_pixels, self.samples, vary)
+            made = build_world(world, self.out, self.threads)
+        print(f"{made} pictures were missing, and {self.out} is complete.")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -17,11 +17,10 @@ from typing import Any, Literal
 import numpy as np
 
 from lpn.core.formats import WORLD
-from tools.world.cameras import Pose, Site, Tile, any_drone_poses, drone_poses, tile_around
+from tools.world.cameras import Factor, Pose, Site, Tile, any_drone_poses, drone_poses, tile_around
 from tools.world.city import City, Target
 from tools.world.jobs import EDITION
 from tools.world.plan import plan_city
-from tools.world.variety import Factor
 
 SIGHT = 312.0  # metres around a target that its drone can see, at most
 SPARE = 14.0  # metres around the tiles' ground, for their turn and offset
@@ -37,7 +36,7 @@ class Settings:
         views: drone pictures of each building, the last of them from straight above.
         pixels, tile_pixels: side lengths of a drone picture and of a satellite tile.
         samples: light paths per pixel.
-        vary: properties that are drawn at random, in the order of `FACTORS`.
+        vary: properties that are drawn at random, in alphabetic order.
     """
 
     seed: int
@@ -111,16 +110,7 @@ class Atlas:
             "edition": EDITION,
             "settings": asdict(self.settings),
             "site": {**asdict(site), "note": "A fictional place; the plan's metres are x east and y north of it."},
-            "districts": [
-                {
-                    "number": d.number,
-                    "name": d.name,
-                    "character": d.character,
-                    "split": d.split,
-                    "polygon": _ring(d.polygon),
-                }
-                for d in city.districts
-            ],
+            "districts": [{**vars(d), "polygon": _ring(d.polygon)} for d in city.districts],
             "buildings": [self._building(target) for target in city.targets],
             "pictures": [self._picture(path, shot) for path, shot in self._by_path()],
         }

@@ -7,12 +7,15 @@ straight down.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
 from lpn.core.arrays import Float64Array
 from lpn.datasets.geo import metres_per_degree
 
+# A property of a varied world: exposure, colours, haze, blur, noise, and compression of each picture; or the poses of drones.
+Factor = Literal["cameras", "poses"]
 TILE = 160.0  # metres a satellite tile shows
 HIGHEST, LOWEST, ROUNDS = 256.0, 121.5, 3  # of the spiral (University-1652, section 3)
 ELEVATION = 50.0  # degrees the drone stands above the horizon, seen from the building
@@ -55,12 +58,6 @@ class Pose:
         forward = ahead * np.cos(t) + np.array([0, 0, np.sin(t)])
         right = np.array([np.cos(h), -np.sin(h), 0.0])
         return np.stack([right, np.cross(right, forward), forward])
-
-    def project(self, points: Float64Array) -> Float64Array:
-        """Project points (n, 3) to picture coordinates (n, 2): x right and y down from -1 to 1, 0 at the centre."""
-        right, up, forward = ((points - (self.x, self.y, self.z)) @ self.axes().T).T
-        scale = 1 / np.tan(np.radians(self.fov / 2))
-        return np.stack([right / forward * scale, -up / forward * scale], axis=1)
 
 
 def drone_poses(aim: tuple[float, float, float], views: int, rng: np.random.Generator) -> list[Pose]:

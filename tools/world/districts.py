@@ -12,19 +12,23 @@ from tools.world.grounds import GROVE, countryside, park, riverside, school, spo
 from tools.world.plot import Plot
 
 
-def _fill(
-    plot: Plot, kinds: tuple[str, ...], shared: tuple[str, ...], setback: float, gap: float, tries: int = 3
-) -> None:
-    """Place buildings along all edges in turn; kinds in `shared` have twins."""
+def _drawn(plot: Plot, kinds: tuple[str, ...], shared: tuple[str, ...]) -> int:
+    """Draw an architecture; kinds in `shared` have twins."""
+    kind = kinds[int(plot.rng.integers(len(kinds)))]
+    if kind in shared:
+        return plot.pools.shared(kind, plot.district.split, 2, plot.rng)
+    return plot.pools.own(kind, plot.rng)
+
+
+def _fill(plot: Plot, kinds: tuple[str, ...], shared: tuple[str, ...], setback: float, gap: float) -> None:
+    """Place buildings along all edges in turn, each of the first of three kinds that fits."""
     rng = plot.rng
     for i in rng.permutation(4):
         length = plot.edge(i)[3]
         at = float(rng.uniform(1, 5))
         while at < length - 12:
-            for _ in range(tries):
-                kind = kinds[int(rng.integers(len(kinds)))]
-                twin = kind in shared
-                index = plot.pools.shared(kind, plot.district.split, 2, rng) if twin else plot.pools.own(kind, rng)
+            for _ in range(3):
+                index = _drawn(plot, kinds, shared)
                 half = plot.pools[index].size[0] / 2
                 if at + half < length and plot.front(index, i, at + half, setback + rng.uniform(0, 3), gap):
                     at += 2 * half + gap + float(rng.uniform(0, 6))
@@ -33,18 +37,15 @@ def _fill(
                 at += 9
 
 
-def _inside(plot: Plot, kinds: tuple[str, ...], shared: tuple[str, ...], tries: int, gap: float) -> None:
+def _inside(plot: Plot, kinds: tuple[str, ...], tries: int, gap: float) -> None:
     """Place buildings inside a block, parallel to one of its edges."""
     rng = plot.rng
     low, high = plot.polygon.min(axis=0), plot.polygon.max(axis=0)
     for _ in range(tries):
-        kind = kinds[int(rng.integers(len(kinds)))]
-        twin = kind in shared
-        index = plot.pools.shared(kind, plot.district.split, 2, rng) if twin else plot.pools.own(kind, rng)
+        index = _drawn(plot, kinds, ())
         for _ in range(5):
             x, y = rng.uniform(low, high)
-            along = plot.edge(int(rng.integers(4)))[1]
-            if plot.build(index, float(x), float(y), float(np.arctan2(along[1], along[0])), gap, 3.0):
+            if plot.build(index, float(x), float(y), plot.edge(int(rng.integers(4)))[4], gap, 3.0):
                 break
 
 
@@ -56,10 +57,9 @@ def terraces(plot: Plot) -> Surface:
     length, depth = look.size
     first = plot.longest()
     for i in (first, first + 2, first + 1, first + 3):
-        start, along, normal, edge = plot.edge(i)
+        start, along, normal, edge, angle = plot.edge(i)
         room = max(0, int((edge - 4) // (length + 3)))
         slack = (edge - room * length) / (room + 1)
-        angle = float(np.arctan2(along[1], along[0]))
         for n in range(room):
             at = slack + n * (length + slack) + length / 2
             if not plot.front(index, i, at, 4.0, 1.0):
@@ -85,9 +85,8 @@ def detached(plot: Plot) -> Surface:
     """Houses in gardens, with driveways, garages, and many trees."""
     rng = plot.rng
     for i in range(4):
-        start, along, normal, edge = plot.edge(i)
+        start, along, normal, edge, angle = plot.edge(i)
         at = float(rng.uniform(8, 14))
-        angle = float(np.arctan2(along[1], along[0]))
         while at < edge - 8:
             index = plot.pools.shared("house", "", 26, rng)
             setback = float(rng.uniform(5, 8))
@@ -120,9 +119,8 @@ def dormitories(plot: Plot) -> Surface:
     rng = plot.rng
     index = plot.pools.shared("dormitory", plot.district.split, 5, rng)
     length, depth = plot.pools[index].size
-    start, along, normal, edge = plot.edge(plot.longest())
-    _, _, _, across = plot.edge(plot.longest() + 1)
-    angle = float(np.arctan2(along[1], along[0]))
+    start, along, normal, edge, angle = plot.edge(plot.longest())
+    _, _, _, across, _ = plot.edge(plot.longest() + 1)
     crossways = rng.random() < 0.5
     step, reach = (depth + rng.uniform(15, 22), length) if crossways else (length + rng.uniform(9, 16), depth)
     lanes = max(1, int((across - 6) // (reach + 14)))
@@ -151,7 +149,7 @@ def quadrangle(plot: Plot) -> Surface:
         "courtyard", "lshape", "ushape", "slab", "tshape", "lshape", "courtyard", "tshape", "round")  # fmt: skip
     _fill(plot, (*kinds, "dormitory"), ("dormitory",), float(plot.rng.uniform(3, 9)), 6.0)
     if plot.rng.random() < 0.6:
-        _inside(plot, kinds, (), 3, 9.0)
+        _inside(plot, kinds, 3, 9.0)
     plot.walks(3, "gravel" if old else "concrete")
     corners = inset(plot.polygon, np.full(4, 8.0))
     for a, b in ((0, 2), (1, 3)):
@@ -168,7 +166,7 @@ def laboratories(plot: Plot) -> Surface:
     """Large flat-roofed buildings close together, with yards and car parks."""
     kinds = ("slab", "lshape", "tshape", "courtyard", "ushape", "hall", "slab")
     _fill(plot, kinds, (), float(plot.rng.uniform(2, 7)), 5.0)
-    _inside(plot, kinds, (), 4, 6.0)
+    _inside(plot, kinds, 4, 6.0)
     plot.leftover_parking()
     plot.walks(2, "concrete")
     x, y = plot.middle
@@ -185,7 +183,7 @@ def offices(plot: Plot) -> Surface:
     """Towers and blocks on paved ground."""
     kinds = ("tower", "slab", "lshape", "courtyard", "ushape", "tower", "tshape")
     _fill(plot, kinds, (), 1.0, 4.0)
-    _inside(plot, ("slab", "lshape"), (), 3, 5.0)
+    _inside(plot, ("slab", "lshape"), 3, 5.0)
     plot.leftover_parking()
     x, y = plot.middle
     plot.lay("plaza", float(x), float(y), 20, 14, 0.0)
@@ -201,9 +199,8 @@ def industry(plot: Plot) -> Surface:
     alike = rng.random() < 0.55
     kinds = ("hall",) if alike else ("hall", "hall", "shop", "slab")
     _fill(plot, kinds, ("hall",) if alike else (), 8.0, 9.0)
-    start, along, normal, edge = plot.edge(plot.longest())
+    start, along, normal, edge, angle = plot.edge(plot.longest())
     across = plot.edge(plot.longest() + 1)[3]
-    angle = float(np.arctan2(along[1], along[0]))
     for _ in range(3):
         x, y = start + along * rng.uniform(0, edge) + normal * rng.uniform(0, across)
         plot.car_park(float(x), float(y), rng.uniform(20, 40), 16, angle)
@@ -234,8 +231,7 @@ def retail(plot: Plot) -> Surface:
     index = plot.pools.own("shop", plot.rng)
     i = int(plot.rng.integers(4))
     plot.front(index, i, plot.edge(i)[3] * plot.rng.uniform(0.4, 0.6), 6.0)
-    start, along, normal, edge = plot.edge(i)
-    angle = float(np.arctan2(along[1], along[0]))
+    start, along, normal, edge, angle = plot.edge(i)
     back = plot.edge(i + 1)[3]
     for length, width in ((edge * 0.8, 64), (edge * 0.7, 48), (edge * 0.6, 32), (edge * 0.4, 16)):
         x, y = start + along * edge / 2 + normal * (back - width / 2 - 6)
@@ -270,8 +266,7 @@ def old_town(plot: Plot) -> Surface:
         x, y = rng.uniform(plot.polygon.min(axis=0), plot.polygon.max(axis=0))
         kind = "townhouse" if rng.random() < 0.4 else "shed"
         index = plot.pools.shared(kind, "", 30, rng)
-        along = plot.edge(int(rng.integers(4)))[1]
-        plot.build(index, float(x), float(y), float(np.arctan2(along[1], along[0])), 1.5)
+        plot.build(index, float(x), float(y), plot.edge(int(rng.integers(4)))[4], 1.5)
     plot.plant(int(area(plot.polygon) / 80), (1, 2, 5, 5), (5, 12))
     return "paved" if rng.random() < 0.6 else "garden"
 

@@ -1,9 +1,8 @@
-"""Building a rendered flight: plan it, then render missing pictures, the video, and the map.
+"""Building a rendered flight: plan it, then render missing pictures and the map.
 
 flight_world.json  settings, middle, errors of the tags
 truth.csv          where each camera was
 photos/            the pictures of both paths
-video/             the pictures of the free path as a video, with its .SRT
 map/map.tif        the map
 map/elevation.tif  heights of the ground and of what stands on it, in metres of the plan
 """
@@ -11,7 +10,6 @@ map/elevation.tif  heights of the ground and of what stands on it, in metres of 
 from __future__ import annotations
 
 import json
-import time
 from dataclasses import asdict, dataclass, replace
 from importlib import import_module
 from pathlib import Path
@@ -22,11 +20,10 @@ import numpy as np
 
 from lpn.core.errors import InputError, OutputError
 from lpn.core.files import check_writable, write_atomic
-from lpn.core.texts import listed
 from lpn.datasets.rendered import FLIGHT_PLAN, PLAN, TRUTH, UNFINISHED
 from tools.world import flight_files, photo
 from tools.world.cameras import SatelliteImage, Site
-from tools.world.flight_plan import MAP_SIDE, MAPPING, OBLIQUE, TAG_ERRORS, FlightPicture, FlightPlan, plan_flight
+from tools.world.flight_plan import MAP_SIDE, TAG_ERRORS, FlightPicture, FlightPlan, plan_flight
 from tools.world.jobs import EDITION, check_folder, check_limits, progress
 from tools.world.plan import plan_city
 
@@ -36,9 +33,7 @@ if TYPE_CHECKING:
 
 FORMAT = "lpn-world-flight/1"
 MAP, ELEVATION = Path("map/map.tif"), Path("map/elevation.tif")
-_VIDEO = "video/LPN_FREE"
-# Metres around the map whose things may be seen, or throw shadows; and of a flight that looks aside.
-_SPARE, _OBLIQUE_SPARE = 25.0, 400.0
+_SPARE = 25.0  # metres around the map whose things may be seen, or throw shadows
 _ELEVATION_PIXEL = 0.5  # metres
 _LIMITS = {"frames": (2, 5000), "width": (64, 4096), "samples": (1, 4096), "map_pixel": (0.15, 2.0)}
 
@@ -53,7 +48,6 @@ class FlightSettings:
         width: of a picture, in pixels; its height is three quarters of it.
         samples: light paths per pixel.
         map_pixel: metres a pixel of the map.
-        oblique: flies at 60 to 200 m with the gimbal at 0 to 45 degrees from straight down, in place of 80 to 120 m and 0 to 11.
     """
 
     seed: int
@@ -62,31 +56,12 @@ class FlightSettings:
     width: int
     samples: int
     map_pixel: float
-    oblique: bool = False
 
 
-@dataclass
-class FlightTally:
-    """Numbers of what was made, and seconds."""
+def build_flight(settings: FlightSettings, out: Path, threads: int = 0) -> int:
+    """Render a flight, and return the number of photos and maps that were missing and are made.
 
-    photos: int = 0
-    photo_seconds: float = 0.0
-    video: bool = False
-    map: bool = False
-    elevation: bool = False
-
-    def describe(self) -> str:
-        """One sentence for the console."""
-        made = [f"{self.photos} photo{'s' * (self.photos > 1)}"] * (self.photos > 0)
-        made += ["the video"] * self.video + ["the map"] * self.map + ["its elevation"] * self.elevation
-        if not made:
-            return "Every file was there already."
-        each = f", {self.photo_seconds / self.photos:.1f} s a photo" if self.photos else ""
-        return f"Made {listed(made)}{each}."
-
-
-def build_flight(settings: FlightSettings, out: Path, threads: int = 0) -> FlightTally:
-    """Render a flight, skipping files that exist, so that an interrupted run can continue.
+    An interrupted run can continue, as files that exist are kept.
 
     Raises:
         InputError: when the settings are invalid.
@@ -99,67 +74,53 @@ def build_flight(settings: FlightSettings, out: Path, threads: int = 0) -> Fligh
         raise InputError(f"--width is {settings.width}; expected a multiple of 4, as pictures are 4:3.")
     if (out / PLAN).is_file():
         raise OutputError(f"{out} holds a world; choose another folder for the flight.")
-    check_folder(settings, out / FLIGHT_PLAN, "rendered flight", FORMAT)
+    check_folder(settings, out / FLIGHT_PLAN, FORMAT)
     if not (out / FLIGHT_PLAN).is_file() or (out / UNFINISHED).is_file():
         import_module("tools.world.render")  # asks for bpy before anything is planned
     check_writable(out / FLIGHT_PLAN)
     city, site = plan_city(settings.seed, settings.buildings), Site()
-    plan = plan_flight(city, site, settings.frames, OBLIQUE if settings.oblique else MAPPING)
-    video = [out / f"{_VIDEO}{suffix}" for suffix in (".SRT", ".MP4")]
+    plan = plan_flight(city, site, settings.frames)
     missing = [i for i, picture in enumerate(plan.pictures) if not _photo(out, picture).is_file()]
-    tally = FlightTally(
-        video=not all(file.is_file() for file in video),
-        map=not (out / MAP).is_file(),
-        elevation=not (out / ELEVATION).is_file(),
-    )
-    if missing or tally.video or tally.map or tally.elevation:
+    maps = [file for file in (MAP, ELEVATION) if not (out / file).is_file()]
+    if missing or maps:
         write_atomic(out / UNFINISHED, b"Files are missing here; the same command goes on.\n")
     write_atomic(out / FLIGHT_PLAN, _settings_json(settings, plan, site))
     write_atomic(out / TRUTH, plan.truth_csv(city, site))
-    if missing or tally.map or tally.elevation:
-        _render(settings, city, site, plan, missing, out, threads, tally)
-    if tally.video:
-        write_atomic(video[0], flight_files.subtitles_bytes(plan.video))
-        write_atomic(video[1], flight_files.video_bytes([_photo(out, picture) for picture in plan.video]))
+    if missing or maps:
+        _render(settings, city, site, plan, missing, maps, out, threads)
     (out / UNFINISHED).unlink(missing_ok=True)
-    return tally
+    return len(missing) + len(maps)
 
 
 def _render(
-    settings: FlightSettings, city: City, site: Site, plan: FlightPlan, missing: list[int], out: Path,
-    threads: int, tally: FlightTally,
+    settings: FlightSettings, city: City, site: Site, plan: FlightPlan, missing: list[int], maps: list[Path],
+    out: Path, threads: int,
 ) -> None:  # fmt: skip
-    """Render the map and its elevation if they are missing, then the photos of these numbers."""
+    """Render the maps that are missing, then the photos of these numbers."""
     from tools.world import render
 
-    with progress(len(missing) + tally.map + tally.elevation) as (folder, advance):
+    with progress(len(missing) + len(maps)) as (folder, advance):
 
-        def scene(look: photo.Look, spare: float = _SPARE) -> BlenderScene:
-            return render.BlenderScene(
-                city, plan.x, plan.y, MAP_SIDE + 2 * spare, look, settings.samples, folder, threads
-            )
+        def scene(look: photo.Look) -> BlenderScene:
+            side = MAP_SIDE + 2 * _SPARE
+            return render.BlenderScene(city, plan.x, plan.y, side, look, settings.samples, folder, threads)
 
-        if tally.map or tally.elevation:
+        if maps:
             look = photo.map_look(settings.seed)
             made = scene(look)
-            if tally.map:
-                write_atomic(out / MAP, _map(settings, site, plan, made, look))
-                advance(1)
-            if tally.elevation:
-                write_atomic(out / ELEVATION, _elevation(site, plan, made))
+            for file in maps:
+                data = _map(settings, site, plan, made, look) if file == MAP else _elevation(site, plan, made)
+                write_atomic(out / file, data)
                 advance(1)
         if missing:
             day = photo.flight_look(settings.seed)
-            made = scene(day, _OBLIQUE_SPARE if settings.oblique else _SPARE)
+            made = scene(day)
             for number in missing:
-                start = time.perf_counter()
                 picture = plan.pictures[number]
                 rng = np.random.default_rng([settings.seed, 73, number])
                 look = replace(day, exposure=day.exposure * float(rng.normal(1, 0.03)))
                 light = made.frame(picture.pose, settings.width, settings.width * 3 // 4)
                 write_atomic(_photo(out, picture), flight_files.photo_bytes(picture, photo.develop(light, look, rng)))
-                tally.photos += 1
-                tally.photo_seconds += time.perf_counter() - start
                 advance(1)
 
 

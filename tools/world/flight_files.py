@@ -1,7 +1,6 @@
-"""The files of a rendered flight: photos with EXIF and XMP, a video with `.SRT`, and its map as a GeoTIFF.
+"""The files of a rendered flight: photos with EXIF and XMP, and its map as a GeoTIFF.
 
 photos  XMP in the form of DJI's namespace `drone-dji`, EXIF with position, focal length, and time
-video   MPEG-4, one picture a second, with subtitles in the dialect of DJI's Avata 360, which has the gimbal's angles
 map     north-up in the UTM zone of the site, on WGS 84, tiled, with overviews
 """
 
@@ -9,11 +8,8 @@ from __future__ import annotations
 
 import io
 import math
-from collections.abc import Sequence
 from datetime import UTC, datetime
 from fractions import Fraction
-from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import cv2
@@ -23,8 +19,6 @@ from PIL import ExifTags, Image
 from PIL.TiffImagePlugin import IFDRational
 
 from lpn.core.arrays import Float32Array, Float64Array
-from lpn.core.errors import OutputError
-from lpn.core.images import load_picture
 from lpn.core.numbers import wrap_degrees
 from tools.world.cameras import SatelliteImage, Site
 from tools.world.flight_plan import EQUIVALENT, FOV, FlightPicture
@@ -109,51 +103,6 @@ def _xmp(picture: FlightPicture, width: int) -> bytes:
 def _signed(angles: tuple[float, float, float]) -> tuple[float, float, float]:
     """Return yaw, pitch, and roll with the yaw from -180 to 180 degrees, as DJI writes it."""
     return wrap_degrees(angles[0]), angles[1], angles[2]
-
-
-def subtitles_bytes(pictures: Sequence[FlightPicture]) -> bytes:
-    """Encode the `.SRT` of a video that shows each picture for a second.
-
-    Latitude and longitude have 1e-6 degrees, heights 0.001 m, angles 0.1 degrees.
-    """
-    blocks = []
-    for number, picture in enumerate(pictures, 1):
-        tag, clock = picture.tag, datetime.fromtimestamp(picture.time, UTC)
-        yaw, pitch, roll = _signed(tag.gimbal)
-        blocks.append(
-            f"{number}\n{_code(number - 1)} --> {_code(number)}\n"
-            f'<font size="28">FrameCnt: {number}, DiffTime: 1000ms\n'
-            f"{clock:%Y-%m-%d %H:%M:%S}.{clock.microsecond // 1000:03d}\n"
-            f"[iso: 100] [shutter: 1/1250.0] [fnum: 1.9] [ev: 0] [ct: 5600] [color_md: default] [focal_len: {EQUIVALENT:.2f}] "
-            f"[latitude: {tag.latitude:.6f}] [longitude: {tag.longitude:.6f}] "
-            f"[rel_alt: {tag.takeoff_height:.3f} abs_alt: {tag.altitude:.3f}] "
-            f"[gb_yaw: {yaw:.1f} gb_pitch: {pitch:.1f} gb_roll: {roll:.1f}] </font>\n"
-        )
-    return "\n".join(blocks).encode()
-
-
-def _code(seconds: int) -> str:
-    return f"{seconds // 3600:02d}:{seconds // 60 % 60:02d}:{seconds % 60:02d},000"
-
-
-def video_bytes(photos: Sequence[Path]) -> bytes:
-    """Encode photos of one size as an MPEG-4 video, one a second.
-
-    Raises:
-        OutputError: if OpenCV cannot write such a video.
-    """
-    with TemporaryDirectory(prefix="lpn-flight-") as folder:
-        file = Path(folder) / "video.mp4"
-        height, width = load_picture(photos[0]).shape[:2]
-        writer = cv2.VideoWriter(str(file), cv2.VideoWriter.fourcc(*"mp4v"), 1.0, (width, height))
-        if not writer.isOpened():
-            raise OutputError(
-                "OpenCV has no encoder of MPEG-4 here, so there is no video; install opencv-python-headless."
-            )
-        for photo in photos:
-            writer.write(cv2.cvtColor(load_picture(photo), cv2.COLOR_RGB2BGR))
-        writer.release()
-        return file.read_bytes()
 
 
 class MapGrid:

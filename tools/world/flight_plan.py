@@ -37,25 +37,8 @@ _AIRSPEED, _WIND = 10.0, (2.0, 4.0)  # metres a second
 _GUSTS = (0.5, 8.0)  # deviation in metres a second, and time constant in seconds
 _TURN_SECONDS, _TRANSIT_SECONDS = 9.0, 25.0
 _FREE_REACH = 200.0  # metres
-_STEEPEST = -90.0  # degrees, of the gimbal on the free path
-
-
-@dataclass(frozen=True)
-class FlightStyle:
-    """The heights and tilts of a flight.
-
-    Attributes:
-        heights: lower and upper height of both paths, in metres above the point of take-off.
-        flattest: pitch of the gimbal, in degrees, up to which it swings from straight down on the free path.
-        lawn_share: share of the pictures that the lawnmower takes.
-    """
-
-    heights: tuple[float, float] = HEIGHTS
-    flattest: float = -79.0
-    lawn_share: float = 0.6
-
-
-MAPPING, OBLIQUE = FlightStyle(), FlightStyle((60.0, 200.0), -45.0, 0.3)
+_STEEPEST, _FLATTEST = -90.0, -79.0  # degrees, of the gimbal on the free path
+_LAWN_SHARE = 0.6  # of the pictures, which the lawnmower takes
 
 
 @dataclass(frozen=True)
@@ -136,7 +119,6 @@ class FlightPicture:
         name: of the photo's file.
         path: the part of the flight.
         time: seconds since 1970 in UTC.
-        video_second: seconds from the start of the video; None for the lawnmower.
         pose: the truth.
         tag: what the files tell.
     """
@@ -144,7 +126,6 @@ class FlightPicture:
     name: str
     path: Literal["lawnmower", "free"]
     time: float
-    video_second: float | None
     pose: AerialPose
     tag: Tag
 
@@ -163,11 +144,6 @@ class FlightPlan:
     ground: float
     pictures: tuple[FlightPicture, ...]
 
-    @property
-    def video(self) -> tuple[FlightPicture, ...]:
-        """The pictures of the free path, which the video shows, one a second."""
-        return tuple(picture for picture in self.pictures if picture.path == "free")
-
     def truth_csv(self, city: City, site: Site) -> bytes:
         """Encode truth.csv: where each camera was, and where the ground in the middle of its picture lies.
 
@@ -176,15 +152,14 @@ class FlightPlan:
         text = io.StringIO()
         table = csv.writer(text, lineterminator="\n")
         table.writerow(
-            ["file", "part", "second", "video_second", "latitude", "longitude", "x", "y", "z", "true_ground_height",
+            ["file", "part", "second", "latitude", "longitude", "x", "y", "z", "true_ground_height",
              "true_takeoff_height", "true_heading", "true_pitch", "true_roll", "true_fov", "middle_latitude", "middle_longitude"]
         )  # fmt: skip
         for picture in self.pictures:
             pose = picture.pose
-            video = "" if picture.video_second is None else f"{picture.video_second:.3f}"
             place, middle = site.degrees(pose.x, pose.y), site.degrees(*picture_middle(city, pose))
             table.writerow(
-                [picture.name, picture.path, f"{picture.time - START:.3f}", video, *(f"{v:.9f}" for v in place),
+                [picture.name, picture.path, f"{picture.time - START:.3f}", *(f"{v:.9f}" for v in place),
                  *(f"{v:.4f}" for v in (pose.x, pose.y, pose.z, pose.z - city.height(pose.x, pose.y), pose.z - self.ground,
                                         pose.heading, pose.pitch, pose.roll, pose.fov)), *(f"{v:.9f}" for v in middle)]
             )  # fmt: skip
@@ -201,16 +176,16 @@ def picture_middle(city: City, pose: AerialPose) -> tuple[float, float]:
     return float(x), float(y)
 
 
-def plan_flight(city: City, site: Site, frames: int, style: FlightStyle = MAPPING) -> FlightPlan:
+def plan_flight(city: City, site: Site, frames: int) -> FlightPlan:
     """Plan a flight of `frames` pictures over the district of the test split that has most targets."""
     x, y = _middle(city)
     ground = city.height(x, y)
     rng = np.random.default_rng([city.seed, 71, frames])
     blowing, strength = rng.uniform(0, 2 * np.pi), rng.uniform(*_WIND)
     steady = strength * np.array([np.sin(blowing), np.cos(blowing)])
-    mown = max(1, round(style.lawn_share * frames))
+    mown = max(1, round(_LAWN_SHARE * frames))
     lawn, free = np.arange(frames) < mown, np.arange(frames) - mown
-    one, other = _lawnmower(rng, mown, steady, style), _free_path(rng, frames - mown, steady, style)
+    one, other = _lawnmower(rng, mown, steady), _free_path(rng, frames - mown, steady)
     times = np.concatenate([one.times, one.times[-1] + _TRANSIT_SECONDS + other.times])
     places, heights, courses, speeds = (
         np.concatenate([getattr(one, name), getattr(other, name)])
@@ -221,7 +196,7 @@ def plan_flight(city: City, site: Site, frames: int, style: FlightStyle = MAPPIN
     nose = (courses + crab) % 360
     pan = np.where(lawn, 0.0, 18 * np.sin(free / 9 + rng.uniform(0, 6)))
     pitch = np.where(
-        lawn, -90.0, _STEEPEST + (style.flattest - _STEEPEST) * 0.5 * (1 - np.cos(free / 7 + rng.uniform(-0.5, 0.5)))
+        lawn, -90.0, _STEEPEST + (_FLATTEST - _STEEPEST) * 0.5 * (1 - np.cos(free / 7 + rng.uniform(-0.5, 0.5)))
     )
     yaw = (nose + pan + rng.normal(0, 0.5, frames)) % 360
     e = TAG_ERRORS
@@ -248,10 +223,9 @@ def plan_flight(city: City, site: Site, frames: int, style: FlightStyle = MAPPIN
             (float(nose[i]), float(lean[i, 0]), float(lean[i, 1])),
             (float(velocity[i, 0]), float(velocity[i, 1]), float(climb[i])),
         )  # fmt: skip
-        second = None if lawn[i] else float(times[i] - times[~lawn][0])
         pictures.append(
             FlightPicture(
-                f"LPN_{i + 1:04d}.JPG", "lawnmower" if lawn[i] else "free", START + float(times[i]), second, pose, tag
+                f"LPN_{i + 1:04d}.JPG", "lawnmower" if lawn[i] else "free", START + float(times[i]), pose, tag
             )
         )
     return FlightPlan(x, y, ground, tuple(pictures))
@@ -288,7 +262,7 @@ class _Track:
     speeds: Float64Array
 
 
-def _lawnmower(rng: np.random.Generator, count: int, wind: Float64Array, style: FlightStyle) -> _Track:
+def _lawnmower(rng: np.random.Generator, count: int, wind: Float64Array) -> _Track:
     """Return parallel legs there and back, half of them at each height; the first picture of a leg follows a turn."""
     legs = 6 if count >= 30 else 2
     leg = np.sort(np.arange(count) % legs)
@@ -302,11 +276,11 @@ def _lawnmower(rng: np.random.Generator, count: int, wind: Float64Array, style: 
     speeds = np.array([_ground_speed(wind, course) for course in courses]) + rng.normal(0, 0.3, count)
     steps = np.linalg.norm(np.diff(places, axis=0), axis=1) / speeds[1:] + _TURN_SECONDS * first[1:]
     times = np.concatenate([[0.0], np.cumsum(steps)])
-    heights = np.where(leg < legs // 2, *style.heights) + gauss_markov(rng, times, 0.3, 20.0)
+    heights = np.where(leg < legs // 2, *HEIGHTS) + gauss_markov(rng, times, 0.3, 20.0)
     return _Track(times, places, heights, courses, speeds)
 
 
-def _free_path(rng: np.random.Generator, count: int, wind: Float64Array, style: FlightStyle) -> _Track:
+def _free_path(rng: np.random.Generator, count: int, wind: Float64Array) -> _Track:
     """Return places one second apart on a smooth curve, from the upper height down to the lower one."""
     around = np.linspace(0, 4 * np.pi, 8000) + rng.uniform(0, 2 * np.pi)
     phases = rng.uniform(0, 2 * np.pi, 2)
@@ -325,7 +299,7 @@ def _free_path(rng: np.random.Generator, count: int, wind: Float64Array, style: 
         flown += speeds[i]
     times = np.arange(count, dtype=np.float64)
     share = times / max(count - 1, 1)
-    lower, upper = style.heights
+    lower, upper = HEIGHTS
     heights = upper + (lower - upper) * share**2 * (3 - 2 * share)
     return _Track(times, places, heights + gauss_markov(rng, times, 0.3, 20.0), courses, speeds)
 

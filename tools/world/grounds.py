@@ -14,9 +14,8 @@ GROVE = (0, 1, 2, 0, 1, 0, 4)
 def sports(plot: Plot) -> Surface:
     """Pitches, a track, courts, and identical halls."""
     rng = plot.rng
-    start, along, normal, edge = plot.edge(plot.longest())
+    start, along, normal, edge, angle = plot.edge(plot.longest())
     across = plot.edge(plot.longest() + 1)[3]
-    angle = float(np.arctan2(along[1], along[0]))
     halls = plot.pools.shared("hall", plot.district.split, 2, rng)
 
     def at(share: float, depth: float) -> tuple[float, float]:
@@ -70,9 +69,8 @@ def school(plot: Plot) -> Surface:
     """A school with its playground and small pitch."""
     rng = plot.rng
     i = plot.longest()
-    start, along, normal, edge = plot.edge(i)
+    start, along, normal, edge, angle = plot.edge(i)
     across = plot.edge(i + 1)[3]
-    angle = float(np.arctan2(along[1], along[0]))
     for kind, share in ((("ushape", "tshape", "lshape")[int(rng.integers(3))], 0.3), ("slab", 0.75)):
         plot.front(plot.pools.own(kind, rng), i, edge * share, 6.0)
     grounds: tuple[tuple[Surface, tuple[float, float]], ...] = (
@@ -95,13 +93,13 @@ def countryside(plot: Plot) -> Surface:
     if use < 0.3:
         plot.plant(int(area(plot.polygon) / 38), (0, 1, 4, 4, 0), (9, 19))
         return "wood"
-    angle = float(np.arctan2(*plot.edge(plot.longest())[1][::-1]))
+    angle = plot.edge(plot.longest())[4]
     low, high = plot.polygon.min(axis=0), plot.polygon.max(axis=0)
     shape = inset(plot.polygon, np.full(4, 4.0))
     length, width = (high - low).tolist()
     plot.draft.patches.append(Patch("field", shape, angle, length, width, float(rng.random())))
     for i in range(4):
-        start, along, normal, edge = plot.edge(i)
+        start, along, normal, edge, _ = plot.edge(i)
         places = start + along * rng.uniform(0, edge, int(edge / 7))[:, None] + normal * 1.8
         plot.plant_at(places, (0, 1, 5, 5, 3), (6, 12))
     if use > 0.75:

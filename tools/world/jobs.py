@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import MISSING, asdict, fields
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,13 +13,14 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from lpn.core.errors import InputError, OutputError
-from lpn.core.formats import UPGRADE, is_newer, newer_version
 
 if TYPE_CHECKING:
     from tools.world.atlas import Settings
     from tools.world.flight import FlightSettings
 
 EDITION = 2  # counts changes of the code that change the pictures of a seed
+# The entries of a plan that decide its pictures.
+_DECIDES = ("format", "edition", "settings")
 
 
 def check_limits(settings: Settings | FlightSettings, limits: Mapping[str, tuple[float, float]]) -> None:
@@ -30,38 +31,21 @@ def check_limits(settings: Settings | FlightSettings, limits: Mapping[str, tuple
             raise InputError(f"The setting {name} is {value}; expected {low} to {high}.")
 
 
-def check_folder(settings: Settings | FlightSettings, file: Path, kind: str, form: str) -> None:
-    """Check that the plan in a folder is absent, or of the same settings; a setting with its default may be left out.
-
-    Args:
-        file: the plan, world.json or flight_world.json.
-        kind: what it is a plan of, in words.
-        form: its format.
+def check_folder(settings: Settings | FlightSettings, file: Path, form: str) -> None:
+    """Check that the plan in a folder, world.json or flight_world.json, is absent, or of the same settings and format.
 
     Raises:
         OutputError: when the folder holds something else.
     """
     if not file.is_file():
         return
-    out = file.parent
-    defaults = {one.name: one.default for one in fields(settings) if one.default is not MISSING}
     try:
-        held = json.loads(file.read_bytes())
-        if is_newer(held.get("format"), form):
-            raise OutputError(newer_version(file, held["format"], form))
-        had, edition = held["settings"], held["edition"]
-        same = json.loads(json.dumps({**defaults, **had})) == json.loads(json.dumps(asdict(settings)))
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
-        raise OutputError(f"{file} is not a {kind}'s; choose another folder.") from error
-    if not same:
+        held = {name: value for name, value in json.loads(file.read_bytes()).items() if name in _DECIDES}
+    except (OSError, ValueError, AttributeError, RecursionError):
+        held = {}
+    if held != json.loads(json.dumps({"format": form, "edition": EDITION, "settings": asdict(settings)})):
         raise OutputError(
-            f"{out} holds pictures made with other settings ({had}); choose another folder, or delete that one."
-        )
-    if edition != EDITION:
-        remedy = f"{UPGRADE}, or" if isinstance(edition, int) and edition > EDITION else "delete that one, or"
-        raise OutputError(
-            f"{out} holds pictures made by edition {edition} of the program, and this is edition {EDITION}, whose pictures "
-            f"differ; {remedy} choose another folder."
+            f"{file} is of pictures made otherwise, by {json.dumps(held)[:300]}; delete that folder, or choose another one."
         )
 
 

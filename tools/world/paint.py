@@ -24,14 +24,12 @@ class Season:
         grass, dry: reflectance of watered and of dry grass.
         dryness: fraction of dry grass, 0 to 1.
         leaves: reflectances of leaves.
-        pavement: factor of the reflectance of hard ground (red, green, blue).
     """
 
     grass: Reflectance
     dry: Reflectance
     dryness: float
     leaves: tuple[Reflectance, ...]
-    pavement: Reflectance = (1.0, 1.0, 1.0)
 
 
 ASPHALT: Reflectance = (0.125, 0.125, 0.13)
@@ -50,6 +48,7 @@ _GROUND: dict[str, tuple[Reflectance, float, float]] = {  # colour, grain, blotc
     "water": ((0.045, 0.065, 0.05), 0.0, 0.1),
     "pool": ((0.12, 0.42, 0.52), 0.0, 0.05),
 }
+_COURTS: tuple[Reflectance, ...] = ((0.10, 0.2, 0.12), (0.3, 0.12, 0.07), (0.09, 0.16, 0.27), (0.13, 0.13, 0.13))
 _FIELDS: tuple[Reflectance, ...] = (
     (0.24, 0.2, 0.09), (0.09, 0.14, 0.04), (0.2, 0.15, 0.1), (0.14, 0.17, 0.05), (0.3, 0.26, 0.14),
 )  # fmt: skip
@@ -72,7 +71,6 @@ def ground(
     for path in city.paths:
         if seen(path.line):
             colour, grain, blotch = _GROUND.get(path.surface, _GROUND["gravel"])
-            colour = _hard(colour, season)
             canvas.line(path.line, path.width + 0.8, colour, 0.2, 0.35, 0.2)
             canvas.line(path.line, path.width, colour, grain, 0.92, blotch)
     for patch in city.patches:
@@ -87,8 +85,8 @@ def ground(
     return np.clip(canvas.colour, 0.005, 0.85), np.clip(canvas.water, 0, 1)
 
 
-def _hard(colour: Reflectance, season: Season, factor: float = 1.0) -> Reflectance:
-    red, green, blue = (factor * value * gain for value, gain in zip(colour, season.pavement, strict=True))
+def _scaled(colour: Reflectance, factor: float) -> Reflectance:
+    red, green, blue = (factor * value for value in colour)
     return red, green, blue
 
 
@@ -112,9 +110,8 @@ def _grass(canvas: Canvas, polygon: Float64Array, season: Season, shade: float, 
     mask = np.zeros((rows.stop - rows.start, columns.stop - columns.start), np.uint8)
     cv2.fillPoly(mask, [at.astype(np.int32)], 255, cv2.LINE_AA, 4)
     blotches = np.clip(0.5 * canvas.field(9, rows, columns) + 0.5 * canvas.field(2, rows, columns) - 0.5, 0, 1)
-    weight = (mask.astype(np.float32) / 255 * blotches * np.float32(min(0.8, 0.25 + 0.55 * season.dryness * worn)))[
-        ..., None
-    ]
+    most = np.float32(min(0.8, 0.25 + 0.55 * season.dryness * worn))
+    weight = (mask.astype(np.float32) / 255 * blotches * most)[..., None]
     canvas.colour[rows, columns] += weight * (np.array(season.dry, np.float32) - canvas.colour[rows, columns])
 
 
@@ -125,7 +122,7 @@ def _surface(canvas: Canvas, polygon: Float64Array, surface: str, season: Season
             canvas.fill(polygon, (0.09, 0.075, 0.04), 0.2, 0.3, 0.6)
     else:
         colour, grain, blotch = _GROUND[surface]
-        canvas.fill(polygon, _hard(colour, season, 0.8 + 0.4 * shade), grain, blotch)
+        canvas.fill(polygon, _scaled(colour, 0.8 + 0.4 * shade), grain, blotch)
         _stains(canvas, polygon)
 
 
@@ -154,9 +151,12 @@ def _patch(canvas: Canvas, patch: Patch, season: Season) -> None:
     def marked(points: list[tuple[float, float]], width: float = 0.14, strength: float = 0.85) -> None:
         canvas.line(local(points), width, LINE, 0.05, strength)
 
+    def box(x0: float, y0: float, x1: float, y1: float) -> list[tuple[float, float]]:
+        return [(x0, y0), (x1, y0), (x1, y1), (x0, y1)]
+
     def ring(length: float, width: float) -> None:
         x, y = length / 2, width / 2
-        marked([(-x, -y), (x, -y), (x, y), (-x, y), (-x, -y)])
+        marked([*box(-x, -y, x, y), (-x, -y)])
 
     def circle(x: float, y: float, radius: float) -> None:
         around = np.linspace(0, 2 * np.pi, 40)
@@ -171,43 +171,21 @@ def _patch(canvas: Canvas, patch: Patch, season: Season) -> None:
         stripes = 12
         for i in range(0, stripes, 2):
             x = -length / 2 + i * length / stripes
-            band = [
-                (x, -width / 2),
-                (x + length / stripes, -width / 2),
-                (x + length / stripes, width / 2),
-                (x, width / 2),
-            ]
-            canvas.fill(local(band), (0.13, 0.21, 0.06), 0.1, 0.1, 0.3)
+            band = local(box(x, -width / 2, x + length / stripes, width / 2))
+            canvas.fill(band, (0.13, 0.21, 0.06), 0.1, 0.1, 0.3)
         ring(length - 5, width - 5)
         marked([(0, -width / 2 + 2.5), (0, width / 2 - 2.5)])
         circle(0, 0, width * 0.13)
         for side in (-1, 1):
             x = side * (length / 2 - 2.5)
             for deep, wide in ((0.15, 0.55), (0.05, 0.25)):
-                inner = x - side * deep * length
-                marked(
-                    [
-                        (x, -wide * width / 2),
-                        (inner, -wide * width / 2),
-                        (inner, wide * width / 2),
-                        (x, wide * width / 2),
-                    ]
-                )
-            canvas.fill(
-                local([(x - side * 7, -4), (x, -4), (x, 4), (x - side * 7, 4)]), season.dry, 0.2, 0.2, 0.5, soft=1.0
-            )
+                marked(box(x, -wide * width / 2, x - side * deep * length, wide * width / 2))
+            canvas.fill(local(box(x - side * 7, -4, x, 4)), season.dry, 0.2, 0.2, 0.5, soft=1.0)
     elif patch.surface == "track":
         _track(canvas, patch, season)
     elif patch.surface == "court":
-        colours: tuple[Reflectance, ...] = (
-            (0.10, 0.2, 0.12),
-            (0.3, 0.12, 0.07),
-            (0.09, 0.16, 0.27),
-            (0.13, 0.13, 0.13),
-        )
         canvas.fill(patch.polygon, (0.12, 0.2, 0.13) if patch.shade < 0.5 else (0.25, 0.11, 0.07), 0.03, 0.06)
-        field = local([(-12, -5.5), (12, -5.5), (12, 5.5), (-12, 5.5)])
-        canvas.fill(field, colours[int(patch.shade * 3.99)], 0.03, 0.06)
+        canvas.fill(local(box(-12, -5.5, 12, 5.5)), _COURTS[int(patch.shade * 3.99)], 0.03, 0.06)
         ring(23.8, 11)
         ring(23.8, 8.2)
         marked([(0, -6), (0, 6)])
@@ -215,20 +193,19 @@ def _patch(canvas: Canvas, patch: Patch, season: Season) -> None:
     elif patch.surface == "parking":
         colour, grain, blotch = _GROUND["parking"]
         canvas.fill(_grown(patch.polygon, 0.4), PAVING, 0.06, 0.1)
-        canvas.fill(patch.polygon, _hard(colour, season, 0.7 + 0.8 * patch.shade), grain, blotch)
+        canvas.fill(patch.polygon, _scaled(colour, 0.7 + 0.8 * patch.shade), grain, blotch)
         _stains(canvas, patch.polygon, 0.006)
         for y in parking_rows(width):
             for x in np.arange(-length / 2 + 0.15, length / 2, 2.5):
                 marked([(float(x), y - 2.5), (float(x), y + 2.5)], 0.13, 0.75)
-                canvas.fill(local([(x + 0.7, y - 1.4), (x + 1.8, y - 1.4), (x + 1.8, y + 1.6), (x + 0.7, y + 1.6)]),
-                            (0.05, 0.05, 0.05), 0, 0.3, 0.22, soft=0.4)  # fmt: skip
+                canvas.fill(local(box(x + 0.7, y - 1.4, x + 1.8, y + 1.6)), (0.05, 0.05, 0.05), 0, 0.3, 0.22, soft=0.4)
     elif patch.surface == "field":
         colour = _FIELDS[int(patch.shade * 4.99)]
         canvas.fill(patch.polygon, colour, 0.15, 0.16)
         reach = max(length, width)
         for y in np.arange(-reach / 2, reach / 2, 3.0):
             line = local([(-reach / 2, float(y)), (reach / 2, float(y))])
-            canvas.line(_clipped(line, patch.polygon), 1.1, tuple(0.75 * v for v in colour), 0.1, 0.35)  # type: ignore[arg-type]
+            canvas.line(_clipped(line, patch.polygon), 1.1, _scaled(colour, 0.75), 0.1, 0.35)
     elif patch.surface == "water":
         canvas.fill(_grown(patch.polygon, 2.0), (0.2, 0.17, 0.1), 0.2, 0.2, soft=0.6)
         canvas.fill(patch.polygon, _GROUND["water"][0], 0, 0.1, water=1.0)
@@ -238,9 +215,7 @@ def _patch(canvas: Canvas, patch: Patch, season: Season) -> None:
     elif patch.surface == "playground":
         canvas.fill(patch.polygon, _GROUND["playground"][0], 0.06, 0.1)
         for i, colour in enumerate(((0.3, 0.1, 0.06), (0.5, 0.36, 0.1), (0.1, 0.2, 0.35))):
-            canvas.fill(
-                local([(-12 + 8 * i, -5), (-6 + 8 * i, -5), (-6 + 8 * i, 3), (-12 + 8 * i, 3)]), colour, 0.05, 0.1, 0.8
-            )
+            canvas.fill(local(box(-12 + 8 * i, -5, -6 + 8 * i, 3)), colour, 0.05, 0.1, 0.8)
     else:
         _surface(canvas, patch.polygon, patch.surface, season, patch.shade)
         if patch.surface == "plaza":
@@ -248,9 +223,8 @@ def _patch(canvas: Canvas, patch: Patch, season: Season) -> None:
                 shape = middle + (patch.polygon - middle) * scale
                 canvas.line(np.concatenate([shape, shape[:1]]), 0.6, (0.24, 0.21, 0.18), 0.05, 0.7)
         if patch.surface == "garden":
-            canvas.fill(
-                middle + (patch.polygon - middle) * (0.9, 0.55), (0.14, 0.13, 0.06), 0.25, 0.3, 0.3 + 0.4 * patch.shade
-            )
+            bed = middle + (patch.polygon - middle) * (0.9, 0.55)
+            canvas.fill(bed, (0.14, 0.13, 0.06), 0.25, 0.3, 0.3 + 0.4 * patch.shade)
 
 
 def _clipped(line: Float64Array, polygon: Float64Array) -> Float64Array:
@@ -283,7 +257,7 @@ def _streets(canvas: Canvas, streets: list[Street], season: Season) -> None:
     for street in streets:
         rng = np.random.default_rng(int(abs(street.line[0].sum()) * 10) + 1)
         tone = rng.uniform(0.6, 1.15)
-        canvas.line(street.line, street.width + 2 * street.pavement, _hard(PAVING, season, tone), 0.08, 1.0, 0.16)
+        canvas.line(street.line, street.width + 2 * street.pavement, _scaled(PAVING, tone), 0.08, 1.0, 0.16)
         if street.pavement > 1.5 and rng.random() < 0.4:  # a verge between kerb and pavement
             for side in (-1, 1):
                 canvas.line(beside(street.line, side * (street.width / 2 + street.pavement * 0.3)), street.pavement * 0.5,
@@ -293,7 +267,7 @@ def _streets(canvas: Canvas, streets: list[Street], season: Season) -> None:
     for street in streets:
         rng = np.random.default_rng(int(abs(street.line[0].sum()) * 10))
         factor = rng.uniform(0.8, 1.8)
-        canvas.line(street.line, street.width, _hard(ASPHALT, season, factor), 0.07, 1.0, 0.14)
+        canvas.line(street.line, street.width, _scaled(ASPHALT, factor), 0.07, 1.0, 0.14)
     for street in streets:
         rng = np.random.default_rng(int(abs(street.line[-1].sum()) * 10))
         offsets = (-5.3, -1.9, 1.9, 5.3) if street.kind == "arterial" else (-1.6, 1.6)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import cv2
@@ -13,7 +12,6 @@ from lpn.core.arrays import Float32Array, Float64Array
 from tools.world.architecture import Reflectance
 from tools.world.cameras import Pose
 from tools.world.paint import Season
-from tools.world.variety import Factor, Materials
 
 
 @dataclass(frozen=True)
@@ -31,7 +29,6 @@ class Look:
         blur: deviation in pixels.
         noise: deviation of the displayed sensor noise.
         traffic: seed of the vehicles.
-        materials: each district has materials of its own, see `tools.world.variety`; else they are those of the plan.
     """
 
     season: Season
@@ -45,7 +42,6 @@ class Look:
     blur: float
     noise: float
     traffic: int
-    materials: bool = False
 
 
 _SUMMER = ((0.052, 0.085, 0.022), (0.07, 0.105, 0.026), (0.04, 0.07, 0.02), (0.085, 0.115, 0.03), (0.06, 0.085, 0.03))
@@ -75,16 +71,15 @@ FLIGHT = replace(
 FLIGHT_MAP = replace(SATELLITES[1], sun=(55.0, 140.0), traffic=9)
 
 
-def drone_look(seed: int, district: int, vary: Sequence[Factor] = ()) -> Look:
-    """Vary the drone's day for a district, and draw the district's materials if they vary."""
-    rng = np.random.default_rng([seed, 41, district])
-    return _with_materials(_varied(DRONE, rng), seed, district, vary)
+def drone_look(seed: int, district: int) -> Look:
+    """Vary the drone's day for a district."""
+    return _varied(DRONE, np.random.default_rng([seed, 41, district]))
 
 
-def satellite_look(seed: int, district: int, vary: Sequence[Factor] = ()) -> Look:
-    """Draw the satellite's day for a district, a variation of one of a few, and the district's materials if they vary."""
+def satellite_look(seed: int, district: int) -> Look:
+    """Draw the satellite's day for a district, a variation of one of a few."""
     rng = np.random.default_rng([seed, 42, district])
-    return _with_materials(_varied(SATELLITES[int(rng.integers(len(SATELLITES)))], rng), seed, district, vary)
+    return _varied(SATELLITES[int(rng.integers(len(SATELLITES)))], rng)
 
 
 def flight_look(seed: int) -> Look:
@@ -112,13 +107,6 @@ def any_camera(look: Look, rng: np.random.Generator) -> Look:
     )
 
 
-def _with_materials(look: Look, seed: int, district: int, vary: Sequence[Factor]) -> Look:
-    if "materials" not in vary:
-        return look
-    pavement = Materials.draw(seed, district).pavement
-    return replace(look, materials=True, season=replace(look.season, pavement=pavement))
-
-
 def _colour(values: Float64Array) -> Reflectance:
     red, green, blue = values.tolist()
     return red, green, blue
@@ -126,13 +114,13 @@ def _colour(values: Float64Array) -> Reflectance:
 
 def _varied(look: Look, rng: np.random.Generator) -> Look:
     elevation, bearing = look.sun
-    balance = np.array(look.balance) * rng.normal(1, (0.015, 0.01, 0.045))
+    balance = _colour(np.array(look.balance) * rng.normal(1, (0.015, 0.01, 0.045)))
     return replace(
         look,
         season=replace(look.season, dryness=float(look.season.dryness * rng.uniform(0.5, 1.6))),
         sun=(float(elevation + rng.uniform(-7, 9)), float(bearing + rng.uniform(-25, 25))),
         exposure=float(look.exposure * rng.uniform(0.86, 1.14)),
-        balance=(float(balance[0]), float(balance[1]), float(balance[2])),
+        balance=balance,
         contrast=float(look.contrast * rng.uniform(0.93, 1.06)),
         saturation=float(look.saturation * rng.uniform(0.85, 1.1)),
         haze=float(look.haze * rng.uniform(0.6, 1.5)),

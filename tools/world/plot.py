@@ -70,12 +70,12 @@ class Plot:
     beds: list[Float64Array] = field(default_factory=list)
     trees: list[tuple[float, float]] = field(default_factory=list)
 
-    def edge(self, i: int) -> tuple[Float64Array, Float64Array, Float64Array, float]:
-        """Start, direction, inward normal, and length of an edge."""
+    def edge(self, i: int) -> tuple[Float64Array, Float64Array, Float64Array, float, float]:
+        """Start, direction, inward normal, and length of an edge, and the angle of its direction."""
         start, end = self.polygon[i % 4], self.polygon[(i + 1) % 4]
         length = float(np.linalg.norm(end - start))
         along = (end - start) / length
-        return start, along, np.array([-along[1], along[0]]), length
+        return start, along, np.array([-along[1], along[0]]), length, float(np.arctan2(along[1], along[0]))
 
     def longest(self) -> int:
         """Index of the longer of the two pairs of edges: 0 or 1."""
@@ -153,9 +153,9 @@ class Plot:
 
     def front(self, index: int, i: int, at: float, setback: float, gap: float = 3.0, border: float = 0.5) -> bool:
         """Place a building at `at` metres along edge i, facing its street."""
-        start, along, normal, _ = self.edge(i)
+        start, along, normal, _, angle = self.edge(i)
         x, y = start + along * at + normal * (setback + self.pools[index].size[1] / 2)
-        return self.build(index, float(x), float(y), float(np.arctan2(along[1], along[0])), gap, border)
+        return self.build(index, float(x), float(y), angle, gap, border)
 
     def lay(self, surface: Surface, x: float, y: float, length: float, width: float, angle: float,
             solid: bool = True, round_: bool = False, border: float = 0.3) -> bool:  # fmt: skip
@@ -225,9 +225,8 @@ class Plot:
 
     def leftover_parking(self) -> None:
         """Add car parks wherever there is still room."""
-        start, along, normal, edge = self.edge(self.longest())
+        start, along, normal, edge, angle = self.edge(self.longest())
         across = self.edge(self.longest() + 1)[3]
-        angle = float(np.arctan2(along[1], along[0]))
         for length, width in ((46, 32), (34, 32), (40, 16), (24, 16), (16, 16)):
             for _ in range(6):
                 x, y = start + along * self.rng.uniform(0, edge) + normal * self.rng.uniform(0, across)
@@ -239,11 +238,10 @@ class Plot:
         low, high = self.polygon.min(axis=0), self.polygon.max(axis=0)
         for _ in range(count):
             x, y = rng.uniform(low, high)
-            along = self.edge(int(rng.integers(4)))[1]
+            angle = self.edge(int(rng.integers(4)))[4]
             length, width = float(rng.uniform(6, 26)), float(rng.uniform(3, 11))
-            bed = rectangle(float(x), float(y), length, width, float(np.arctan2(along[1], along[0])))
+            bed = rectangle(float(x), float(y), length, width, angle)
             if self.free(bed, 0.8, 0.5):
-                angle = float(np.arctan2(along[1], along[0]))
                 self.draft.patches.append(Patch("lawn", bed, angle, length, width, float(rng.random())))
                 self.bodies.append(bed)
                 self.beds.append(bed)

@@ -22,7 +22,6 @@ from tools.world.cameras import Pose, SatelliteImage
 from tools.world.city import SPECIES, VEHICLES, City
 from tools.world.flight_plan import AerialPose
 from tools.world.photo import Look
-from tools.world.variety import Materials
 
 SCALE = 0.25  # metres a pixel of the ground's texture
 _VARIANTS = 4
@@ -72,11 +71,7 @@ class BlenderScene:
 
     def sweep(self, sweep: SatelliteImage) -> Float32Array:
         """Render a satellite image: (pixels, pixels, 3) linear light."""
-        axes = sweep.axes()
-        data = self._camera.data
-        data.type = "ORTHO"
-        data.ortho_scale = sweep.size
-        self._aim(axes, tuple(np.array([sweep.x, sweep.y, sweep.z]) - axes[2] * 600))
+        self._look_down(sweep)
         return self._render(sweep.pixels, sweep.pixels)
 
     def heights(self, sweep: SatelliteImage) -> Float32Array:
@@ -101,16 +96,18 @@ class BlenderScene:
         self._scene.view_settings.view_transform = "Raw"
         cycles.samples, cycles.film_exposure, cycles.use_denoising = 1, 1.0, False
         cycles.pixel_filter_type, cycles.filter_width, render.dither_intensity = "BLACKMAN_HARRIS", 0.01, 0.0
-        data = self._camera.data
-        data.type, data.ortho_scale = "ORTHO", sweep.size
-        axes = sweep.axes()
-        self._aim(axes, tuple(np.array([sweep.x, sweep.y, sweep.z]) - axes[2] * 600))
+        self._look_down(sweep)
         stored = self._stored(sweep.pixels, sweep.pixels)[..., 0]
         layer.material_override = None
         self._scene.view_settings.view_transform = "Standard"
         cycles.samples, cycles.film_exposure, cycles.pixel_filter_type, cycles.filter_width = usual
         cycles.use_denoising = True
         return (low + stored.astype(np.float32) * ((high - low) / 65535)).astype(np.float32)
+
+    def _look_down(self, sweep: SatelliteImage) -> None:
+        axes = sweep.axes()
+        self._camera.data.type, self._camera.data.ortho_scale = "ORTHO", sweep.size
+        self._aim(axes, tuple(np.array([sweep.x, sweep.y, sweep.z]) - axes[2] * 600))
 
     def _aim(self, axes: Float64Array, place: tuple[float, float, float]) -> None:
         right, up, forward = axes
@@ -218,17 +215,14 @@ class BlenderScene:
 
     def _buildings(self) -> None:
         city = self._city
-        made: dict[tuple[int, int], Any] = {}
+        made: dict[int, Any] = {}
         x, y = (np.array([getattr(b, k) for b in city.buildings]) for k in ("x", "y"))
         for i in self._seen(x, y, 20):
             b = city.buildings[i]
-            key = b.architecture, b.district if self._look.materials else 0
-            if key not in made:
-                look = city.architectures[b.architecture]
-                if self._look.materials:
-                    look = Materials.draw(city.seed, b.district).dress(look, b.architecture)
-                made[key] = self._mesh(f"look {b.architecture} {b.district}", meshes.building(look))
-            self._put(made[key], _matrix(b.x, b.y, city.height(b.x, b.y), b.angle), f"building {i}")
+            if b.architecture not in made:
+                shape = meshes.building(city.architectures[b.architecture])
+                made[b.architecture] = self._mesh(f"look {b.architecture}", shape)
+            self._put(made[b.architecture], _matrix(b.x, b.y, city.height(b.x, b.y), b.angle), f"building {i}")
 
     def _trees(self) -> None:
         trees = self._city.trees

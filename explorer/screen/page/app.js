@@ -4,9 +4,9 @@ import { connect, tab } from "./channel.js";
 import { Commands } from "./commands.js";
 import { angleAt, drawCurve } from "./curve.js";
 import { find, isPhone, make, onPicture, wrap } from "./dom.js";
-import { drawHead, drawHeadline, drawPictures, drawTurn, focusPictures, shownTile } from "./draw.js";
+import { HEATS, drawHead, drawHeadline, drawPictures, drawTurn, focusPictures, shownTile } from "./draw.js";
 import { partAt } from "./heat.js";
-import { OwnSender } from "./own.js";
+import { makeOwnSender } from "./own.js";
 import { Panels } from "./panels.js";
 import { markFocus } from "./pictures.js";
 import { RailList, showYours } from "./rail.js";
@@ -21,9 +21,9 @@ const KEPT = "lpn-theme";
 
 /**
  * `said` is a sentence in the headline's place: one that is `busy` goes with the next result, another with the next act.
- * @type {{page: any, state: any, result: any, rail: any, curve: any, yours: any, mark: any, angle: number, focus: number, truth: boolean, colour: boolean, said: {text: string, busy: boolean, result: any} | null, note: string, lost: boolean}}
+ * @type {{page: any, state: any, result: any, rail: any, curve: any, yours: any, mark: any, angle: number, focus: number, pin: number, hovered: number | null, truth: boolean, colour: boolean, said: {text: string, busy: boolean, result: any} | null, note: string, lost: boolean}}
  */
-const view = { page: null, state: null, result: null, rail: null, curve: null, yours: { photos: [], thumbnails: "" }, mark: null, angle: 0, focus: -1, truth: false, colour: false, said: null, note: "", lost: false };
+const view = { page: null, state: null, result: null, rail: null, curve: null, yours: { photos: [], thumbnails: "" }, mark: null, angle: 0, focus: -1, pin: -1, hovered: null, truth: false, colour: false, said: null, note: "", lost: false };
 const [photo, tile, rows, curve, strip, sum] = ["#photo", "#tile", "#rows", "#curve", "#strip", "#sum"].map((one) => find(one));
 const list = new RailList(find("#list"));
 
@@ -39,7 +39,7 @@ const channel = connect(
     // Its state comes with it.
     page: (page) => {
       view.page = page;
-      [view.result, view.curve] = [null, null];
+      [view.result, view.curve, view.focus, view.pin] = [null, null, -1, -1];
     },
     state: (state) => {
       const moved = !view.state || ["place", "task", "query", "own", "model"].some((name) => state[name] !== view.state[name]);
@@ -145,7 +145,7 @@ const turnTo = (angle) => {
   if (!view.result || !view.page.turns) return;
   say("");
   view.angle = Math.round(wrap(angle) * 10) / 10;
-  view.focus = -1;
+  view.focus = view.pin;
   if (sent === null && view.angle !== view.state.angle) sendAngle(); // the server answers a change only
   soon();
 };
@@ -222,32 +222,44 @@ const draw = () => {
   });
   drawTurn(view);
   redraw("scene", [...from, state.view], () => scene.show(result.scene, state.view, page.place));
-  drawCurve(curve, view.curve?.points ?? [], result, view.angle, stale);
+  drawCurve(curve, view.curve?.points ?? [], result, view.angle, stale, view.hovered);
   document.body.dataset.sequence = String(Number(document.body.dataset.sequence ?? 0) + 1);
 };
 
-// One part is lit wherever it is drawn; never in a drag.
-const focusOn = (part) => {
+// One part is lit wherever it is drawn: that under the pointer, else the pinned one; never in a drag.
+const focusOn = (hovered) => {
+  const part = hovered < 0 ? view.pin : hovered;
   if (part === view.focus || dragged() || !view.result || view.page.parts === 1 || isStale()) return;
   view.focus = part;
   channel.act("hover", { part });
   for (const one of [rows, strip, sum]) markFocus(one, part);
   focusPictures(view, part);
 };
+/** Keep a part lit, or no longer. */
+const pin = (part) => {
+  view.pin = part === view.pin ? -1 : part;
+  focusOn(-1);
+};
 for (const figure of [photo, tile]) {
   const frame = find(".frame", figure);
-  frame.addEventListener("pointermove", (event) => {
-    if (!view.result || dragged()) return;
+  const partUnder = (event) => {
     const box = find(".pan", figure).getBoundingClientRect();
     const { parts } = figure === photo ? view.result.photo : view.result.tiles[shownTile(view)];
-    focusOn(partAt(parts, (event.clientX - box.left) / box.width, (event.clientY - box.top) / box.height));
-  });
+    return partAt(parts, (event.clientX - box.left) / box.width, (event.clientY - box.top) / box.height);
+  };
+  frame.addEventListener("pointermove", (event) => view.result && focusOn(partUnder(event)));
+  frame.addEventListener("click", (event) => view.result && pin(partUnder(event)));
   frame.addEventListener("pointerleave", () => focusOn(-1));
 }
 for (const one of [rows, strip, sum]) {
   one.addEventListener("pointerover", (event) => focusOn(Number(event.target.closest("[data-part]")?.dataset.part ?? -1)));
   one.addEventListener("pointerleave", () => focusOn(-1));
 }
+for (const one of [rows, sum])
+  one.addEventListener("click", ({ target }) => {
+    const part = target.closest("[data-part]")?.dataset.part;
+    if (part && !target.closest("[data-weight]")) pin(Number(part));
+  });
 
 // Part weights: the number at a row's head is dragged, or moved by arrows.
 const weigh = (before, part, by) => {
@@ -283,34 +295,31 @@ strip.addEventListener("click", (event) => {
   const button = event.target.closest("[data-tile]");
   if (button) compare(Number(button.dataset.tile));
 });
-curve.addEventListener("pointerdown", (event) => {
+const pointedAt = (event) => {
   const plot = find(".plot", curve);
-  turnTo(angleAt(plot, event.clientX - plot.getBoundingClientRect().left));
-});
+  return angleAt(plot, event.clientX - plot.getBoundingClientRect().left);
+};
+curve.addEventListener("pointerdown", (event) => turnTo(pointedAt(event)));
+curve.addEventListener("pointermove", (event) => show({ hovered: pointedAt(event) }));
+curve.addEventListener("pointerleave", () => show({ hovered: null }));
 document.addEventListener("click", (event) => {
-  const chosen = /** @type {any} */ (event.target).closest("[data-query], [data-own], [data-view], [data-filter], [data-back], [data-equal]");
-  const { query, own: mine, view: seen, filter, back, equal } = chosen?.dataset ?? {};
+  const chosen = /** @type {any} */ (event.target).closest("[data-query], [data-own], [data-view], [data-filter], [data-back], [data-equal], [data-press]");
+  const { query, own: mine, view: seen, filter, back, equal, press: name } = chosen?.dataset ?? {};
   if (query) set({ query: Number(query), own: "" });
   if (mine) set({ own: mine });
   if (seen) set({ view: seen });
   if (filter) set({ filter });
+  if (name) commandsNow().find((one) => one.keys?.includes(name))?.act();
   if (back !== undefined) say("");
   if (equal !== undefined) set({ weights: [] });
 });
 const step = (by) => act("step", { by });
-find("#previous").onclick = () => step(-1);
-find("#next").onclick = () => step(1);
-find("#random").onclick = () => act("random");
-find("#find").onclick = () => commands.open("photos");
-find("#palette").onclick = () => commands.open("commands");
 find("#model").onclick = () => set({ model: String((Number(view.state.model) + 1) % view.page.models.length) });
 find("#models").onchange = (event) => {
   set({ model: event.target.value });
   event.target.blur(); // keys are the page's again
 };
-find("#headline h1 button").onclick = () => openPanel("why");
 find("#full").onclick = () => openPanel(view.page.panels.find((one) => one.place === "full").name);
-find("#scene .enlarge").onclick = () => enlarge();
 find("#own").onclick = () => own.choose();
 const key = find(".key", photo);
 key.addEventListener("pointerenter", () => show({ colour: true }));
@@ -320,10 +329,16 @@ const show = (values) => {
   soon();
 };
 
-const own = new OwnSender(channel, say);
+const own = makeOwnSender(channel, say);
 
 // Commands and keys: one table.
-const HEATS = ["activation", "evidence", "occlusion"];
+const nextHeat = () => {
+  const kinds = Object.keys(HEATS);
+  const heat = kinds[(kinds.indexOf(view.state.heat) + 1) % kinds.length];
+  view.colour = false; // the pointer is on the key
+  set({ heat });
+  note(HEATS[heat].meaning);
+};
 const commandsNow = () => {
   const { page, state, result } = view;
   const others = (name, values, label) => values.filter((one) => one !== state[name]).map((one) => ({ label: label(one), act: () => set({ [name]: one }) }));
@@ -348,7 +363,7 @@ const commandsNow = () => {
       : []),
     ...(page.parts > 1 ? [{ label: "One part alone", key: `1 to ${Math.min(page.parts, 9)}`, act: () => {}, hidden: true }] : []),
     ...(result?.photo.heat
-      ? [...others("heat", HEATS, (one) => `Heat: ${one}`), { label: "Next kind of heat", key: "E", keys: ["e"], act: () => set({ heat: HEATS[(HEATS.indexOf(state.heat) + 1) % HEATS.length] }), hidden: true }]
+      ? [...others("heat", Object.keys(HEATS), (one) => `Heat: ${HEATS[one].name}`), { label: "Next kind of heat", key: "E", keys: ["e"], act: nextHeat, hidden: true }]
       : []),
     { label: "Full colour, while held", key: "F", keys: ["f"], act: () => show({ colour: true }), hidden: true },
     { label: "True tile, while held", key: "T", keys: ["t"], act: () => show({ truth: true }), hidden: true },
@@ -362,7 +377,7 @@ const commandsNow = () => {
     ...(scenes.length ? [{ label: "Large scene", key: "G", keys: ["g"], act: () => enlarge() }] : []),
     { label: state.theme === "dark" ? "Light" : "Dark", key: "D", keys: ["d"], act: flipTheme },
     { label: "Keys", key: "?", keys: ["?"], act: () => commands.open("keys") },
-    { label: "All commands", key: "Ctrl K", act: () => commands.open("commands"), hidden: true },
+    { label: "All commands", key: "Ctrl K", keys: ["ctrl k"], act: () => commands.open("commands"), hidden: true },
     { label: "Back", key: "Esc", keys: ["escape"], act: escape, hidden: true },
   ];
 };
@@ -383,6 +398,7 @@ const escape = () => {
   if (view.state.panel) panels.close();
   else if (document.body.classList.contains("large")) enlarge(false);
   else if (view.said) say("");
+  else if (view.pin >= 0) pin(-1);
   else if (view.result?.pinned) set({ compare: null });
   else if (view.state.weights.length) set({ weights: [] });
   else if (view.state.filter !== "all") set({ filter: "all" });
@@ -393,7 +409,6 @@ const enlarge = (large = !document.body.classList.contains("large")) => {
   button.textContent = large ? "✕" : "⤢";
   button.title = large ? "Close (Esc)" : "Enlarge (G)";
   button.setAttribute("aria-label", large ? "Close" : "Enlarge");
-  scene.resized();
 };
 const HELD = "tf";
 export const press = (event) => {
@@ -408,7 +423,7 @@ export const press = (event) => {
   if (typing && name !== "escape") return;
   const part = Number(name) - 1;
   const command = commandsNow().find((one) => one.keys?.includes(name));
-  if (name.length === 1 && part >= 0 && part < view.page.parts) focusOn(view.focus === part ? -1 : part);
+  if (name.length === 1 && part >= 0 && part < view.page.parts) pin(part);
   else if (command && !(event.repeat && (HELD.includes(name) || [...view.page.panels, ...view.page.commands].some((one) => one.key === name)))) {
     event.preventDefault();
     command.act();
@@ -426,6 +441,7 @@ const scene = new SceneFrame(find("#scene"), channel, { press, release }, (found
   if (found.why === "hover") {
     if (found.part !== undefined || view.focus >= 0) focusOn(found.part ?? -1);
   } else if (found.tile !== undefined) compare(found.tile);
+  else if (found.part !== undefined) pin(found.part);
 });
 
 // On a phone the curve stands below the pictures.

@@ -1,6 +1,6 @@
 // The curve under the photo: the truth's rank, or the nearest distance, against the angle.
 
-import { find, make, shown } from "./dom.js";
+import { find, make, shown, turned } from "./dom.js";
 
 /** @returns {number} the angle at a place of the curve, in CSS pixels from its left edge */
 export const angleAt = (plot, x) => Math.max(-180, Math.min(180, Math.round((x / plot.clientWidth) * 360 - 180)));
@@ -12,8 +12,9 @@ export const angleAt = (plot, x) => Math.max(-180, Math.min(180, Math.round((x /
  * @param {any} result of the shown angle
  * @param {number} angle at which the line stands
  * @param {boolean} stale the result is not yet that of the angle
+ * @param {number | null} hovered the angle under the pointer
  */
-export const drawCurve = (box, points, result, angle, stale) => {
+export const drawCurve = (box, points, result, angle, stale, hovered) => {
   const ranked = result.rank !== null && result.headline.found !== null;
   const value = (point) => (ranked ? (point[1] ?? 1) : point[2]);
   const own = [result.angle, result.rank, Number(result.nearest)];
@@ -32,6 +33,13 @@ export const drawCurve = (box, points, result, angle, stale) => {
   find(".dots", box).replaceChildren(...closed.map((point) => dot(point)), ...(stale ? [] : [dot(own, "own")]));
   find(".line", box).style.left = left(angle);
   box.setAttribute("aria-label", `Rank against angle; at ${angle}°: ${result.rank ?? "not known"}`);
+  const told = find(".value", box);
+  told.hidden = hovered === null;
+  if (hovered !== null) {
+    const near = closed.reduce((best, one) => (Math.abs(one[0] - hovered) < Math.abs(best[0] - hovered) ? one : best));
+    told.textContent = `${turned(near[0])}: ${ranked ? `rank ${value(near)}` : shown(near[2])}`;
+    told.style.left = left(near[0]);
+  }
   // Behind the curve of a panorama lies all of it, and a frame around what the photo shows.
   const whole = find(".whole", box);
   whole.hidden = !result.photo.around;

@@ -42,6 +42,11 @@ export const addStyle = (address, before = false) => {
   }
   return sheets.get(address);
 };
+/** @returns {Promise<any>} a library of `vendor`, as its makers publish it, once its style sheet is there, below the page's own */
+export const load = async (name) => {
+  await addStyle(`screen/vendor/${name}.css`, true);
+  return import(`../vendor/${name}.js`);
+};
 
 const variables = new Map();
 /** @returns {string} the value of a CSS variable that is a colour of the theme */
@@ -56,6 +61,8 @@ export const partColour = (part, count, on = "") => variable(count === 1 ? `--${
 export const partInk = (part, count) => partColour(part, count, "on-");
 
 export const wrap = (degrees) => ((((degrees + 180) % 360) + 360) % 360) - 180;
+/** @returns {string} a turn as it is shown: an arrow, as readers differ in the sense of its sign */
+export const turned = (angle) => `${angle > 0 ? "↺ " : angle < 0 ? "↻ " : ""}${Math.abs(Math.round(angle))}°`;
 export const shown = (value) => value.toFixed(3);
 export const isPhone = () => innerWidth <= 760;
 
@@ -74,19 +81,4 @@ export const picture = (source) => {
     pictures.set(source, known);
   }
   return known;
-};
-
-/** Size a canvas to the device's pixels, and clear it. */
-export const prepare = (canvas) => {
-  const width = canvas.clientWidth;
-  const height = canvas.clientHeight;
-  const ratio = devicePixelRatio || 1;
-  if (canvas.width !== Math.round(width * ratio) || canvas.height !== Math.round(height * ratio)) {
-    canvas.width = Math.round(width * ratio);
-    canvas.height = Math.round(height * ratio);
-  }
-  const pen = canvas.getContext("2d");
-  pen.setTransform(ratio, 0, 0, ratio, 0, 0);
-  pen.clearRect(0, 0, width, height);
-  return { pen, width, height };
 };

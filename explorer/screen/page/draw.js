@@ -1,14 +1,14 @@
 // Head, headline, and the two large pictures, drawn from the view.
 
-import { find, findAll, make, variable } from "./dom.js";
+import { find, findAll, make, turned, variable } from "./dom.js";
 import { photoTurn, rollPicture, showPicture } from "./pictures.js";
 import { sign } from "./rows.js";
 
-// The legend of each kind of heat.
-const KEYS = {
-  activation: { ends: ["weak", "strong"], meaning: "What the network answers to, cell by cell" },
-  evidence: { ends: ["against", "for"], meaning: "What each cell adds to the score of photo and answer: exact evidence" },
-  occlusion: { ends: ["against", "for"], meaning: "Occlusion: what the score loses when a square is covered; covering a green one raises it" },
+/** The kinds of heat with their legends. */
+export const HEATS = {
+  activation: { name: "response", ends: ["weak", "strong"], meaning: "How strongly the network responds to each cell, on one scale for all parts of a picture." },
+  evidence: { name: "evidence", ends: ["against", "for"], meaning: "Exact evidence: what each cell adds to the score of photo and answer; green cells speak against it." },
+  occlusion: { name: "occlusion", ends: ["against", "for"], meaning: "Occlusion: what the score loses when a square is covered; covering a green one raises it." },
 };
 const [photoBox, tileBox] = ["#photo", "#tile"].map((one) => find(one));
 
@@ -30,6 +30,8 @@ export const drawHead = ({ page, state, rail }) => {
   find("#full").hidden = !full;
   if (full) find("#full").textContent = full.title;
   for (const button of findAll("[data-filter]")) button.setAttribute("aria-pressed", String(button.dataset.filter === state.filter));
+  find("#rail .filter small").hidden = state.filter !== "missed";
+  find("#commands .meaning").textContent = `LPN describes each ${page.word} of a picture by a vector. The share of a ${page.word} is the squared distance between its vectors of photo and tile; the shares add up to the tile's distance. Hatched bars are the shares of the tile that the answer is compared with; a bar with a hatched end is longer than its scale.`;
   find("#rail .filter [data-filter=missed]").title = rail ? `${rail.missed} of ${rail.queries} missed (M)` : "";
 };
 
@@ -62,8 +64,8 @@ export const drawTurn = ({ state, result, angle }) => {
   }
   rollPicture(photoBox, result.photo, angle);
   frame.setAttribute("aria-valuenow", String(angle));
-  frame.setAttribute("aria-valuetext", `${angle} degrees`);
-  find("#degrees").textContent = `${Math.round(angle)}°`.replace("-", "−");
+  frame.setAttribute("aria-valuetext", `${Math.abs(angle)} degrees ${angle < 0 ? "clockwise" : "counter-clockwise"}`);
+  find("#degrees").textContent = turned(angle);
 };
 
 export const drawPictures = (view) => {
@@ -74,9 +76,10 @@ export const drawPictures = (view) => {
   find("figcaption b", photoBox).textContent = page.photo[0].toUpperCase() + page.photo.slice(1);
   find("figcaption .hint", photoBox).textContent = own.own ? "yours" : page.turns ? (own.around ? "drag to roll" : "drag to turn") : "";
   const key = find(".key", photoBox);
-  const { ends, meaning } = KEYS[own.signed ? result.state.heat : "activation"];
+  const { name, ends, meaning } = HEATS[own.signed ? result.state.heat : "activation"];
   key.hidden = !own.heat;
-  key.title = `${meaning}, on one scale for all parts of a picture. E shows another kind; hold F for full colour.`;
+  key.title = `${meaning} A click, or E, shows another kind; F held shows full colour.`;
+  find("em", key).textContent = name;
   key.classList.toggle("signed", Boolean(own.signed));
   findAll("u", key).forEach((word, end) => (word.textContent = ends[end]));
   if (result.measured) find("u", key).textContent = result.measured;

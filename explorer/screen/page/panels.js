@@ -1,6 +1,6 @@
-// Panels beside or over the rings. The server says which there are; the module and the style sheet of one are loaded when it opens.
+// Panels beside or over the rings. The server says which there are; script and style sheet of one are loaded when it opens.
 //
-// A panel's module has `open(box, context)`, which returns `{receive(message), draw(view), close()}`: `receive` takes what its
+// A panel without a script of its own shows the HTML of its Python, see fragment.js. The script of another one has `open(box, context)`, which returns `{receive(message), draw(view), close()}`: `receive` takes what its
 // Python sends, `draw` is called after each change of the view. `context` is `{set, go, act, say, view}`; `go` shows an address.
 
 import { addStyle, find } from "./dom.js";
@@ -46,7 +46,7 @@ export class Panels {
     find("h2", this.box).textContent = known.title;
     if (had || this.context.view.result) find("h2", this.box).focus({ preventScroll: true }); // not on a page's opening
     await addStyle(`screen/panels/${name}/${name}.css`);
-    const { open } = await import(`../panels/${name}/${name}.js`);
+    const { open } = await import(known.script ? `../panels/${name}/${name}.js` : "./fragment.js");
     const { set, go, say, view } = this.context;
     if (turn !== this.turn) return; // closed meanwhile, and perhaps opened again
     const panel = await open(content, { set, go, say, view, act: (action, args) => this.context.act(`${name}.${action}`, args) });

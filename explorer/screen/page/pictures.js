@@ -44,6 +44,15 @@ export const rollPicture = (figure, photo, angle) => {
   const shown = find(".picture", figure);
   shown.style.backgroundPositionX = photo.around ? `${(-angle / 360) * shown.clientWidth}px` : "";
   shown.style.transform = photoTurn(photo, angle);
+  find(".heat", figure).style.clipPath = outline(photo, angle);
+};
+
+/** The corners of a turned photo: what lies beyond them is black for the network, and has no heat. */
+const outline = ({ around, zoom }, angle) => {
+  if (around) return "none";
+  const [cos, sin] = [Math.cos, Math.sin].map((of) => 50 * zoom * of((-angle * Math.PI) / 180));
+  const corners = [[-1, -1], [1, -1], [1, 1], [-1, 1]].map(([x, y]) => `${50 + x * cos - y * sin}% ${50 + x * sin + y * cos}%`);
+  return `polygon(${corners.join(",")})`;
 };
 
 /** Draw the borders of the parts, and the strongest cell of each with its number. */
@@ -125,18 +134,22 @@ export const drawCrop = (canvas, described, part, count, turn, colour, angle = 0
   pen.fillStyle = "#000";
   pen.fillRect(0, 0, width, height);
   if (image.complete && image.naturalWidth) {
-    pen.save();
     if (described.around) {
       const roll = ((((-angle / 360) * width) % width) + width) % width;
       pen.drawImage(image, roll, 0, width, height);
       pen.drawImage(image, roll - width, 0, width, height);
     } else {
+      const upright = pen.getTransform();
       pen.translate(width / 2, height / 2);
       pen.rotate((turn * Math.PI) / 180);
       const zoom = described.zoom ?? 1;
-      pen.drawImage(image, (-zoom * width) / 2, (-zoom * height) / 2, zoom * width, zoom * height);
+      const whole = /** @type {const} */ ([(-zoom * width) / 2, (-zoom * height) / 2, zoom * width, zoom * height]);
+      pen.drawImage(image, ...whole);
+      pen.beginPath();
+      pen.rect(...whole);
+      pen.clip();
+      pen.setTransform(upright);
     }
-    pen.restore();
   }
   if (!colour && described.heat) {
     // Grey and dim by two layers: filters of a canvas do not exist in all browsers.

@@ -2,20 +2,21 @@
 
 import { find, findAll, make, partColour, partInk, shown } from "./dom.js";
 import { drawCrop } from "./pictures.js";
+import { tip } from "./terms.js";
 
 export const sign = (true_) => (true_ === null ? "" : make("i", { class: true_ ? "right" : "wrong", text: true_ ? "✓" : "✗" }));
 
 /** The stacked shares of a tile, as segments as wide as their shares on the one scale. */
 export const stack = (tile, total, least) => {
   const count = tile.shares.length;
+  const sum = tile.shares.reduce((one, other) => one + other, 0);
   const segments = tile.shares.map((share, part) => {
-    const width = (100 * Math.max(share, 0)) / total;
+    const width = (100 * Math.max(share, 0)) / Math.max(total, sum); // all parts are in sight
     const colour = partColour(part, count);
     const number = count > 1 && width >= least ? String(part + 1) : "";
     return make("i", { "data-part": part, text: number, style: { width: `${width}%`, background: colour, color: partInk(part, count) } });
   });
-  const cut = tile.shares.reduce((sum, share) => sum + share, 0) > total;
-  return make("div", { class: cut ? "stack cut" : "stack" }, ...segments);
+  return make("div", { class: sum > total ? "stack cut" : "stack", title: sum > total ? "Longer than the scale" : "" }, ...segments);
 };
 
 /** Make the rows of so many parts once. */
@@ -39,11 +40,16 @@ export const showRows = (rows, page, result, colour) => {
   layRows(rows, count);
   const answer = result.tiles[result.answer];
   const rival = result.rival === null ? null : result.tiles[result.rival];
+  const end = Number(result.scale.part.toFixed(2));
+  const judged = result.headline.found !== null;
+  const meaning = { truth: "the true tile", next: "the nearest wrong one", pinned: "the one that you clicked" }[result.rival_word];
+  const gains = judged ? `✓: the ${page.word} is nearer to the true tile than to the wrong one, by so much. ✗: the wrong tile is nearer.` : `By how much the answer is nearer in this ${page.word}.`;
   find(".head", rows).replaceChildren(
     make("span", { text: page.photo }),
     make("span", { text: "answer " }, sign(answer.true)),
-    make("span", { text: rival ? `${result.rival_word} ` : "" }, rival ? sign(rival.true) : "", rival ? make("u", { text: " " }) : "", rival ? make("u", { class: "hatched" }) : ""),
-    make("span", { text: `share to ${Number(result.scale.part.toFixed(2))}` }, result.weights.length ? make("button", { class: "reset", "data-equal": true, text: "equal weights" }) : rival ? make("i", { text: result.headline.found === null ? "nearer" : "prefers" }) : ""),
+    make("span", {}, ...(rival ? [make("u", { ...tip(`The tile that the answer is compared with: ${meaning}. Its shares are hatched.`), text: result.rival_word }), " ", sign(rival.true), " ", make("u", { class: "hatched" })] : [])),
+    make("span", {}, make("u", { ...tip(`Each ${page.word}'s share of the squared distance: that between its two descriptors. All bars end at ${end}.`), text: `share to ${end}` }),
+      result.weights.length ? make("button", { class: "reset", "data-equal": true, text: "equal weights" }) : rival ? make("i", { ...tip(gains), text: judged ? "prefers" : "nearer" }) : ""),
   );
   findAll(".row", rows).forEach((row, part) => {
     const [photo, own, other] = findAll("canvas", row);
@@ -108,7 +114,7 @@ export const showStrip = (strip, result) => {
     const pressed = result.pinned && index === result.rival;
     const image = make("u", { style: { "background-image": `url("${tile.src}")`, transform: `rotate(${-90 * tile.quarter}deg)` } });
     const words = { true: " ✓", false: " ✗", "": "" }[judged];
-    return make("button", { class: `tile ${judged} ${further}`, "data-tile": index, "aria-pressed": String(pressed), title: tile.name, "aria-label": `${tile.rank}: ${tile.name}, distance ${tile.distance}` },
+    return make("button", { class: `tile ${judged} ${further}`, "data-tile": index, "aria-pressed": String(pressed), title: `Rank ${tile.rank}, squared distance ${tile.distance}: ${tile.name}`, "aria-label": `${tile.rank}: ${tile.name}, distance ${tile.distance}` },
       make("div", { class: "image" }, image),
       make("div", { class: "words" }, make("i", { class: judged === "true" ? "right" : judged === "false" ? "wrong" : "", text: tile.rank + words }), make("span", { text: tile.distance })),
       stack(tile, result.scale.total, 7));

@@ -4,7 +4,6 @@ import { tab } from "./channel.js";
 import { find, findAll, make } from "./dom.js";
 
 const PATIENCE = 1500; // ms until the frame is made although the page is busy
-const SETTLED = 250; // ms after which the server knows a new size
 
 const whenIdle = (work) => (window.requestIdleCallback ? requestIdleCallback(work, { timeout: PATIENCE }) : setTimeout(work, PATIENCE));
 
@@ -22,10 +21,8 @@ export class SceneFrame {
     this.picked = picked;
     /** @type {any} */
     this.frame = null;
-    this.waiting = 0;
     /** @type {boolean | null | undefined} whether this browser has WebGL; null before it is looked for */
     this.live = null;
-    addEventListener("resize", () => this.resized());
   }
 
   /** Make the frame, or hide the box: without WebGL, and for a task that has no place, which is called a city or a map. */
@@ -54,7 +51,6 @@ export class SceneFrame {
 
   /** The server has drawn in the frame. */
   ready() {
-    if (!this.box.classList.contains("ready")) this.resized(); // viser's panel has taken its width only now
     this.box.classList.add("ready");
   }
 
@@ -101,10 +97,5 @@ export class SceneFrame {
       last = event.timeStamp;
       ask(event, "hover");
     }, true);
-  }
-
-  resized() {
-    clearTimeout(this.waiting);
-    this.waiting = setTimeout(() => this.channel.act("scene"), SETTLED);
   }
 }

@@ -4,15 +4,13 @@ import { find, make } from "./dom.js";
 
 const GAP = 6;
 
-/** A term that explains itself, for panels: `text` stands in place of its name. */
-export const term = (name, text = name) => make("span", { class: "term", tabindex: 0, "data-term": name, text });
-/** Words that the glossary has not, with their meaning. */
-export const explained = (text, meaning) => make("span", { class: "term", tabindex: 0, "data-tip": meaning, text });
+/** The attributes of words that the glossary has not, with their meaning. */
+export const tip = (meaning) => ({ class: "term", tabindex: 0, "data-tip": meaning });
 
 /** @type {Promise<Record<string, string>> | null} */
 let loading = null;
 /** @returns {Promise<Record<string, string>>} the meanings of all terms by their names */
-export const meanings = () =>
+const meanings = () =>
   (loading ??= fetch("screen/terms.json").then((answer) => answer.json()).catch(() => {
     loading = null;
     return {};

@@ -35,3 +35,9 @@ def folder(name: str) -> Path | None:
     source = import_module(panel.part.__module__).__file__
     assert source is not None
     return Path(source).parent
+
+
+def scripted(name: str) -> bool:
+    """Return whether a panel has a script of its own, beside the HTML of its Python."""
+    found = folder(name)
+    return found is not None and (found / f"{name}.js").is_file()

@@ -36,8 +36,8 @@ _BARE = 0.3
 _RIBBON, _FINER = 160, 2
 # Strokes of the signs on badges, in pixels.
 _CHECK, _CROSS = [[(0, 24), (16, 40), (44, 2)]], [[(2, 2), (40, 40)], [(40, 2), (2, 40)]]
-# Width of a ribbon for a share of 1, in units of the scene.
-_WIDTH = 1.5
+# Width of a ribbon for a share of 1, and height of its letters, in units of the scene.
+_WIDTH, _LETTERS = 1.5, 0.26
 
 
 def heated(picture: UInt8Array, activation: Float32Array | None, dark: bool) -> UInt8Array:
@@ -111,7 +111,8 @@ def ribbon(
     length: float, share: float, rival: float | None, text: str, colour: Colour, soft: Colour
 ) -> tuple[UInt8Array, float]:
     """Draw the ribbon of a part's share with the rival's as dashes: RGBA pixels, and their height in units of the scene."""
-    height = _WIDTH * max(share, rival or 0.0, 0.12) + 0.12
+    thin = _WIDTH * share < _LETTERS  # its text stands above it
+    height = max(_WIDTH * max(share, rival or 0.0, 0.12) + 0.12, (_WIDTH * share + 2.4 * _LETTERS) * thin)
     unit = _RIBBON * _FINER
     image = Image.new("RGBA", (round(length * unit), round(height * unit)), (*colour, 0))
     draw = ImageDraw.Draw(image)
@@ -124,11 +125,8 @@ def ribbon(
             for sign in (-1, 1):
                 at = middle + sign * y
                 draw.line((number * dash, at, (number + 1) * dash, at), fill=(*soft, 230), width=2 * _FINER)
-    ink = _ink_on(colour)
-    size = round(0.15 * unit)
-    if 2 * wide < size:  # the text stands above a thin ribbon
-        ink = soft
-    draw.text((across / 2, middle), text, (*ink, 255), captions.font(size), anchor="mm")
+    ink, y = (soft, middle - wide - 0.6 * _LETTERS * unit) if thin else (_ink_on(colour), middle)
+    draw.text((across / 2, y), text, (*ink, 255), captions.font(round(_LETTERS * unit)), anchor="mm")
     small = image.resize((max(image.width // _FINER, 1), max(image.height // _FINER, 1)), Image.Resampling.LANCZOS)
     return np.asarray(small), height
 

@@ -15,6 +15,9 @@ from explorer.screen.panel import SceneLines
 from explorer.screen.result import ScreenResult
 from explorer.screen.scene.scene import Scene
 
+# A change of width by height from which a scene no longer fits its frame.
+_OTHER_SHAPE = 0.02
+
 
 class TabScene:
     """Draws on a thread of its own, and answers what the pointer is over.
@@ -37,6 +40,7 @@ class TabScene:
         self.client: viser.ClientHandle | None = None
         self.drawn: Scene | None = None
         self._shown: tuple[ScreenResult, ScreenState] | None = None
+        self._aspect = 1.0
         self._worker = Worker(self._draw, lambda _: None)
 
     def attach(self, client: viser.ClientHandle | None) -> None:
@@ -48,8 +52,8 @@ class TabScene:
         """Take a result, in a state's view and theme, to be drawn by `draw`."""
         self._shown = result, state
 
-    def draw(self, _: Mapping[str, Any] | None = None) -> None:
-        """Draw what was taken last, fitted to the frame's size."""
+    def draw(self) -> None:
+        """Draw what was taken last."""
         self._worker.wake()
 
     def hover(self, arguments: Mapping[str, Any]) -> None:
@@ -70,6 +74,11 @@ class TabScene:
         """End after what is being drawn."""
         self._worker.stop()
 
+    def _fit(self, camera: viser.CameraHandle) -> None:
+        """Draw again for a frame of another shape, which viser's page tells with its camera."""
+        if abs(camera.aspect - self._aspect) > _OTHER_SHAPE:
+            self._worker.wake()
+
     def _draw(self) -> None:
         client = self.client
         if client is None or self._shown is None:
@@ -78,6 +87,8 @@ class TabScene:
         result, state = self._shown
         if self.drawn is None or self.drawn.client is not client:
             self.drawn = Scene(client)
+            client.camera.on_update(self._fit)
+        self._aspect = client.camera.aspect
         self.drawn.show(
             replace(result, state=replace(result.state, view=state.view, theme=state.theme)), self._lines(result)
         )

@@ -103,7 +103,7 @@ class Flight:
     @cached_property
     def times(self) -> Float64Array:
         """Seconds of each frame, (N,); NaN where unknown."""
-        return np.array([math.nan if frame.time is None else frame.time for frame in self.frames], np.float64)
+        return np.array([frame.time for frame in self.frames], np.float64)
 
     @cached_property
     def day(self) -> date | None:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,6 +18,14 @@ from lpn.core.arrays import Float64Array
 from lpn.flight.files.base import degrees, local_metres
 from lpn.flight.files.photos import Photo
 from lpn.flight.files.telemetry import Telemetry
+
+
+# An offset, the class of the share of photos within the log, and the median distance of positions in metres, or NaN.
+class _Score(NamedTuple):
+    offset: float
+    level: int
+    metres: float
+
 
 _QUARTER, _HOUR = 900.0, 3600.0
 _MOST_QUARTERS = 56
@@ -43,15 +52,6 @@ class ClockFit:
     offset: float | None
     basis: str
     sentence: str
-
-
-@dataclass(frozen=True)
-class _Score:
-    """An offset: the class of the share of photos within the log, and the median distance of positions in metres, or NaN."""
-
-    offset: float
-    level: int
-    metres: float
 
 
 def fit_clocks(photos: Sequence[Photo], telemetry: Telemetry, utc: bool, given: float | None = None) -> ClockFit:

@@ -147,15 +147,11 @@ def read_camera(file: Path) -> tuple[Lens, float]:
         text = read_limited(file, _MOST_BYTES, "a camera's file").decode().removeprefix("\ufeff")
         content = json.loads(text) if text.lstrip().startswith("{") else _yaml(text)
         return _camera(content) if isinstance(content, dict) else _camera({})
-    except (KeyError, TypeError, IndexError, StopIteration, ZeroDivisionError, OverflowError) as error:
+    except (LookupError, TypeError, ArithmeticError, ValueError, RecursionError) as error:
+        found = "lacks" if isinstance(error, KeyError) else "has"
         raise DataError(
-            f"{name} lacks what a camera needs ({printable(str(error))[:80]}); expected the size of its pictures with "
-            "camera_matrix and distortion_coefficients, or focal_x and k1."
-        ) from error
-    except (ValueError, RecursionError) as error:
-        raise DataError(
-            f"{name} has {printable(str(error))[:120]}; expected YAML or JSON by OpenCV, ROS, or ODM, of a pinhole with k1, k2, "
-            "p1, p2, k3."
+            f"{name} {found} {printable(str(error))[:120]}; expected YAML or JSON by OpenCV, ROS, or ODM: the size of its "
+            "pictures with camera_matrix and distortion_coefficients, or focal_x and k1, of a pinhole with k1, k2, p1, p2, k3."
         ) from error
 
 
@@ -204,6 +200,5 @@ def _camera(content: dict[str, Any]) -> tuple[Lens, float]:
 
 def _numbers(values: Any) -> list[float]:
     """Return the numbers of a list, a list of rows, or a matrix with its data, row by row."""
-    if isinstance(values, dict):
-        values = values["data"]
-    return [float(value) for row in values for value in (row if isinstance(row, list) else [row])]
+    numbers: list[float] = np.array(values["data"] if isinstance(values, dict) else values, np.float64).ravel().tolist()
+    return numbers

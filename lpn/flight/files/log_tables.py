@@ -11,6 +11,7 @@ import math
 import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -81,14 +82,16 @@ class LogTable:
         if "position" in self.columns.places:
             degrees = np.array([self._pair(i, text) for i, text in enumerate(self.texts("position"))], np.float64)
         else:
-            degrees = np.stack([self._axis(what, letters) for what, letters in _COORDINATES], axis=1)
+            axes = []
+            for what, letters in _COORDINATES:
+                axis = self._read(
+                    what, partial(values.angle, letters=letters, comma=self.commas), "a number of degrees"
+                )
+                opposite = [text[:1].upper() == letters[1] for text in self.texts(f"{what}_letter")]
+                axes.append(np.where(opposite, -np.abs(axis), axis))
+            degrees = np.stack(axes, axis=1)
         degrees[np.isnan(degrees).any(axis=1) | (degrees == 0).all(axis=1)] = np.nan
         return degrees
-
-    def _axis(self, what: str, letters: str) -> Float64Array:
-        axis = self._read(what, lambda text: values.angle(text, letters, self.commas), "a number of degrees")
-        south_or_west = [text[:1].upper() == letters[1] for text in self.texts(f"{what}_letter")]
-        return np.where(south_or_west, -np.abs(axis), axis)
 
     def _pair(self, row: int, text: str) -> tuple[float, float]:
         """Return the latitude and longitude in one cell, with a comma between."""

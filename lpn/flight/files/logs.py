@@ -98,7 +98,7 @@ def read_log(file: Path) -> Log:
     columns = {what: table.numbers(what) for what in (*_HEIGHTS, *_ANGLES) if what in table.columns.places}
     _clean_angles(table, columns, notes)
     clocks, zoned = _clocks(table, notes)
-    times = _elapsed(table)
+    times = (_numbers(table, table.texts("time")) * table.columns.factors.get("time", 1.0)).tolist()
     fixed = table.columns.dialect.fixed
     if unfixed := sum(text not in ("", fixed) for text in table.texts("quality")):
         column = printable(table.header[table.columns.places["quality"]])
@@ -145,15 +145,9 @@ def nearest_in_folders(path: Sequence[str], candidates: Sequence[Sequence[str]])
 
     Names themselves are not compared, as one of them may lack its suffix.
     """
-    shared = [_common_tail(path[:-1], candidate[:-1]) for candidate in candidates]
+    pairs = [zip(path[-2::-1], candidate[-2::-1], strict=False) for candidate in candidates]
+    shared = [sum(1 for _ in itertools.takewhile(lambda two: two[0] == two[1], folders)) for folders in pairs]
     return [i for i, count in enumerate(shared) if count == max(shared)]
-
-
-def _common_tail(a: Sequence[str], b: Sequence[str]) -> int:
-    count = 0
-    while count < min(len(a), len(b)) and a[-1 - count] == b[-1 - count]:
-        count += 1
-    return count
 
 
 def moments(log: Log) -> tuple[list[TelemetryEntry], str | None]:
@@ -346,13 +340,6 @@ def _clocks(table: LogTable, notes: list[str]) -> tuple[list[float | None], bool
     return [None if one is None else one.seconds - late for one in parsed], any(moment.zoned for moment in known)
 
 
-def _elapsed(table: LogTable) -> list[float]:
-    """Return the seconds of the column of time, NaN where unknown."""
-    seconds: list[float] = (_numbers(table, table.texts("time")) * table.columns.factors.get("time", 1.0)).tolist()
-    return seconds
-
-
 def _numbers(table: LogTable, texts: Sequence[str]) -> Float64Array:
     """Return texts as numbers, (N,); NaN for those that are none."""
-    numbers = [values.number(text, table.commas) for text in texts]
-    return np.array([math.nan if number is None else number for number in numbers], np.float64)
+    return np.array([values.number(text, table.commas) for text in texts], np.float64)

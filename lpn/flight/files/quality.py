@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -45,16 +45,27 @@ def with_courses(frames: Sequence[Frame]) -> tuple[list[Frame], list[str]]:
 
 
 def flight_notes(frames: Sequence[Frame], oddities: Sequence[Sequence[str]] = ()) -> list[str]:
-    """Return notes about a flight: what is missing, jumps of the position.
+    """Return notes about a flight: oddities of its frames, missing positions, jumps of the position.
 
     Args:
         oddities: of each frame: predicates whose subject is the frame.
     """
-    return [*_counted(oddities, len(frames)), *_missing(frames), *_jumps(frames)]
+    counts = Counter(oddity for some in oddities for oddity in dict.fromkeys(some))
+    notes = [f"{count} of {len(frames)} photos: each {oddity}." for oddity, count in counts.items()]
+    known = [frame for frame in frames if frame.latitude is not None]
+    if frames and not known:
+        notes.append(
+            f"None of the {len(frames)} photos has a GPS tag. They can be placed without one, but how far off their places are "
+            "cannot be measured."
+        )
+    elif len(known) < len(frames):
+        names = [frame.name for frame in frames if frame.latitude is None]
+        notes.append(f"{len(names)} of {len(frames)} photos have no GPS tag: {first_few(names, _NAMED)}.")
+    return notes + _jumps(known)
 
 
 def _times(frames: Sequence[Frame]) -> Float64Array:
-    return np.array([math.nan if frame.time is None else frame.time for frame in frames], np.float64)
+    return np.array([frame.time for frame in frames], np.float64)
 
 
 def _course(places: Float64Array, times: Float64Array, at: int) -> float | None:
@@ -85,34 +96,16 @@ def _away(places: Float64Array, times: Float64Array, at: int, step: int) -> int 
     return None
 
 
-def _counted(oddities: Sequence[Sequence[str]], frames: int) -> Iterator[str]:
-    counts = Counter(oddity for some in oddities for oddity in dict.fromkeys(some))
-    for oddity, count in counts.items():
-        yield f"{count} of {frames} photos: each {oddity}."
-
-
-def _missing(frames: Sequence[Frame]) -> Iterator[str]:
-    names = [frame.name for frame in frames if frame.latitude is None]
-    if names and len(names) < len(frames):
-        yield f"{len(names)} of {len(frames)} photos have no GPS tag: {first_few(names, _NAMED)}."
-    elif names:
-        yield (
-            f"None of the {len(frames)} photos has a GPS tag. They can be placed without one, but how far off their places are "
-            "cannot be measured."
-        )
-
-
-def _jumps(frames: Sequence[Frame]) -> Iterator[str]:
-    known = [frame for frame in frames if frame.latitude is not None]
+def _jumps(known: Sequence[Frame]) -> list[str]:
     metres, seconds = np.hypot(*np.diff(local_metres(degrees(known)), axis=0).T), np.diff(_times(known))
     if len(metres) < 2:
-        return
+        return []
     with np.errstate(divide="ignore", invalid="ignore"):
         fast = np.where(np.isnan(seconds), metres > _FAR, metres / np.maximum(seconds, 1.0) > _FASTEST)
     jumps = np.flatnonzero(fast & (metres > _JUMP * np.median(metres)))
-    if len(jumps):
-        first = int(jumps[0])
-        yield (
-            f"The GPS tags jump {'once' if len(jumps) == 1 else f'{len(jumps)} times'}, first by {metres[first]:.0f} m after "
-            f"{known[first].name}; tags about a jump are doubtful."
-        )
+    if not len(jumps):
+        return []
+    times, first = "once" if len(jumps) == 1 else f"{len(jumps)} times", int(jumps[0])
+    return [
+        f"The GPS tags jump {times}, first by {metres[first]:.0f} m after {known[first].name}; tags about a jump are doubtful."
+    ]

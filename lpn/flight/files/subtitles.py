@@ -124,12 +124,15 @@ def parse_subtitles(blocks: Iterable[SubtitleBlock], name: str, gps_order: GpsOr
         if start is not None:
             end = max(end, start if block.end is None else block.end)
             texts.append((text, start, clock))
-    named = [_named(text) for text, _, _ in texts]
+    named = [
+        {key.strip(): float(number) for inside in _BRACKET.findall(text) for key, number in _NAMED.findall(inside)}
+        for text, _, _ in texts
+    ]
     lists = [_listed(text) for text, _, _ in texts]
     order, notes = _order([items for items in lists if items], gps_order, name)
     entries = [_entry(*row, values, items, order) for row, values, items in zip(texts, named, lists, strict=True)]
     is_known = any(lists) or any("latitude" in values for values in named)
-    if not is_known and not any(map(_tells, entries)):
+    if not is_known and all((e.height_above_takeoff, e.altitude, e.heading, e.fov) == (None,) * 4 for e in entries):
         raise DataError(
             f"{name} holds no telemetry of DJI or Autel in a known dialect; expected subtitles such as [latitude: 59.30], "
             f"GPS(18.2,59.3,16), or GPS(E: 18.2, N: 59.3, 45.0m){_a_line(texts)}."
@@ -156,11 +159,6 @@ def _a_line(texts: Sequence[tuple[str, float, float | None]]) -> str:
 def _seconds(parts: Sequence[str]) -> float:
     hours, minutes, seconds = map(int, parts[:3])
     return 3600.0 * hours + 60 * minutes + seconds + float(f"0.{parts[3]}")
-
-
-def _named(text: str) -> dict[str, float]:
-    """Return the numbers in brackets by their names."""
-    return {key.strip(): float(value) for inside in _BRACKET.findall(text) for key, value in _NAMED.findall(inside)}
 
 
 def _listed(text: str) -> list[str]:
@@ -252,8 +250,3 @@ def _fov(text: str, zoom: float | None) -> float | None:
     zoom = zoom or 1.0
     equivalent *= max(zoom / _ZOOM_SCALE if zoom >= _LEAST_SCALED else zoom, 1.0)
     return cameras.fov_of_equivalent(equivalent) if 5 <= equivalent <= 1000 else None
-
-
-def _tells(entry: TelemetryEntry) -> bool:
-    known = entry.latitude, entry.height_above_takeoff, entry.altitude, entry.heading, entry.fov
-    return any(value is not None for value in known)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -63,7 +62,7 @@ class Telemetry:
         self._known_times: dict[str, Float64Array] = {}
         self._known: dict[str, tuple[Float64Array, Float64Array]] = {}
         for name in (*_LINEAR, *_ANGLES):
-            values = np.array([_or_nan(getattr(entry, name)) for entry in self.entries], np.float64)
+            values = np.array([getattr(entry, name) for entry in self.entries], np.float64)
             keep = ~np.isnan(values)
             self._known_times[name] = self._times[keep]
             if name in ("latitude", "longitude"):
@@ -133,7 +132,3 @@ class Telemetry:
     def _between(self, around: Float64Array, time: float) -> bool:
         """Return whether a time lies between two entries without a gap."""
         return len(around) == 2 and around[0] <= time <= around[1] and around[1] - around[0] <= self._gap
-
-
-def _or_nan(value: float | None) -> float:
-    return math.nan if value is None else value

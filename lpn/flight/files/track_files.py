@@ -53,9 +53,13 @@ def parse_track(data: bytes, name: str) -> Log:
         raise DataError(f"{name} has no point with a position on the Earth; expected a track.")
     rows, zoned = [], False
     for point in on_earth:
-        clock, has_zone = _seconds(point.time)
+        time: datetime | None = point.time
+        try:
+            clock = None if time is None else time.replace(tzinfo=time.tzinfo or UTC).timestamp()
+        except (ValueError, OverflowError):
+            clock = None
         file = picture_name(point.name or "")
-        zoned |= has_zone
+        zoned |= clock is not None and time is not None and time.tzinfo is not None
         if clock is None and file is None:
             continue
         altitude = None if point.elevation is None or not math.isfinite(point.elevation) else point.elevation
@@ -83,12 +87,3 @@ def _points(text: str, name: str) -> list[Any]:
     points: list[Any] = [point for track in gpx.tracks for segment in track.segments for point in segment.points]
     points += [*gpx.waypoints, *(point for route in gpx.routes for point in route.points)]
     return [point for point in points if point.latitude or point.longitude]
-
-
-def _seconds(time: datetime | None) -> tuple[float | None, bool]:
-    if time is None:
-        return None, False
-    try:
-        return (time if time.tzinfo else time.replace(tzinfo=UTC)).timestamp(), time.tzinfo is not None
-    except (ValueError, OverflowError):
-        return None, False

@@ -92,7 +92,8 @@ class VehicleState:
         if 0 <= time - self._last < _LEAST_STEP - 1e-6:
             return None
         self._last = time
-        takeoff, altitude = (_finite(height) for height in (above_takeoff, altitude))
+        # An unknown altitude may be NaN.
+        takeoff, altitude = (h if h is not None and math.isfinite(h) else None for h in (above_takeoff, altitude))
         return self._entry(TelemetryEntry(time, clock, latitude, longitude, None, takeoff, altitude))
 
     def _entry(self, entry: TelemetryEntry) -> TelemetryEntry:
@@ -111,11 +112,6 @@ class VehicleState:
     @staticmethod
     def _current(value: tuple[float, ...] | None, time: float) -> tuple[float, ...] | None:
         return value if value is not None and abs(time - value[0]) <= _HOLD else None
-
-
-def _finite(value: float | None) -> float | None:
-    """Return a value, None if it is not finite: an unknown altitude may be NaN."""
-    return value if value is not None and math.isfinite(value) else None
 
 
 def euler_degrees(w: float, x: float, y: float, z: float) -> tuple[float, float, float]:

@@ -9,12 +9,12 @@ from __future__ import annotations
 from typing import cast
 
 import cv2
+import msgspec
 import numpy as np
 
 from lpn.core import images
 from lpn.core.arrays import BoolArray, Float32Array, Float64Array, UInt8Array
 from lpn.core.homography import apply_homography, corner_pixels, inverse, middle_pixel
-from lpn.flight.locate.photo_places import PhotoPlaces, offset_rows
 from lpn.flight.maps import Map, Window
 
 # Pixels of the square that holds the laid photo, of a place's side, and of how far from its place it is looked for.
@@ -33,6 +33,38 @@ _SHOWN, _CONTRAST = 0.98, 2.0
 _FEW_PLACES = 3
 # A place that lies so near the border of what was searched, as a share of it, may have others beyond.
 _BORDER = 0.9
+
+
+class PhotoPlaces(msgspec.Struct, frozen=True):
+    """Places of a photo with their offsets on the map.
+
+    Attributes:
+        rows: for each place its shares of the photo's width and height, then from where the registration lays it to where the
+            map has it, metres east and north.
+    """
+
+    rows: list[tuple[float, float, float, float]]
+
+    @property
+    def places(self) -> Float64Array:
+        """The places as shares of the photo's width and height, (N, 2)."""
+        return np.array(self.rows, np.float64).reshape(-1, 4)[:, :2]
+
+    @property
+    def offsets(self) -> Float64Array:
+        """From where the registration lays them to where the map has them, metres east and north, (N, 2)."""
+        return np.array(self.rows, np.float64).reshape(-1, 4)[:, 2:]
+
+    @property
+    def metres(self) -> Float64Array:
+        """The lengths of `offsets`, (N,)."""
+        return cast(Float64Array, np.hypot(*self.offsets.T))
+
+
+def offset_rows(places: Float64Array, offsets: Float64Array, digits: int) -> list[tuple[float, float, float, float]]:
+    """Return the rows of `PhotoPlaces` of places (N, 2) and offsets (N, 2), metres rounded to so many digits."""
+    rounded = np.hstack([places.round(4), offsets.round(digits)]).tolist()
+    return [(across, down, east, north) for across, down, east, north in rounded]
 
 
 class MapAgreement(PhotoPlaces, frozen=True):

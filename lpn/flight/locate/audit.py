@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import cast
 
 import numpy as np
 
 from lpn.core.arrays import Float64Array
-from lpn.core.errors import InputError
 from lpn.core.numbers import upper_bound
 
 # A position that is not known.
@@ -89,15 +88,7 @@ def audit_tags(times: Float64Array, tags: Float64Array, positions: Float64Array,
         times: seconds, (N,); NaN where unknown.
         tags, positions: metres east and north, (N, 2); NaN rows where there is none.
         middles: True if positions are of the pictures' middles; a camera that looks ahead then looks like a lag.
-
-    Raises:
-        InputError: if the shapes differ.
     """
-    if tags.shape != (len(times), 2) or positions.shape != tags.shape:
-        raise InputError(
-            f"There are {len(times)} times, tags of shape {tags.shape}, and positions of shape {positions.shape}; expected "
-            "(N,), (N, 2), and (N, 2)."
-        )
     differences = tags - positions
     off = np.linalg.norm(differences, axis=1)
     known = ~np.isnan(off)
@@ -116,16 +107,14 @@ def audit_tags(times: Float64Array, tags: Float64Array, positions: Float64Array,
     values = np.concatenate([d[:, 0], d[:, 1]])
     solution, errors = _robust_fit(design, values)
     constant, _ = _robust_fit(design[:, 1:], values)
-    return TagAudit(
-        audit.frames,
-        audit.median,
-        audit.largest,
-        float(-solution[0]),
-        float(errors[0]),
-        float(np.median(np.linalg.norm(d - solution[0] * v - solution[1:], axis=1))),
-        float(np.linalg.norm(solution[1:])),
-        float(np.median(np.linalg.norm(d - constant, axis=1))),
-        float(-solution[0] * np.median(np.linalg.norm(v, axis=1))) if middles else None,
+    return replace(
+        audit,
+        lag=float(-solution[0]),
+        lag_error=float(errors[0]),
+        without_lag=float(np.median(np.linalg.norm(d - solution[0] * v - solution[1:], axis=1))),
+        offset=float(np.linalg.norm(solution[1:])),
+        without_offset=float(np.median(np.linalg.norm(d - constant, axis=1))),
+        ahead=float(-solution[0] * np.median(np.linalg.norm(v, axis=1))) if middles else None,
     )
 
 

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 from lpn.core.numbers import upper_bound
 from lpn.flight.locate.camera_place import below_camera, told_tilt
+from lpn.flight.locate.errors import Errors
 from lpn.flight.locate.located import (
     BY_HAND,
     LocatedFlight,
@@ -294,6 +295,42 @@ def belief(located: LocatedFrame, contradictions: Sequence[Disagreement] | None 
         return Belief(None, guess, guess, refused or retrieval.sentence, "retrieval")
     why = _first_refusal(registration, sequence, retrieval) or "No stage has an answer."
     return Belief(False, "Not located", "Not located", why)
+
+
+def _placed(flight: LocatedFlight, verdicts: Sequence[Belief]) -> Iterator[tuple[LocatedFrame, StageRecord]]:
+    """Yield the frames whose place counts, by details or by neighbours, with that answer."""
+    for located, verdict in zip(flight.frames, verdicts, strict=True):
+        if verdict.stage in ("registration", "sequence"):
+            yield located, located.stages[verdict.stage]
+
+
+def radii_on_map(flight: LocatedFlight, verdicts: Sequence[Belief]) -> list[float]:
+    """Return the 1-sigma radii of a flight's placed photos on this map in metres, of those that have one.
+
+    Args:
+        verdicts: of the frames, see `beliefs`.
+    """
+    return [answer.radius_on_map for _, answer in _placed(flight, verdicts) if answer.radius_on_map is not None]
+
+
+def placed_errors(flight: LocatedFlight, verdicts: Sequence[Belief]) -> Errors | None:
+    """Return the errors of a flight's placed photos against their tags, whatever a person corrected; None without any.
+
+    Args:
+        verdicts: of the frames, see `beliefs`.
+    """
+    rows = [
+        (answer.x - located.tag[0], answer.y - located.tag[1], answer.radius)
+        for located, answer in _placed(flight, verdicts)
+        if located.tag is not None and answer.x is not None and answer.y is not None
+    ]
+    return Errors.of(len(rows), rows) if rows else None
+
+
+def is_unchecked(located: LocatedFrame) -> bool:
+    """Return whether too few places away from the middle of a registered photo were found on the map to check it."""
+    agreement = located.stages["registration"].agreement
+    return agreement is not None and bool(agreement.unchecked)
 
 
 def on_what(answer: StageRecord) -> str:

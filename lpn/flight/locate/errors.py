@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 
 from lpn.core.arrays import Float64Array
-from lpn.core.numbers import SIGMA
 
 # Metres of the shares in tables and JSON.
 WITHIN = (5, 10, 25, 50, 100)
@@ -153,15 +152,6 @@ class Errors:
                     f"{int(count)} independent photos)"
                 )
         return f"The mean is {' and '.join(told)}." if told else ""
-
-    def calibration_sentence(self, stage: str) -> str | None:
-        """Return how many errors of a stage lie within 1, 2, and 3 radii, and how many should; None without radii."""
-        if not self.calibration:
-            return None
-        return (
-            f"Errors of the {stage} within 1, 2, and 3 of its radii ({SIGMA}): {percents(self.calibration)}; "
-            f"right radii, against an exact truth, have {percents(RIGHT_CALIBRATION)}."
-        )
 
 
 def percents(shares: dict[int, float]) -> str:

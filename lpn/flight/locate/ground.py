@@ -9,8 +9,7 @@ import logging
 import math
 import threading
 import zipfile
-from collections import OrderedDict
-from collections.abc import Hashable
+from collections.abc import Callable, Hashable
 from pathlib import Path
 
 import numpy as np
@@ -43,40 +42,29 @@ class GroundCache:
 
     Args:
         limit: the most bytes that all features together take; the newest are kept even if they take more.
-
-    Attributes:
-        size: the bytes that they take.
     """
 
     def __init__(self, limit: int) -> None:
         self._limit, self._lock = limit, threading.Lock()
-        self._grounds: OrderedDict[Hashable, Ground] = OrderedDict()
-        self.size = 0
+        self._grounds: dict[Hashable, Ground] = {}  # the one that was used last is the last one
 
-    def get(self, key: Hashable) -> Ground | None:
-        """Return the features of a block; None if they are not held."""
+    def get(self, key: Hashable, make: Callable[[], Ground]) -> Ground:
+        """Return the features of a block, which are made if they are not held."""
         with self._lock:
-            if key in self._grounds:
-                self._grounds.move_to_end(key)
-            return self._grounds.get(key)
-
-    def put(self, key: Hashable, ground: Ground) -> None:
-        """Hold the features of a block."""
+            ground = self._grounds.pop(key, None)
+        ground = make() if ground is None else ground
         with self._lock:
-            self._drop(self._grounds.pop(key, None))
             self._grounds[key] = ground
-            self.size += _bytes(ground)
-            while self.size > self._limit and len(self._grounds) > 1:
-                self._drop(self._grounds.popitem(last=False)[1])
+            sizes = {key: one.points.nbytes + one.descriptors.nbytes for key, one in self._grounds.items()}
+            while sum(sizes.values()) > self._limit and len(sizes) > 1:
+                oldest = next(iter(sizes))
+                del sizes[oldest], self._grounds[oldest]
+        return ground
 
     def clear(self) -> None:
         """Hold nothing."""
         with self._lock:
             self._grounds.clear()
-            self.size = 0
-
-    def _drop(self, ground: Ground | None) -> None:
-        self.size -= 0 if ground is None else _bytes(ground)
 
 
 # Shared by all maps, so that a process that shows several needs no more memory.
@@ -154,14 +142,14 @@ class MapFeatures:
 
     def _block(self, level: int, row: int, column: int, resolution: float) -> Ground:
         key = (level, row, column)
-        ground = in_memory.get((self._digest, key))
-        if ground is None:
-            ground = self._read(key, resolution)
-            if ground is None:
+
+        def made() -> Ground:
+            if (ground := self._read(key, resolution)) is None:
                 ground = self._described(row, column, resolution)
                 self._write(key, ground)
-            in_memory.put((self._digest, key), ground)
-        return ground
+            return ground
+
+        return in_memory.get((self._digest, key), made)
 
     def _described(self, row: int, column: int, resolution: float) -> Ground:
         west, north = self._map.bounds[0], self._map.bounds[3]
@@ -202,7 +190,3 @@ class MapFeatures:
                 file.parent,
                 getattr(error, "strerror", None) or error,
             )
-
-
-def _bytes(ground: Ground) -> int:
-    return ground.points.nbytes + ground.descriptors.nbytes

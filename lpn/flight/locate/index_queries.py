@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
-from lpn.core.arrays import BoolArray, Float32Array, Float64Array, Int64Array
+from lpn.core.arrays import BoolArray, Float32Array, Int64Array
 from lpn.core.files import printable
 from lpn.core.views import views_of
 from lpn.datasets import Picture
@@ -64,7 +63,7 @@ def flight_queries(
         TurnedFrame(frame, one.headings[j - start], one.share, pixels)
         for frame, one, j, start in zip(flight.frames, views, chosen, starts.tolist(), strict=True)
     ]
-    spots = np.where(good[chosen][:, None], _tags(flight.frames, basemap), math.nan)
+    spots = np.where(good[chosen][:, None], basemap.frame.xy(*flight.degrees.T), math.nan)
     return IndexQueries(
         name=name,
         data_name=printable(f"{flight.name} over {basemap.name}"),
@@ -87,15 +86,6 @@ def _best(index: Index, described: Float32Array, turns: Int64Array, good: BoolAr
     return int(turns[int(np.argmax(scores))])
 
 
-def _tags(frames: Sequence[Frame], basemap: Map) -> Float64Array:
-    """Return each frame's tag in metres of the map's frame, (N, 2), NaN without one."""
-    degrees = [
-        (math.nan, math.nan) if f.latitude is None or f.longitude is None else (f.latitude, f.longitude) for f in frames
-    ]
-    latitude, longitude = np.array(degrees, np.float64).reshape(-1, 2).T
-    return basemap.frame.xy(latitude, longitude)
-
-
 def _picture(label: int, cut: TurnedFrame, turns: int, root: Path, unreadable: bool) -> Picture:
     frame = cut.frame
     file = frame.file if frame.file.is_relative_to(root) else root / frame.name
@@ -107,7 +97,6 @@ def _picture(label: int, cut: TurnedFrame, turns: int, root: Path, unreadable: b
 def _place(frame: Frame) -> Position | None:
     if frame.latitude is None or frame.longitude is None:
         return None
-    height = frame.flying_height
-    if height is None or height <= 0:
+    if (height := frame.flying_height or 0.0) <= 0:
         return Position(frame.latitude, frame.longitude)
     return Position(frame.latitude, frame.longitude, altitude=height, heading=0.0)

@@ -191,26 +191,20 @@ class LocatedFrame:
             return np.array([self.by_hand.x, self.by_hand.y])
         return self.middle(self.by_hand)
 
-    def likely_places(self) -> list[list[float]]:
-        """Return the places (K, 2) that the registration searches about: the sequence's, and those of the two best windows.
-
-        There are none without an answer of the sequence.
-        """
-        answer = self.stages.get("sequence")
-        if answer is None or answer.x is None or answer.y is None:
-            return []
-        return [[answer.x, answer.y]] + [[window.x, window.y] for window in self.windows[:2]]
-
     def searched_places(self, around_tag: bool) -> Float64Array | None:
         """Return the places (K, 2) about which the registration searches; None where it searches the whole map.
+
+        They are the sequence's answer and the two best windows, else all windows.
 
         Args:
             around_tag: True if it searches about the tag where no stage before it tells a place.
         """
-        if places := self.likely_places():
-            return np.array(places)
-        if self.windows:
-            return np.array([(window.x, window.y) for window in self.windows])
+        windows = [(window.x, window.y) for window in self.windows]
+        answer = self.stages.get("sequence")
+        if answer is not None and answer.x is not None and answer.y is not None:
+            return np.array([(answer.x, answer.y), *windows[:2]])
+        if windows:
+            return np.array(windows)
         return self.tag[None] if around_tag and self.tag is not None else None
 
     def middle(self, answer: StageRecord) -> Float64Array:

@@ -6,8 +6,8 @@ import numpy as np
 
 from lpn.core.arrays import Float64Array, Int64Array
 from lpn.core.homography import apply_homography
+from lpn.flight.locate.agreement import PhotoPlaces, offset_rows
 from lpn.flight.locate.levelled import PhotoView
-from lpn.flight.locate.photo_places import PhotoPlaces, offset_rows
 from lpn.flight.locate.registration import Registration
 
 # The most details of a sample: as many as a person can tell apart in a picture.

@@ -93,13 +93,13 @@ def locate(
                 "and Dis@K leaves them out."
             )
         enter_retrieval(retrieval, frames, TOP)
-        if options.sequence and answers is not None and len(answers.sequence) == len(frames):
+        if options.sequence and answers is not None and len(answers.record.sequence) == len(frames):
             for frame in frames:
-                frame.stages["sequence"] = answers.sequence[frame.frame.name]
-            notes += answers.notes
+                frame.stages["sequence"] = answers.record.sequence[frame.frame.name]
+            notes += answers.record.notes
         elif options.sequence:
             notes += enter_sequence(retrieval, flight, frames, options, _beyond(retrieval, basemap))
-    registrations = {} if answers is None else answers.registration
+    registrations = {} if answers is None else answers.record.registration
     located = LocatedFlight(
         flight, basemap, frames, None, notes, retrieval, registrations, tags_away=tags_away, prior=options.prior
     )

@@ -113,7 +113,8 @@ def register_frames(
         # An answer depends on the frames before it, whose widths it takes over.
         places = located.searched_places(options.prior is not None)
         around = None if places is None else places.tolist()
-        identity = [frame_identity(located.frame), _plain(located.frame), around, *["alone"] * few]
+        plain = {key: value for key, value in asdict(located.frame).items() if key != "file"}
+        identity = [frame_identity(located.frame), plain, around, *["alone"] * few]
         trail = _digest([trail, *identity])
         answer = shipped.get(located.frame.name) or records.get(trail)
         if answer is None:
@@ -390,10 +391,48 @@ def register_photo(search: PhotoSearch) -> StageRecord:
     if answer.has_ground and not best.accepted and answer.widths:
         least, most = min(answer.widths) / FREE_FACTOR, max(answer.widths) * FREE_FACTOR
         how += f" Nothing tells how much ground it shows, so {least:.0f} to {most:.0f} m across were tried."
-    tried = answer.pitch if frame.pitch is None else None
+    code, numbers = best.refusal or Reason("")
+    if best.centre is None or best.homography is None:
+        return StageRecord("refused", how.strip(), code=code, numbers=numbers)
+    place, radius, heading = best.centre, best.radius, best.heading
+    if (below := camera_place(frame, search.size, best)) is not None:
+        place, radius = below
+    camera, by_tilt = below is not None, ""
+    solution = None if isinstance(solved, str) else solved
+    # On flat ground the pose of a photo from nearly straight above is worse than the middle of its picture.
     placed = basemap.elevation is not None or answer.levelled is not None
-    details = MatchedDetails.of(best, PhotoView(search.size, answer.levelled))
-    return _record(frame, search.size, best, how, solved, placed, tried, details, search.anywhere)
+    if placed and solution is not None and (below is None or radius is None or solution.radius < radius):
+        place, radius, camera = np.array([solution.east, solution.north]), solution.radius, True
+        heading = solution.heading
+    elif solution is not None and camera:
+        by_tilt = "Its place rests on the tilt in the photo's file, which is surer than that of this pose."
+    sentence = ""
+    if best.accepted:
+        agreed = f"{best.inliers} details matched by {best.matcher} agree on {_AGREED[best.model]}."
+        told = solved if isinstance(solved, str) else solved.sentence
+        levelled = ""
+        if frame.pitch is None and answer.pitch is not None:
+            levelled = f"Its file tells no tilt; it fits after it was levelled by {90 + answer.pitch:.0f} degrees."
+        sentence = " ".join(part for part in (agreed, levelled, best.turn_sentence, told, by_tilt) if part)
+    return StageRecord(
+        "accepted" if best.accepted else "refused",
+        (sentence + how).strip(),
+        float(place[0]),
+        float(place[1]),
+        camera,
+        radius,
+        heading,
+        best.turn,
+        best.width,
+        best.inliers,
+        [float(value) for value in best.homography.ravel()],
+        pose=solution,
+        middle_radius=best.radius if camera else None,
+        details=MatchedDetails.of(best, PhotoView(search.size, answer.levelled)),
+        code=code,
+        numbers=numbers,
+        alone=best.accepted and search.anywhere,
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -550,76 +589,6 @@ def tried_widths(basemap: Map, known_width: float | None, widths: Collection[flo
     for _ in range(4):
         yield width / 1.3, False
         width /= _WIDTHS
-
-
-def _record(
-    frame: Frame,
-    size: tuple[int, int],
-    registration: Registration,
-    how: str,
-    solved: CameraPose | str,
-    placed: bool,
-    tried: float | None,
-    details: MatchedDetails | None,
-    alone: bool,
-) -> StageRecord:
-    """Return the record of a registration.
-
-    Args:
-        how: sentences about the search, each with a space before it.
-        solved: the pose of the camera, or why there is none.
-        placed: whether the pose may give the position. On flat ground that of a photo from nearly straight above is worse than
-            the middle of its picture.
-        tried: the pitch in degrees at which the photo was levelled, without one in its file; None if it was not.
-        alone: whether it was registered as a photo of no flight.
-    """
-    code, numbers = registration.refusal or Reason("")
-    if registration.centre is None or registration.homography is None:
-        return StageRecord("refused", how.strip(), code=code, numbers=numbers)
-    place, radius = registration.centre, registration.radius
-    if (below := camera_place(frame, size, registration)) is not None:
-        place, radius = below
-    heading, camera = registration.heading, below is not None
-    solution = None if isinstance(solved, str) else solved
-    by_tilt = ""
-    if placed and solution is not None and (below is None or radius is None or solution.radius < radius):
-        place, radius, camera = np.array([solution.east, solution.north]), solution.radius, True
-        heading = solution.heading
-    elif solution is not None and camera:
-        by_tilt = "Its place rests on the tilt in the photo's file, which is surer than that of this pose."
-    sentence = ""
-    if registration.accepted:
-        agreed = (
-            f"{registration.inliers} details matched by {registration.matcher} agree on {_AGREED[registration.model]}."
-        )
-        told = solved if isinstance(solved, str) else solved.sentence
-        levelled = ""
-        if tried is not None:
-            levelled = f"Its file tells no tilt; it fits after it was levelled by {90 + tried:.0f} degrees."
-        sentence = " ".join(part for part in (agreed, levelled, registration.turn_sentence, told, by_tilt) if part)
-    return StageRecord(
-        "accepted" if registration.accepted else "refused",
-        (sentence + how).strip(),
-        float(place[0]),
-        float(place[1]),
-        camera,
-        radius,
-        heading,
-        registration.turn,
-        registration.width,
-        registration.inliers,
-        [float(value) for value in registration.homography.ravel()],
-        pose=solution,
-        middle_radius=registration.radius if camera else None,
-        details=details,
-        code=code,
-        numbers=numbers,
-        alone=registration.accepted and alone,
-    )
-
-
-def _plain(frame: Frame) -> dict[str, Any]:
-    return {key: value for key, value in asdict(frame).items() if key != "file"}
 
 
 def _digest(value: Any) -> str:

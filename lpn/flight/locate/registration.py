@@ -596,8 +596,19 @@ def _concluded(
     centre, heading, ground_width = pose(full, width, height)
     turn = turn_between(expected.heading, heading)
     covariance = _covariance(homography, model, best, inliers, complex(*centre))
+    refusal, needed, margin = _doubt(best, runner_up), _FAR_SUPPORT * MIN_SUPPORT, _OFF_MAP * ground_width
+    if refusal is None and turn is not None and abs(turn) > _FAR_TURN and best.support < needed:
+        refusal = Reason("turned far", {"degrees": abs(turn), "needed": needed, "support": best.support})
+    elif refusal is None and (cells := _cells(best.u[inliers])) < MIN_CELLS:
+        refusal = Reason("cells", {"inliers": int(inliers.sum()), "cells": cells, "all": _GRID**2})
+    elif refusal is None and bounds is not None:
+        is_inside = (
+            bounds[0] - margin <= centre[0] <= bounds[2] + margin
+            and bounds[1] - margin <= centre[1] <= bounds[3] + margin
+        )
+        refusal = None if is_inside else Reason("off the map")
     return Registration(
-        _refusal(best, runner_up, inliers, ground_width, centre, turn, bounds),
+        refusal,
         matcher.name,
         model,
         len(best.u),
@@ -692,31 +703,6 @@ def _rivalled(support: float, b: complex, rival: _Rival) -> Reason | None:
     if support >= MIN_RATIO * rival.support:
         return None
     return Reason("rival", {"support": support, "other": rival.support, "metres": abs(rival.b - b)})
-
-
-def _refusal(
-    best: _Candidate,
-    runner_up: _Rival,
-    inliers: BoolArray,
-    width: float,
-    centre: Float64Array,
-    turn: float | None,
-    bounds: tuple[float, float, float, float] | None,
-) -> Reason | None:
-    """Return why a registration is refused; None if it is not."""
-    if (refusal := _doubt(best, runner_up)) is not None:
-        return refusal
-    needed = _FAR_SUPPORT * MIN_SUPPORT
-    if turn is not None and abs(turn) > _FAR_TURN and best.support < needed:
-        return Reason("turned far", {"degrees": abs(turn), "needed": needed, "support": best.support})
-    if (cells := _cells(best.u[inliers])) < MIN_CELLS:
-        return Reason("cells", {"inliers": int(inliers.sum()), "cells": cells, "all": _GRID**2})
-    margin = _OFF_MAP * width
-    if bounds is not None and not (
-        bounds[0] - margin <= centre[0] <= bounds[2] + margin and bounds[1] - margin <= centre[1] <= bounds[3] + margin
-    ):
-        return Reason("off the map")
-    return None
 
 
 def _cells(u: Complex) -> int:

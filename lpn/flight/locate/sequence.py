@@ -22,7 +22,6 @@ import numpy as np
 import numpy.typing as npt
 
 from lpn.core.arrays import BoolArray, Float64Array, Int64Array
-from lpn.core.errors import InputError
 from lpn.core.filled_cache import FilledCache
 from lpn.core.numbers import wrap_degrees
 
@@ -86,18 +85,6 @@ class MotionModel:
     turn_rate: float = 1.0
     usual: float = math.inf
     aside: float = 0.0
-
-    def __post_init__(self) -> None:
-        if not (self.speed > 0 and self.spacing > 0 and self.unknown > 0 and self.turn_rate > 0 and self.usual > 0):
-            raise InputError(
-                f"The motion model has speed {self.speed:g}, spacing {self.spacing:g}, step {self.unknown:g}, turn rate "
-                f"{self.turn_rate:g}, and usual seconds {self.usual:g}; expected numbers above 0."
-            )
-        if not 0 <= self.along < 1:
-            raise InputError(
-                f"Steps of the motion model go along the headings with a probability of {self.along:g}; expected 0 or more and "
-                "below 1."
-            )
 
     def steps(self, times: npt.ArrayLike) -> Float64Array:
         """Return the standard deviation in metres of each step in any direction, (T - 1,).
@@ -260,20 +247,8 @@ def emissions(
 
     Returns:
         (N + B, K) float64.
-
-    Raises:
-        InputError: if a number is out of range or not finite.
     """
     values = np.asarray(scores, np.float64)
-    if values.ndim != 2 or 0 in values.shape or not np.isfinite(values).all():
-        raise InputError(
-            f"The scores have the shape {values.shape}; expected finite numbers of shape (windows, headings)."
-        )
-    if not (temperature > 0 and 0 <= floor < 1):
-        raise InputError(
-            f"The temperature is {temperature:g} and the floor {floor:g}; expected a temperature above 0 and a floor of 0 "
-            "or more and below 1."
-        )
     shares = np.exp((values - values.max()) / temperature)
     shares /= shares.sum()
     with np.errstate(divide="ignore"):
@@ -304,9 +279,6 @@ def smooth(
             between two places; and around the position for `SequenceResult.nearby`.
         keep: chooses the windows of `SequenceResult.first` by a posterior (N,); by default the likeliest one.
         beyond: number of places beyond the map, B, which are no frame's position.
-
-    Raises:
-        InputError: if the shapes do not fit.
     """
     chain = _Chain(log_emissions, _Steps(headings, places, times, motion, beyond))
     frames, states = len(headings), len(places)
@@ -362,7 +334,8 @@ def _point(
     """Return the place of a distribution (N + B, K) over windows, B places beyond the map, and headings."""
     shares, windows = joint.sum(axis=1), len(places) - beyond
     best = shares[:windows].argmax()
-    position = _local_mean(shares[:windows], places[:windows], places[best], near)
+    kept = np.flatnonzero(((places[:windows] - places[best]) ** 2).sum(axis=1) <= near**2)
+    position = shares[kept] @ places[kept] / shares[kept].sum()
     squared = ((places - position) ** 2).sum(axis=1)
     is_near = squared <= near**2
     return SequencePoint(
@@ -419,13 +392,6 @@ class ForwardFilter:
         return _point(self.belief, self._places, self.headings, near, self._beyond)
 
 
-def usual_step(times: npt.ArrayLike) -> float:
-    """Return the median of the seconds between frames at different times, infinite if none are known."""
-    elapsed = np.abs(np.diff(np.asarray(times, np.float64)))
-    elapsed = elapsed[elapsed > 0]
-    return float(np.median(elapsed)) if len(elapsed) else math.inf
-
-
 def fitted_frames(count: int) -> tuple[int, int]:
     """Return the first of the frames that a flight's motion is fitted to, and the one after the last."""
     start = max(count - _FITTED, 0) // 2
@@ -451,7 +417,9 @@ def fitted(
         spacing: of the motion model in metres, at most.
         speed: metres a second where it is known.
     """
-    usual = usual_step(times)
+    elapsed = np.abs(np.diff(np.asarray(times, np.float64)))
+    elapsed = elapsed[elapsed > 0]
+    usual = float(np.median(elapsed)) if len(elapsed) else math.inf
     headed = any(not np.isnan(of_frame).any() for of_frame in headings[slice(*fitted_frames(len(headings)))])
     likelihood = _likelihood(scores, headings, places, times)
     speeds = SPEEDS if speed is None else (speed,)
@@ -524,7 +492,6 @@ class _Steps:
 
     Attributes:
         headings: of each frame in degrees, (K,).
-        shape: number of windows, and of the first frame's headings.
     """
 
     def __init__(
@@ -537,12 +504,6 @@ class _Steps:
     ) -> None:
         seconds = np.asarray(times, np.float64)
         self.headings, self._motion = headings, motion
-        self.shape = len(places), len(headings[0])
-        if seconds.shape != (len(headings),) or places.shape != (len(places), 2):
-            raise InputError(
-                f"There are {len(headings)} frames and {len(places)} windows, but times of shape {seconds.shape} and places of "
-                f"shape {places.shape}; expected ({len(headings)},) and ({len(places)}, 2)."
-            )
         self._elapsed, self._deviations = np.abs(np.diff(seconds)), motion.steps(seconds)
         self._grid = _Grid(places, beyond)
         self._held = FilledCache[_Step](_HELD_STEPS, lambda step: step.nbytes)
@@ -565,8 +526,6 @@ class _Chain:
     """The hidden Markov model of a flight: its emissions, and the steps between its frames."""
 
     def __init__(self, log_emissions: OfFrame, steps: _Steps) -> None:
-        if (shape := log_emissions(0).shape) != steps.shape:
-            raise InputError(f"The log emissions have the shape {shape}; expected {steps.shape}, windows and headings.")
         self._log_emissions, self._steps = log_emissions, steps
 
     def step(self, t: int) -> _Step:
@@ -612,12 +571,6 @@ def _backwards(
             block.append(ahead(t, block[-1]))
         while block:
             yield start + len(block) - 1, block.pop()
-
-
-def _local_mean(shares: Float64Array, places: Float64Array, middle: Float64Array, near: float) -> Float64Array:
-    """Return the mean of places (N, 2) within a distance of one of them, weighted by shares (N,)."""
-    kept = ((places - middle) ** 2).sum(axis=1) <= near**2
-    return cast(Float64Array, shares[kept] @ places[kept] / shares[kept].sum())
 
 
 def merged_coordinates(values: Float64Array) -> tuple[Float64Array, Int64Array]:

@@ -10,7 +10,7 @@ too. Otherwise they are computed anew.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -61,16 +61,11 @@ class ShippedAnswers:
 
     Attributes:
         folder: of the stores.
-        fingerprint: of the model.
-        registration, sequence: answers by the frame's name; none where they do not ship.
-        notes: sentences about the sequence.
+        record: the answers.
     """
 
     folder: Path
-    fingerprint: str
-    registration: Mapping[str, StageRecord]
-    sequence: Mapping[str, StageRecord]
-    notes: Sequence[str]
+    record: ShippedRecord
 
     @classmethod
     def open(
@@ -86,10 +81,8 @@ class ShippedAnswers:
         except (OSError, msgspec.MsgspecError, ValueError):
             return None
         wanted = (FORMAT, registered_by, model.fingerprint, map_files(basemap), photo_files(flight))
-        stored = (record.format, record.registered_by, record.fingerprint, record.map, record.photos)
-        if stored != wanted:
-            return None
-        return cls(folder, record.fingerprint, record.registration, record.sequence, record.notes)
+        fits = (record.format, record.registered_by, record.fingerprint, record.map, record.photos) == wanted
+        return cls(folder, record) if fits else None
 
     def windows(self, windows: Sequence[Window], side: int) -> Float32Array | None:
         """Return descriptors (N, n, D) of windows, see `window_rows`; None if those that ship are of others, or damaged."""
@@ -106,7 +99,7 @@ class ShippedAnswers:
             store = open_store(self.folder / name)
         except StoreError:
             return None
-        fits = store.manifest.fingerprint == self.fingerprint and not store.damaged().any()
+        fits = store.manifest.fingerprint == self.record.fingerprint and not store.damaged().any()
         return np.array(store.float32) if fits and _alike(store.manifest.rows, rows) else None
 
 

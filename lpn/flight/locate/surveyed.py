@@ -23,7 +23,7 @@ from lpn.core.files import first_few, printable, write_atomic
 from lpn.core.lists import read_text, separated
 from lpn.core.numbers import distance
 from lpn.flight.files.logs import path_parts
-from lpn.flight.locate.belief import BestAnswer, best_answers
+from lpn.flight.locate.belief import best_answers
 from lpn.flight.locate.camera_place import below_camera
 from lpn.flight.locate.errors import Errors
 from lpn.flight.locate.located import LocatedFlight, LocatedFrame, StageRecord, TrackState
@@ -232,11 +232,13 @@ def match_surveyed(names: Sequence[str], surveyed: Sequence[SurveyedPosition], b
         InputError: if no photo of the flight has a surveyed position, a name may be two photos, a photo has two positions of one
             point, or most positions lie farther off the map than its longer side.
     """
-    frames = _by_stem(names)
+    by_stem: dict[str, list[int]] = {}
+    for i, name in enumerate(names):
+        by_stem.setdefault(PurePath(path_parts(name)[-1]).stem, []).append(i)
     by_frame: dict[int, list[SurveyedPosition]] = {}
     strangers: list[str] = []
     for position in surveyed:
-        number = _frame_of(position.photo, names, frames)
+        number = _frame_of(position.photo, names, by_stem)
         if number is None:
             strangers.append(position.photo)
             continue
@@ -263,11 +265,18 @@ def match_surveyed(names: Sequence[str], surveyed: Sequence[SurveyedPosition], b
 
 def compare_surveyed(located: LocatedFlight, matched: MatchedSurvey) -> list[Residual]:
     """Return the answers that count minus the surveyed positions, in the flight's order."""
-    return [
-        _residual(frame, position, best, located.basemap.frame)
-        for i, (frame, best) in enumerate(zip(located.frames, best_answers(located), strict=True))
-        for position in matched.by_frame.get(i, ())
-    ]
+    rows = []
+    for i, (frame, best) in enumerate(zip(located.frames, best_answers(located), strict=True)):
+        for position in matched.by_frame.get(i, ()):
+            at = (position.x, position.y)
+            row = Residual(frame.frame.name, position.point, None, best.stage, best.state, best.doubt, at)
+            if best.answer.x is not None:
+                x, y, radius, point = _place(frame, best.answer, position.point)
+                east, north = np.subtract(*located.basemap.frame.utm([(x, y), at])).tolist()
+                radius = math.nan if radius is None else radius
+                row = replace(row, answered=point, east=east, north=north, radius=radius)
+            rows.append(row)
+    return rows
 
 
 def summarise_surveyed(rows: Sequence[Residual]) -> dict[str, dict[SurveyedPoint, Errors]]:
@@ -309,14 +318,6 @@ def _rounded(value: float) -> float | None:
     return round(value, 3) if math.isfinite(value) else None
 
 
-def _by_stem(names: Sequence[str]) -> dict[str, list[int]]:
-    """Return the numbers of the frames by their names without folders and suffix."""
-    found: dict[str, list[int]] = {}
-    for i, name in enumerate(names):
-        found.setdefault(PurePath(path_parts(name)[-1]).stem, []).append(i)
-    return found
-
-
 def _frame_of(path: str, names: Sequence[str], by_stem: Mapping[str, Sequence[int]]) -> int | None:
     """Return the number of the frame that a table names; None without one.
 
@@ -338,22 +339,6 @@ def _frame_of(path: str, names: Sequence[str], by_stem: Mapping[str, Sequence[in
             f"The surveyed photo {printable(path)[:100]} may be {either} of the flight; write the name as the flight has it."
         )
     return ranked[0][1] if ranked else None
-
-
-def _residual(located: LocatedFrame, position: SurveyedPosition, best: BestAnswer, frame: LocalFrame) -> Residual:
-    at = (position.x, position.y)
-    unanswered = Residual(located.frame.name, position.point, None, best.stage, best.state, best.doubt, at)
-    if best.answer.x is None:
-        return unanswered
-    x, y, radius, point = _place(located, best.answer, position.point)
-    there, here = frame.utm([at, (x, y)]).tolist()
-    return replace(
-        unanswered,
-        answered=point,
-        east=here[0] - there[0],
-        north=here[1] - there[1],
-        radius=math.nan if radius is None else radius,
-    )
 
 
 def _place(

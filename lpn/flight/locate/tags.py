@@ -45,11 +45,9 @@ def tags_on_map(basemap: Map, flight: Flight) -> tuple[Float64Array, list[str], 
     margin = max(east - west, north - south)
     off = np.maximum(np.maximum([west, south] - tags[known], tags[known] - [east, north]), 0).max(axis=1)
     if (off > margin).all():
-        # Degrees are compared, as the plane stretches what lies far off; beyond its end the whole edge is.
-        edge = basemap.frame.degrees(np.clip(tags[known], [west, south], [east, north]))
-        near = geo.geodesic(flight.degrees[known], edge)
-        far = geo.geodesic(flight.degrees[tagged & ~known, None], _edge(basemap))
-        nearest = min(float(some.min(initial=np.inf)) for some in (near, far))
+        # Degrees are compared, as the plane stretches what lies far off; beyond its end the map is a point.
+        at = np.where(np.isfinite(tags), np.clip(tags, [west, south], [east, north]), 0.0)[tagged]
+        nearest = float(geo.geodesic(flight.degrees[tagged], basemap.frame.degrees(at)).min())
         notes.append(
             f"The flight lies elsewhere than {basemap.name}, the map: its nearest GPS tag is {nearest / 1000:.1f} km from the "
             "map's edge. The tags were left out; give the map of this flight, unless its tags are wrong."
@@ -64,15 +62,6 @@ def tags_on_map(basemap: Map, flight: Flight) -> tuple[Float64Array, list[str], 
                 "on the map."
             )
     return tags, notes, None
-
-
-def _edge(basemap: Map) -> Float64Array:
-    """Return points of the map's edge, latitude and longitude in degrees, (256, 2)."""
-    west, south, east, north = basemap.bounds
-    along = np.linspace(0, 1, 64, endpoint=False)[:, None]
-    corners = np.array([(west, south), (east, south), (east, north), (west, north)])
-    sides = zip(corners, np.roll(corners, -1, axis=0), strict=True)
-    return basemap.frame.degrees(np.concatenate([one + along * (other - one) for one, other in sides]))
 
 
 def enter_corrections(basemap: Map, frames: list[LocatedFrame], corrections: Mapping[str, Correction]) -> list[str]:

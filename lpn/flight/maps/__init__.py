@@ -7,10 +7,10 @@
 It imports `core` only, and needs the extra `maps`; `training`, `locate`, and the packages above them import it.
 """
 
+from lpn.flight.maps.folder import open_map
 from lpn.flight.maps.frame import LocalFrame
 from lpn.flight.maps.map import Map
 from lpn.flight.maps.named_window import NamedWindow
-from lpn.flight.maps.opening import open_map
 from lpn.flight.maps.place import MapPlace
 from lpn.flight.maps.sources import MapOptions
 from lpn.flight.maps.window import Window

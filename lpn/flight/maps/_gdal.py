@@ -51,37 +51,6 @@ PIXELS_PER_MINUTE, _MOST_MINUTES = 1.3e9, 10
 # `warnings.catch_warnings` changes the filters of all threads.
 _opening = threading.Lock()
 
-# Files that people give as maps and GDAL does not read here: suffixes, how the file begins, what it is, and what to do.
-_OTHERS: tuple[tuple[tuple[str, ...], bytes, str, str], ...] = (
-    ((".vrt",), b"<VRTDataset", "a VRT, which names other files", "give those files, or make one with gdal_translate"),
-    ((".wms",), b"<GDAL_WMS", "the address of a map server (WMS)", "save its map as GeoTIFF, such as with QGIS"),
-    ((), b"<WCS_GDAL", "the address of a map server (WCS)", "save its map as GeoTIFF, such as with QGIS"),
-    ((), b"version https://git-lfs", "a Git LFS pointer, not the file itself", "fetch it with git lfs pull"),
-    ((), b"<!DOCTYPE html", "a page of HTML, as a failed download leaves it", "download the file again"),
-    ((), b"<html", "a page of HTML, as a failed download leaves it", "download the file again"),
-    (
-        (".ecw", ".sid", ".ntf", ".nitf"),
-        b"NITF",
-        "in a format that is not read here",
-        "convert it to GeoTIFF, such as with QGIS",
-    ),
-    ((".nc", ".h5", ".hdf"), b"\x89HDF", "a netCDF or HDF file", "export the right raster of it as GeoTIFF"),
-    ((".kml", ".kmz"), b"", "a file of Google Earth", "give its picture with --corners, or export the map as GeoTIFF"),
-    (
-        (".pmtiles", ".sqlitedb", ".tpk", ".tpkx"),
-        b"PMTiles",
-        "a set of tiles that is no .mbtiles",
-        "export it as .mbtiles",
-    ),
-    ((".zip", ".7z", ".rar", ".gz", ".tgz", ".tar"), b"", "an archive", "unpack it first"),
-    ((".las", ".laz", ".copc", ".ply", ".e57"), b"LASF", "a point cloud", "give the orthophoto"),
-    ((".pdf", ".qgz", ".qgs", ".psx", ".p4d", ".aprx"), b"%PDF", "a document or project", "export the map as GeoTIFF"),
-    ((".shp", ".geojson", ".gpx", ".dxf", ".dwg"), b"", "a file of lines and points", "give a raster"),
-    ((".mp4", ".mov", ".m4v", ".mkv", ".avi", ".srt"), b"", "a video", "make a flight of it with lpn flight"),
-    ((".pth", ".pt", ".ckpt", ".safetensors", ".onnx"), b"", "a file of a model", "give it with --model"),
-    ((), b"PK\x03\x04", "an archive", "unpack it first"),
-)
-
 
 @cache
 def rasterio() -> Any:
@@ -153,11 +122,11 @@ def _checked(path: Path) -> Any:
             file = library.io.DatasetReader(str(path.absolute()), driver=_DRIVERS)
             flaw = _flaw(file, path)
         except failures() as error:
-            if other := _other(path):
-                raise DataError(f"{file_name} is {other[0]}; {other[1]}.") from error
+            head = printable(_head(path)[:40].decode("ascii", "replace"))
+            begins = f"begins with {head!r}" if head else "is empty"
             raise DataError(
-                f"{file_name} cannot be read as a map ({_reason(error, path)}); expected a GeoTIFF, a picture, or an "
-                ".mbtiles of pictures."
+                f"{file_name} cannot be read as a map, as it {begins} ({_reason(error, path)}); expected a GeoTIFF, a picture, "
+                "or an .mbtiles of pictures, so convert or unpack it, such as with QGIS, or copy it again."
             ) from error
     if flaw:
         file.close()
@@ -318,20 +287,6 @@ def transform(source: Any, target: Any, x: Any, y: Any) -> tuple[Any, Any]:
     except failures():  # no operation between the two
         return np.full(len(x), np.inf), np.full(len(x), np.inf)
     return np.array(xs, np.float64), np.array(ys, np.float64)
-
-
-def _other(path: Path) -> tuple[str, str] | None:
-    """Return what a file is that is no raster, and what to do; None if that is not known."""
-    try:
-        head = _head(path).lstrip()
-    except OSError:
-        return None
-    if not head:
-        return "empty", "copy or download it again"
-    for suffixes, magic, kind, remedy in _OTHERS:
-        if path.suffix.lower() in suffixes or (magic and head.lower().startswith(magic.lower())):
-            return kind, remedy
-    return None
 
 
 def _head(path: Path) -> bytes:

@@ -136,21 +136,21 @@ class ElevationSource:
         )
 
     def _check(self, file: Any) -> None:
+        found = None
         if file.count != 1 or file.dtypes[0] == "uint8" or np.dtype(file.dtypes[0]).kind == "c":
-            bands = f"{file.count} band{'s' * (file.count > 1)} of the type {file.dtypes[0]}"
+            found = f"{file.count} band{'s' * (file.count > 1)} of the type {file.dtypes[0]}, as a picture has"
+        elif file.crs is None:
+            found = "no coordinate reference system"
+        elif file.transform.is_identity or not file.transform.determinant:
+            found = "no georeference"
+        if found is not None:
             raise DataError(
-                f"The elevation {self.name} has {bands}, as a picture has; expected one band of heights, such as a surface or "
+                f"The elevation {self.name} has {found}; expected one band of heights with its place, such as a surface or "
                 "terrain model as GeoTIFF."
             )
-        if file.crs is None:
-            raise DataError(
-                f"The elevation {self.name} has no coordinate reference system; assign it, such as with gdal_edit -a_srs."
-            )
-        if file.transform.is_identity or not file.transform.determinant:
-            raise DataError(f"The elevation {self.name} has no georeference; expected a GeoTIFF with one.")
 
     def _unit(self, file: Any, given: HeightUnit | None) -> HeightUnit:
-        stated = _spelled(file.units[0]) or _vertical_unit(file.crs)
+        stated = _SPELLINGS.get(re.sub(r"[\s_\-.]", "", (file.units[0] or "").lower())) or _vertical_unit(file.crs)
         if given is not None:
             if stated is not None and stated != given:
                 self.notes.append(
@@ -159,15 +159,13 @@ class ElevationSource:
             return given
         if stated is not None:
             return stated
-        if file.units[0]:
+        found = f"heights in {printable(file.units[0])[:40]!r}" if file.units[0] else ""
+        if not found and file.crs.is_projected and abs(file.crs.linear_units_factor[1] - 1) > 1e-6:
+            found = f"coordinates in {printable(file.crs.linear_units_factor[0])}"
+        if found:
             raise DataError(
-                f"The elevation {self.name} has heights in {printable(file.units[0])[:40]!r}, which is no known unit; give "
-                "--elevation-unit."
-            )
-        if file.crs.is_projected and abs(file.crs.linear_units_factor[1] - 1) > 1e-6:
-            raise DataError(
-                f"The elevation {self.name} has coordinates in {printable(file.crs.linear_units_factor[0])}, and nothing says "
-                f"whether its heights are, too; give --elevation-unit as {', '.join(UNITS)}."
+                f"The elevation {self.name} has {found}, which does not tell the unit of its heights; give --elevation-unit as "
+                f"{', '.join(UNITS)}."
             )
         self.notes.append(f"{self.path.name} does not say its unit of heights; metres are assumed (--elevation-unit).")
         return "metre"
@@ -243,10 +241,6 @@ def write_elevation(
     if share < _WHOLE:
         notes.append(f"{source.path.name} covers {share:.0%} of the map; matches on the rest have no height.")
     return Elevation(out, source.path.name, notes)
-
-
-def _spelled(text: str | None) -> HeightUnit | None:
-    return _SPELLINGS.get(re.sub(r"[\s_\-.]", "", (text or "").lower()))
 
 
 def _vertical_unit(crs: Any) -> HeightUnit | None:

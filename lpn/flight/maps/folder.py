@@ -110,6 +110,32 @@ class MapRecord(msgspec.Struct, frozen=True):
     notes: list[str] = []
 
 
+def open_map(where: str | Path | Sequence[str | Path], options: MapOptions | None = None) -> Map:
+    """Open a map.
+
+    Args:
+        where: a folder of `lpn map`; or what `lpn map` takes: a georeferenced raster, a list of corners, a folder of tiles or
+            of rasters, or several of these, which are sheets of one map.
+        options: what is known about the files beyond what they say.
+
+    Raises:
+        DataError: if a file cannot be read, or has no or an impossible georeference.
+        InputError: if an option is malformed, or does not apply.
+        ModuleNotFoundError: if rasterio (the extra `maps`) is not installed.
+    """
+    options = options or MapOptions()
+    paths = [Path(where)] if isinstance(where, str | Path) else [Path(path) for path in where]
+    for path in paths:
+        if (path / NAME).is_file():
+            if len(paths) > 1 or options != MapOptions():
+                raise InputError(
+                    f"{printable(str(path))} is a whole map of lpn map; open it alone and without options."
+                )
+            return open_folder(path)
+    files, notes = files_of(paths, options)
+    return Map(files[0].stem, [open_sheet(file, options) for file in files], notes=notes)
+
+
 def build_map(
     paths: Sequence[Path],
     out: Path,
@@ -262,14 +288,19 @@ def open_folder(folder: Path) -> Map:
     sheets = [_opened(folder, sheet) for sheet in record.sheets]
     if not sheets:
         raise DataError(f"{file_name} names no sheet; write it again with lpn map.")
-    coverage = cv2.imdecode(np.fromfile(folder / _COVERAGE, np.uint8), cv2.IMREAD_GRAYSCALE) if _has(folder) else None
-    frame = LocalFrame(record.latitude, record.longitude)
-    shares = None if coverage is None else (coverage / 255).astype(np.float32)
+    frame, shares, path = LocalFrame(record.latitude, record.longitude), None, folder / _COVERAGE
+    if path.is_file() and path.stat().st_size:
+        coverage = cv2.imdecode(np.fromfile(path, np.uint8), cv2.IMREAD_GRAYSCALE)
+        shares = None if coverage is None else (coverage / 255).astype(np.float32)
     try:
         place = checked_place(record.place or MapPlace())
     except InputError as error:
         raise DataError(f"{file_name} is damaged: {error}") from error
-    elevation = _opened_elevation(folder, record.elevation)
+    elevation = None
+    if record.elevation is not None:
+        elevation = Elevation(
+            _there(folder, f"{_SHEETS}/{_ELEVATION}"), record.elevation.name, list(record.elevation.notes)
+        )
     return Map(record.name, sheets, frame, shares, elevation, place, record.error, record.surveyed_error, record.notes)
 
 
@@ -300,35 +331,27 @@ def _read(folder: Path) -> MapRecord:
     file_name = printable(str(path))
     try:
         record = formats.decode_json(path.read_bytes(), MapRecord, file_name, FORMAT, DataError)
+        placed = abs(record.latitude) <= 90 and abs(record.longitude) <= 180
+        surveyed = record.surveyed_error
+        if not placed or not 0 <= (record.error or 0.0) < math.inf or not (surveyed is None or 0 < surveyed < math.inf):
+            raise ValueError
     except OSError as error:
         raise DataError(f"{file_name} cannot be read ({error.strerror or error}); check its permissions.") from error
     except (ValueError, RecursionError) as error:
         raise DataError(
             f"{file_name} is damaged, or no map; write the map again with lpn map, in a new folder."
         ) from error
-    placed = abs(record.latitude) <= 90 and abs(record.longitude) <= 180
-    surveyed = record.surveyed_error
-    possible = 0 <= (record.error or 0.0) < math.inf and (surveyed is None or 0 < surveyed < math.inf)
-    if not placed or not possible:
-        raise DataError(f"{file_name} is damaged; write the map again with lpn map, in a new folder.")
     return record
 
 
-def _opened_elevation(folder: Path, record: ElevationRecord | None) -> Elevation | None:
-    if record is None:
-        return None
-    path = folder / _SHEETS / _ELEVATION
-    if not path.is_file():
+def _there(folder: Path, name: str) -> Path:
+    """Return the path of a map's file; DataError if it is missing."""
+    if not (path := folder / name).exists():
         raise DataError(
-            f"The map {printable(str(folder))} needs {printable(str(path))}, its elevation, which is not there; bring it back, "
-            "or write the map again with lpn map."
+            f"The map {printable(str(folder))} needs {printable(str(path))}, which is not there; bring it back, or write the map "
+            "again with lpn map."
         )
-    return Elevation(path, record.name, list(record.notes))
-
-
-def _has(folder: Path) -> bool:
-    path = folder / _COVERAGE
-    return path.is_file() and path.stat().st_size > 0
+    return path
 
 
 def _record(sheet: Sheet, folder: Path, out: Path) -> SheetRecord:
@@ -360,20 +383,14 @@ def _relative(path: Path, folder: Path, out: Path) -> str:
 
 
 def _opened(folder: Path, record: SheetRecord) -> Sheet:
-    path = folder / record.file
-    file_name = printable(str(path))
-    if not path.exists():
-        raise DataError(
-            f"The map {printable(str(folder))} needs {file_name}, which is not there; bring it back, or write the map "
-            "again with lpn map."
-        )
+    path = _there(folder, record.file)
     overviews = None if record.overviews is None else folder / record.overviews
     source = open_tiles(path, overviews)[0] if record.kind == "tiles" else RasterSource.of_file(path, overviews)
     raster = Raster(source, record.treatment, keep_borders=True)
     if (raster.width, raster.height) != (record.width, record.height):
         raise DataError(
-            f"{file_name} has {raster.width} x {raster.height} pixels, and {NAME} says {record.width} x {record.height}; "
-            "it changed, so write the map again with lpn map."
+            f"{printable(str(path))} has {raster.width} x {raster.height} pixels, and {NAME} says {record.width} x "
+            f"{record.height}; it changed, so write the map again with lpn map."
         )
     raster.notes = list(record.notes)
     matrix: Float64Array = np.array(record.transform).reshape(2, 3)

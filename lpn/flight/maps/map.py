@@ -194,12 +194,8 @@ class Map:
         Raises:
             InputError: if a number is out of range.
         """
-        return [window for block in self._blocks(size, step, min_valid) for window in block]
-
-    def _blocks(self, size: float, step: float, min_valid: float) -> Iterator[list[Window]]:
-        """Yield the windows of `windows` in blocks."""
-        for centres in self._centres(size, step, min_valid):
-            yield [Window(x, y, size) for x, y in centres.tolist()]
+        blocks = self._centres(size, step, min_valid)
+        return [Window(x, y, size) for centres in blocks for x, y in centres.tolist()]
 
     def _centres(self, size: float, step: float, min_valid: float) -> Iterator[Float64Array]:
         """Yield the centres of the windows of `windows` in blocks, (B, 2)."""
@@ -236,7 +232,8 @@ class Map:
         if not len(sizes):
             raise InputError("A pyramid needs at least one size of windows; found none.")
         for size in sizes:
-            yield from self._blocks(size, size * (1 - overlap), _MIN_VALID)
+            for centres in self._centres(size, size * (1 - overlap), _MIN_VALID):
+                yield [Window(x, y, size) for x, y in centres.tolist()]
 
     def valid_shares(self, centres: Float64Array, size: float) -> Float64Array:
         """Return the share of ground that the map shows in windows, north up, of a size about centres, (N, 2): (N,)."""

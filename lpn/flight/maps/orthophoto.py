@@ -19,7 +19,7 @@ from PIL import Image
 
 from lpn.core.arrays import Float64Array
 from lpn.core.errors import DataError
-from lpn.core.files import printable
+from lpn.core.files import first_few, printable
 from lpn.core.numbers import SIGMA
 from lpn.core.requirements import missing_package
 from lpn.flight.maps import _gdal
@@ -85,7 +85,13 @@ def build_from_photos(
         _gdal.build_overviews(file)
         middles, known = middles_and_tags(report, photos, tags)
         own = place_error(middles, known)
-        notes = [*_left_out(report), _limits(report["images_used"], middles, known, own)]
+        notes = [_limits(report["images_used"], middles, known, own)]
+        if names := [printable(name) for name in report["images_dropped"]]:
+            notes.insert(
+                0,
+                f"{len(names)} of {report['images_total']} photos overlap too little with the others, and are not in the map: "
+                f"{first_few(names, _NAMED)}.",
+            )
         write_own_map(file, folder, notes, on_progress, heights, place, own)
     return open_folder(out)
 
@@ -178,16 +184,6 @@ def _steps(photos: int, on_progress: Callable[[str], None]) -> Iterator[None]:
         log.removeHandler(teller)
         log.setLevel(level)
         log.propagate = True
-
-
-def _left_out(report: dict[str, Any]) -> list[str]:
-    names: list[str] = report["images_dropped"]
-    if not names:
-        return []
-    return [
-        f"{len(names)} of {report['images_total']} photos overlap too little with the others, and are not in the map: "
-        f"{', '.join(map(printable, names[:_NAMED]))}{', ...' if len(names) > _NAMED else ''}."
-    ]
 
 
 def middles_and_tags(

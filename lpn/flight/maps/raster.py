@@ -94,15 +94,12 @@ class Raster:
                 self.treatment, self.notes = treatment, []
             chosen = self.treatment.bands
             stretch = self.treatment.stretch
-            if stretch is not None and not (len(stretch) == len(chosen) and all(low < high for low, high in stretch)):
+            ranges_fit = stretch is None or (len(stretch) == len(chosen) and all(low < high for low, high in stretch))
+            bands_fit = all(1 <= number <= file.count for number in (*chosen, self.treatment.alpha or 1))
+            if len(chosen) not in (1, 3) or not bands_fit or not ranges_fit:
                 raise DataError(
-                    f"The treatment of {self._name} in the map is damaged; write the map again with lpn map."
-                )
-            if len(chosen) not in (1, 3) or not all(
-                1 <= number <= file.count for number in (*chosen, self.treatment.alpha or 1)
-            ):
-                raise DataError(
-                    f"{self._name} has {file.count} bands, fewer than before; write the map again with lpn map."
+                    f"{self._name} has {file.count} bands, which do not fit the map's record of them; write the map again with "
+                    "lpn map."
                 )
             dtype = np.result_type(*(file.dtypes[number - 1] for number in chosen))
             if dtype.kind == "c":

@@ -119,27 +119,21 @@ class Sheet:
         low, high = corners.min(0), corners.max(0)
         span = f"{low[0]:.9g} to {high[0]:.9g} and {low[1]:.9g} to {high[1]:.9g}"
         name, crs = printable(self.name), describe(self.crs)
+        why, degrees = "", np.zeros((0, 2))
         if not (self.crs.is_geographic or self.crs.is_projected):
+            why = "is neither in degrees nor a projection, and does not say where on earth it lies"
+        elif self.crs.is_geographic and (low[1] < -90.001 or high[1] > 90.001 or low[0] < -360 or high[0] > 360):
+            why = "is in degrees, and they lie outside the world"
+        elif not self.crs.is_geographic and max(high - low) < _DEGREES_AT_MOST and (np.abs(corners) <= (180, 90)).all():
+            why = "is not in degrees, and they look like degrees"
+        else:
+            degrees = self._degrees(cells)
+            if not np.isfinite(degrees).all() or np.abs(degrees[:, 0]).max() > 90.001:
+                why = "does not cover them"
+        if why:
             raise DataError(
-                f"The CRS {crs} of {name} is neither in degrees nor a projection, and does not say where on earth it lies; give "
-                "the right one with --crs."
-            )
-        if self.crs.is_geographic:
-            if low[1] < -90.001 or high[1] > 90.001 or low[0] < -360 or high[0] > 360:
-                raise DataError(
-                    f"The coordinates of {name} ({span}) lie outside the world for its CRS {crs}, which is in degrees; give the "
-                    "right one with --crs, or correct its georeference."
-                )
-        elif max(high - low) < _DEGREES_AT_MOST and (np.abs(corners).max(0) <= (180, 90)).all():
-            raise DataError(
-                f"The coordinates of {name} ({span}) look like degrees, but its CRS {crs} is not in degrees; give the right one "
-                "with --crs, such as EPSG:4326."
-            )
-        degrees = self._degrees(cells)
-        if not np.isfinite(degrees).all() or np.abs(degrees[:, 0]).max() > 90.001:
-            raise DataError(
-                f"The coordinates of {name} ({span}) lie outside of what its CRS {crs} covers; give the right one with "
-                "--crs, or correct its georeference."
+                f"The coordinates of {name} ({span}) do not fit its CRS {crs}, which {why}; give the right one with --crs, such "
+                "as EPSG:4326, or correct its georeference."
             )
         self.warning = self._far_off(corners, degrees)
         return degrees

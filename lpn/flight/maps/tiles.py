@@ -98,9 +98,11 @@ def open_tiles(folder: Path, overviews: Path | None = None) -> tuple[RasterSourc
     notes.insert(0, f"{called} is shown at zoom {zoom}, the deepest of {len(zooms)}{gaps}")
     if broken:
         notes.append(f"Some tiles of {called} are text, as a failed download leaves them; they have no data.")
-    low, high = np.array([west, north]), np.array([east, south])
-    further = [z for z, other in zooms.items() if _reaches_further(np.array([*other]), zoom - z, low, high)]
-    if further:
+    corners = np.array([(west, north), (east, south)])
+    ends = {
+        z: np.array([np.min([*other], 0), np.max([*other], 0)]) - (corners >> zoom - z) for z, other in zooms.items()
+    }
+    if further := [z for z, (low, high) in ends.items() if (low < 0).any() or (high > 0).any()]:
         notes.append(f"Zoom {max(further)} of {called} reaches further than zoom {zoom}; that part is not shown.")
     bands: list[list[str]] = [[], [], [], []]
     for (x, y), (file, width, mode, driver) in pictures.items():
@@ -164,11 +166,6 @@ def _sources(mode: str) -> list[tuple[int, str]]:
     colours = (1, 2, 3) if mode.startswith("RGB") else (1, 1, 1)
     alpha = (len(mode), vrt.SOME) if mode.endswith("A") else (1, vrt.OPAQUE)
     return [*((number, "") for number in colours), alpha]
-
-
-def _reaches_further(places: Any, coarser: int, low: Any, high: Any) -> bool:
-    """Return whether tiles (N, 2) of a coarser zoom reach beyond a rectangle of the deepest one."""
-    return bool((places.min(0) < low >> coarser).any() or (places.max(0) > high >> coarser).any())
 
 
 def _declared(folder: Path) -> tuple[bool, list[str]]:

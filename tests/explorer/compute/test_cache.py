@@ -10,13 +10,6 @@ def keys_left(cache: SingleFlightCache[int, int], keys: range) -> list[int]:
     return [key for key in keys if key in cache._values]
 
 
-def test_the_oldest_values_leave_when_there_are_too_many() -> None:
-    cache: SingleFlightCache[int, int] = SingleFlightCache(3)
-    for key in (0, 1, 2, 0, 3):
-        assert cache.get(key, lambda key=key: 10 * key) == 10 * key  # type: ignore[misc]
-    assert keys_left(cache, range(4)) == [0, 2, 3]
-
-
 def test_values_leave_when_they_take_too_many_bytes_except_for_the_newest() -> None:
     cache: SingleFlightCache[int, int] = SingleFlightCache(10, budget=100, bytes_of=lambda value: value)
     for key, size in enumerate((40, 50, 10)):

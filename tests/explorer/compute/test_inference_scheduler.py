@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 import threading
-import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -242,16 +238,8 @@ class RoundRobin:
     The first `interactive` ones are interactive, the others do background work.
     """
 
-    def __init__(
-        self,
-        network: ManualModel,
-        queue: InferenceScheduler,
-        interactive: int,
-        background: int,
-        max_queued: int = MAX_QUEUED,
-    ) -> None:
-        self._network, self._queue, self._max_queued = network, queue, max_queued
-        self._going = True
+    def __init__(self, network: ManualModel, queue: InferenceScheduler, interactive: int, background: int) -> None:
+        self._network, self._queue, self._going = network, queue, True
         self._threads = [
             threading.Thread(target=self._ask, args=(queued(network, queue, mark >= interactive), mark), daemon=True)
             for mark in range(interactive + background)
@@ -266,7 +254,7 @@ class RoundRobin:
         for _ in range(passes):
             going = self._network.passes[-1]
             others = self.count if going == [99] else self.count - len(going)
-            wait_until(lambda others=others: self._all_wait(others))  # type: ignore[misc]
+            wait_until(lambda others=others: n_queued(self._queue) == others)  # type: ignore[misc]
             self._network.release()
             self._network.began()
         self._going = False
@@ -276,17 +264,9 @@ class RoundRobin:
         first.finished()
         return self._network.passes[1 : passes + 1]
 
-    def _all_wait(self, others: int) -> bool:
-        """Return whether the others wait, or were refused because the queue is full."""
-        waiting = min(others, self._max_queued)
-        return n_queued(self._queue) == waiting and len(self._queue._refused) == others - waiting
-
     def _ask(self, model: QueuedModel, mark: int) -> None:
         while self._going:
-            try:
-                model.run(pictures(mark), "drone")
-            except BusyError:
-                time.sleep(0.001)
+            model.run(pictures(mark), "drone")
 
 
 def test_no_client_is_served_twice_while_another_waits(network: ManualModel) -> None:
@@ -300,15 +280,6 @@ def test_no_client_is_served_twice_while_another_waits(network: ManualModel) -> 
         assert len(places) >= len(turns) // (7 + 1)
 
 
-def test_clients_beyond_the_queues_bound_are_served_in_turn(network: ManualModel) -> None:
-    network.batch = 1
-    passes = RoundRobin(network, InferenceScheduler(3, Clock()), interactive=7, background=0, max_queued=3).run(42)
-    turns = [marks[0] for marks in passes]
-    for mark in range(7):
-        assert np.diff([place for place, of in enumerate(turns) if of == mark]).max() <= 7 + 1
-        assert turns.count(mark) >= 5
-
-
 def test_background_work_neither_delays_answers_nor_starves(network: ManualModel) -> None:
     network.batch = 1
     passes = [marks[0] for marks in RoundRobin(network, InferenceScheduler(), interactive=3, background=4).run(32)]
@@ -318,13 +289,6 @@ def test_background_work_neither_delays_answers_nor_starves(network: ManualModel
     assert {mark for mark in passes if mark >= 3} == {3, 4, 5, 6}, "each of it"
     for mark in range(3):
         assert np.diff([place for place, of in enumerate(passes) if of == mark]).max() <= 3 + 1
-
-
-def test_background_work_alone_gets_every_batch_in_turn(network: ManualModel) -> None:
-    network.batch = 1
-    passes = RoundRobin(network, InferenceScheduler(), interactive=0, background=3).run(6)
-    assert sorted(passes[:3]) == [[0], [1], [2]]
-    assert passes[3:] == passes[:3]
 
 
 def test_a_full_queue_refuses_a_request_and_reserves_its_place(network: ManualModel) -> None:
@@ -382,27 +346,6 @@ def test_requests_of_a_closed_context_are_dropped(network: ManualModel) -> None:
         assert one.finished().error is None
     assert network.passes == [[99], [3]]
     gone.close()
-
-
-def test_closing_a_context_frees_its_reserved_place(network: ManualModel) -> None:
-    queue = InferenceScheduler(max_queued=1)
-    going = RequestContext(queue)
-    model = going.queued(queued(network, queue))
-    pending = Client(model, 1)
-    network.began()
-    waiting = queue_up(queue, lambda: Client(queued(network, queue), 2))
-    other = RequestContext(queue)
-    with pytest.raises(BusyError):
-        other.queued(model).run(pictures(3), "drone")  # type: ignore[union-attr]
-    other.close()
-    going.close()
-    network.release()
-    network.began()
-    waiting += queue_up(queue, lambda: Client(queued(network, queue), 4))
-    network.release(10)
-    assert pending.finished().result is not None, "its computation had begun"
-    for one in waiting:
-        assert one.finished().error is None
 
 
 def test_the_heads_of_each_model_are_read_once(network: ManualModel) -> None:
@@ -562,53 +505,6 @@ def test_a_failing_scheduler_fails_its_requests_and_starts_again(
     assert Client(queued(network, queue), 3).finished().result is not None
 
 
-def test_after_a_failed_thread_start_the_next_call_tries_again(
-    network: ManualModel, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    network._kept_positions = False
-    queue, ran = InferenceScheduler(), threading.Event()
-    worker = Worker(ran.set, lambda _: None)
-
-    def full(_: threading.Thread) -> None:
-        raise RuntimeError("can't start new thread")
-
-    with monkeypatch.context() as patched:
-        patched.setattr(threading.Thread, "start", full)
-        with pytest.raises(RuntimeError):
-            queued(network, queue).run(pictures(1), "drone")
-        with pytest.raises(RuntimeError):
-            worker.wake()
-    assert n_queued(queue) == 0
-    assert Client(queued(network, queue), 2).finished().result is not None
-    assert network.passes == [[2]]
-    worker.wake()
-    assert ran.wait(TIMEOUT)
-    worker.stop()
-
-
-COMPUTING = """
-import sys, threading
-import numpy as np
-import lpn
-from explorer.compute.inference_scheduler import InferenceScheduler
-from explorer.compute.request_context import QueuedModel, RequestContext
-model, queue, began = lpn.load(sys.argv[1]), InferenceScheduler(), threading.Event()
-run = type(model).run
-def told_run(self, images, view):
-    began.set()
-    return run(self, images, view)
-type(model).run = told_run
-network, images = QueuedModel(model, queue, RequestContext(queue), False), np.zeros((64, 3, 64, 64), np.float32)
-threading.Thread(target=network.run, args=(images, "drone"), daemon=True).start()
-began.wait()
-"""
-
-
-def test_a_program_may_end_while_a_batch_is_computed(model_file: Path) -> None:
-    ended = subprocess.run([sys.executable, "-c", COMPUTING, str(model_file)], stderr=subprocess.PIPE, text=True)
-    assert (ended.returncode, ended.stderr) == (0, "")
-
-
 def test_the_cache_computes_a_value_once_and_forgets_the_least_recently_used() -> None:
     cache: SingleFlightCache[int, object] = SingleFlightCache(2)
     making, go, made, got = threading.Event(), threading.Event(), [], []
@@ -660,3 +556,27 @@ def test_after_a_failed_computation_the_next_caller_of_the_cache_retries() -> No
     for thread in threads:
         thread.join(TIMEOUT)
     assert got == ["made"]
+
+
+def test_after_a_failed_thread_start_the_next_call_tries_again(
+    network: ManualModel, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    network._kept_positions = False
+    queue, ran = InferenceScheduler(), threading.Event()
+    worker = Worker(ran.set, lambda _: None)
+
+    def full(_: threading.Thread) -> None:
+        raise RuntimeError("can't start new thread")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(threading.Thread, "start", full)
+        with pytest.raises(RuntimeError):
+            queued(network, queue).run(pictures(1), "drone")
+        with pytest.raises(RuntimeError):
+            worker.wake()
+    assert n_queued(queue) == 0
+    assert Client(queued(network, queue), 2).finished().result is not None
+    assert network.passes == [[2]]
+    worker.wake()
+    assert ran.wait(TIMEOUT)
+    worker.stop()

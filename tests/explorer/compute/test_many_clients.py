@@ -23,7 +23,6 @@ from websockets.frames import Frame, Opcode
 import lpn
 from explorer import uploads
 from explorer.app import App
-from explorer.compute import request_context
 from explorer.compute.request_context import RequestContext
 from explorer.opening import open_model
 from explorer.screen.session import ScreenSession
@@ -183,41 +182,6 @@ def test_a_full_queue_is_said_and_later_the_newest_state_is_answered(
             tab.result(angle=angle)
             Direct(workspace, model_file).check(tab)
         assert 33 not in [state["angle"] for state in three.results]
-
-
-def test_an_error_is_a_sentence_and_the_next_state_is_answered(app: App, gate: Gate) -> None:
-    with ScreenTab(app.link) as tab:
-        tab.open()
-        at_rest(tab)
-        gate.broken = True
-        tab.set(angle=51)
-        assert tab.error("The model is damaged.")
-        gate.broken = False
-        tab.turn(52)
-
-
-def test_a_superseded_request_is_computed_once(
-    app: App, workspace: Workspace, gate: Gate, model_file: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(request_context, "MIN_WAIT", 0.0)
-    with ScreenTab(app.link) as one, ScreenTab(app.link) as other:
-        for tab in (one, other):
-            tab.open()
-            at_rest(tab)
-        gate.close()
-        one.set(angle=131)
-        assert gate.began.wait(TIMEOUT)
-        other.set(angle=132)
-        wait_until(lambda: n_queued(workspace.inference) == 1)
-        one.set(angle=141)
-        other.set(angle=142)
-        for tab, angle in ((one, 141), (other, 142)):
-            tab.until(lambda last, angle=angle: last["state"]["angle"] == angle)
-        gate.open.set()
-        for tab, angle in ((one, 141), (other, 142)):
-            tab.result(angle=angle)
-            Direct(workspace, model_file).check(tab)
-        assert not workspace.inference._kept_positions
 
 
 def test_a_photo_that_waits_to_be_decoded_holds_up_its_own_tab_alone(app: App, monkeypatch: pytest.MonkeyPatch) -> None:

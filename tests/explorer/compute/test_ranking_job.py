@@ -90,16 +90,6 @@ def test_a_ranking_without_clients_pauses_and_resumes(workspace: Workspace) -> N
     assert ranking.result is not None
 
 
-def test_a_failed_ranking_reports_its_error(workspace: Workspace) -> None:
-    ranking = workspace.rankings[TASK]
-    damaged = np.array(ranking.task.gallery_descriptors)
-    damaged[0, 0, 0] = np.nan
-    broken = ranking_job.RankingJob(replace(ranking.task, gallery_descriptors=damaged, geometry=None))
-    with pytest.raises(LPNError, match="not finite"):
-        broken.wait("me", lambda *_: None)
-    assert "not finite" in broken.error
-
-
 def test_a_failed_ranking_can_start_again(workspace: Workspace, monkeypatch: pytest.MonkeyPatch) -> None:
     ranking = workspace.rankings[TASK]
     with monkeypatch.context() as patched:

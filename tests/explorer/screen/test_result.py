@@ -60,6 +60,8 @@ def test_a_missed_query_shows_its_truth_last(workspace: Workspace) -> None:
     assert message["truth"] in message["strip"]
     assert f"truth is {ranks[missed] + 1}" in message["headline"]["title"]
     assert "heat" in message["tiles"][message["truth"]]
+    strip = result_of(workspace, query=missed, compare=message["truth"]).message()["strip"]
+    assert len(set(strip)) == len(strip), "a pinned truth stands there once"
 
 
 def test_a_chosen_tile_is_compared_and_changes_neither_headline_nor_answer(workspace: Workspace) -> None:

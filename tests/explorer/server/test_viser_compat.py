@@ -115,23 +115,6 @@ def _in_another_thread(action: Callable[[], None]) -> None:
     thread.join()
 
 
-async def _send_while_waiting(kind: type[AsyncMessageBuffer]) -> tuple[bool, bool]:
-    """Return whether a message from another thread ended the loop's wait at once, and whether it arrived."""
-    buffer = kind(asyncio.get_running_loop(), persistent_messages=False)
-    waiting = asyncio.ensure_future(anext(buffer.window_generator(0)))
-    while not buffer.message_event._waiters:
-        await asyncio.sleep(0)
-    _in_another_thread(lambda: buffer.push(RunJavascriptMessage("1")))
-    woken = any(waiter.done() for waiter in buffer.message_event._waiters)
-    window = await asyncio.wait_for(waiting, TIMEOUT)
-    return woken, len(window) == 1
-
-
-def test_another_thread_does_not_touch_the_loops_waiters() -> None:
-    assert asyncio.run(_send_while_waiting(SendBuffer)) == (False, True)
-    assert asyncio.run(_send_while_waiting(AsyncMessageBuffer)) == (True, True), "viser no longer has the race"
-
-
 async def _arrives(kind: type[AsyncMessageBuffer], atomic: bool) -> bool:
     """Return whether a message arrives that is sent after the loop saw an unset event and before it adds its waiter."""
     buffer = kind(asyncio.get_running_loop(), persistent_messages=False)

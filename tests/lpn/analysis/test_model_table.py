@@ -198,23 +198,10 @@ def test_models_and_saved_results_compare_on_one_gallery(
     assert main(["compare", str(root), "--model", str(model_file), str(second), "--without-distractors"]) == 0
     assert "without distractors, 5" in capsys.readouterr().out
     save_result(tmp_path / "result.mat", root, model_file)
+    beside = ["compare", str(root), str(tmp_path / "result.mat"), "--model", str(model_file), *options]
     tables = {kind: tmp_path / f"table.{kind}" for kind in ("md", "csv", "tex", "html")}
     for table in tables.values():
-        assert (
-            main(
-                [
-                    "compare",
-                    str(root),
-                    str(tmp_path / "result.mat"),
-                    "--model",
-                    str(model_file),
-                    *options,
-                    "--table",
-                    str(table),
-                ]
-            )
-            == 0
-        )
+        assert main([*beside, "--table", str(table)]) == 0
     found = json.loads(figures.read_text())
     assert [one["name"] for one in found["models"]] == ["model.onnx", "result.mat"]
     assert (found["tests"][0]["first_better"], found["tests"][0]["second_better"]) == (0, 0)
@@ -233,21 +220,7 @@ def test_models_and_saved_results_compare_on_one_gallery(
     whole = replace(smaller, name="m", gallery_name="full gallery, 6", gallery=smaller.gallery | {"x"})
     with pytest.raises(InputError, match="do not compare"):
         compare([whole, smaller])
-    assert (
-        main(
-            [
-                "compare",
-                str(root),
-                str(tmp_path / "result.mat"),
-                "--model",
-                str(model_file),
-                *options,
-                "--task",
-                "satellite-to-drone",
-            ]
-        )
-        == 2
-    )
+    assert main([*beside, "--task", "satellite-to-drone"]) == 2
     assert "compare models on one task" in capsys.readouterr().err
 
 
@@ -333,13 +306,6 @@ def test_plain_arrays_may_name_a_picture_twice(tmp_path: Path) -> None:
     lines += [f"{i}.jpg,gallery,{i}" for i in range(4)]
     (tmp_path / "list.csv").write_text("\n".join(lines))
     files = [[str(tmp_path / f"{name}-{side}.npy") for name in "ab"] for side in ("queries", "gallery")]
-    arguments = [
-        "compare",
-        *files[0],
-        "--gallery",
-        *files[1],
-        "--paths",
-        str(tmp_path / "list.csv"),
-    ]
+    arguments = ["compare", *files[0], "--gallery", *files[1], "--paths", str(tmp_path / "list.csv")]
     assert main([*arguments, "--json", str(tmp_path / "table.json")]) == 0
     assert json.loads((tmp_path / "table.json").read_text())["queries"] == 3

@@ -64,12 +64,6 @@ def test_other_pixel_formats_become_rgb(mode: str, tmp_path: Path) -> None:
     assert np.abs(loaded.mean() - np.asarray(grey).mean()) < 12
 
 
-def test_webp_is_read_as_what_it_shows(tmp_path: Path) -> None:
-    Image.fromarray(small_worlds.place(3)).save(tmp_path / "picture.webp", lossless=True)
-    np.testing.assert_array_equal(images.load_picture(tmp_path / "picture.webp"), small_worlds.place(3))
-    assert ".webp" in images.SUFFIXES
-
-
 @pytest.mark.parametrize("suffix", [".bmp", ".gif", ".tif", ".tiff"])
 def test_further_kinds_are_read(suffix: str) -> None:
     shown = Image.fromarray(small_worlds.place(3)).convert("P")
@@ -96,11 +90,13 @@ def test_the_upper_bits_of_sixteen_are_read_and_none_is_refused(bits: int, suffi
     np.testing.assert_array_equal(images.decode_picture(data, "a"), np.broadcast_to(numbers >> 8, shape))
 
 
-@pytest.mark.parametrize("tiled", [False, True])
-@pytest.mark.parametrize("compress", ["deflate", "zstd"])
 @pytest.mark.parametrize(
-    ("channels", "interleave", "photometric"),
-    [(1, "band", "minisblack"), (1, "pixel", "miniswhite"), (3, "band", "rgb"), (3, "pixel", "rgb")],
+    ("channels", "interleave", "photometric", "compress", "tiled"),
+    [
+        (1, "pixel", "miniswhite", "deflate", False),
+        (3, "band", "rgb", "zstd", True),
+        (3, "pixel", "rgb", "deflate", True),
+    ],
 )
 def test_sixteen_bits_keep_planes_apart_and_white_white(
     channels: int, interleave: str, photometric: str, compress: str, tiled: bool, tmp_path: Path
@@ -187,13 +183,6 @@ def test_what_is_not_a_picture_gets_one_sentence(tmp_path: Path) -> None:
         assert "\n" not in str(caught.value)
     with pytest.raises(PictureError, match="check the path"):
         images.load_picture(tmp_path / "absent.png")
-
-
-def test_a_decompression_bomb_is_refused_before_it_is_decoded() -> None:
-    bomb = io.BytesIO()
-    Image.new("1", (10_000, 10_000)).save(bomb, "PNG")
-    with pytest.raises(PictureError, match="10000 x 10000"):
-        images.decode_picture(bomb.getvalue(), "bomb.png")
 
 
 def test_pictures_are_turned_alike_on_one_core_and_on_all(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -30,12 +30,6 @@ def test_several_pictures_of_a_place_are_told_apart(tmp_path: Path) -> None:
     assert [(p.name, p.label) for p in pictures] == [("0012/a", 12), ("0012/b", 12), ("0012/03", 12)]
 
 
-def test_hidden_files_and_folders_are_not_places(tmp_path: Path) -> None:
-    for name in (".ipynb_checkpoints/a.jpg", "0001/._a.jpg", "0001/a.jpg"):
-        small_worlds.write(tmp_path / "test" / "query_drone" / name, small_worlds.place(1))
-    assert [p.path.name for p in open_dataset(tmp_path).queries("drone")] == ["a.jpg"]
-
-
 def test_pictures_of_common_kinds_are_read_and_others_named(tmp_path: Path) -> None:
     folder = tmp_path / "test" / "query_drone" / "0001"
     names = ("a.bmp", "b.gif", "c.tif", "d.TIFF", "e.jpg")
@@ -132,12 +126,6 @@ def test_a_world_is_told_from_university_1652(data: Path, tmp_path: Path) -> Non
     assert open_dataset(tmp_path / "cvusa").kind == "CVUSA"
 
 
-def test_a_data_set_in_a_folder_below_is_pointed_to(tmp_path: Path) -> None:
-    layouts.cvusa(tmp_path / "release")
-    with pytest.raises(DataError, match=r"data sets in folders of its own: release; give .*/release"):
-        open_dataset(tmp_path)
-
-
 def test_pairs_of_ones_own_are_read(tmp_path: Path) -> None:
     root = layouts.pairs(
         tmp_path,
@@ -200,13 +188,3 @@ def test_a_wrong_list_of_pairs_is_one_sentence(text: str, said: str, tmp_path: P
     root = layouts.pairs(tmp_path / "mine", text)
     with pytest.raises(DataError, match=said):
         open_dataset(root)
-
-
-def test_a_folder_of_pictures_can_be_opened_and_offers_no_task(tmp_path: Path) -> None:
-    for name in ("b.jpg", "sub/a.png", ".thumbnails/c.png"):
-        small_worlds.write(tmp_path / name, layouts.small(1))
-    dataset = open_dataset(tmp_path)
-    assert (dataset.kind, dataset.tasks(), dataset.train("satellite")) == ("folder", [], [])
-    assert [p.name for p in dataset.lists()["pictures"]] == ["b", "sub/a"]
-    with pytest.raises(DataError, match="since this is a folder of pictures"):
-        dataset.queries("street")

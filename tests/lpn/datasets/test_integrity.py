@@ -6,7 +6,6 @@ import pytest
 from PIL import Image
 
 import lpn
-from lpn.core import images
 from lpn.core.errors import PictureError
 from lpn.datasets.integrity import DAMAGED, list_errors, picture_error, picture_errors
 from lpn.descriptors import describe
@@ -61,20 +60,6 @@ def test_pngs_damaged_in_the_middle_are_named_together_when_they_are_described(
     for file in files[1:]:
         file.write_bytes(whole.read_bytes())
     assert describe(model, files, "drone", tmp_path / "store", root=tmp_path).descriptors.shape == (3, 4, 512)
-
-
-def test_what_passes_can_be_loaded_and_what_cannot_be_loaded_does_not_pass(tmp_path: Path) -> None:
-    for kind in KINDS:
-        whole = picture(tmp_path, kind).read_bytes()
-        for kept in range(0, len(whole), max(len(whole) // 25, 1)):
-            file = tmp_path / f"cut-{kept}.{kind}"
-            file.write_bytes(whole[:kept])
-            if picture_error(file) is None:
-                images.load_picture(file)
-            else:
-                assert kept < len(whole)
-    with pytest.raises(PictureError):
-        images.load_picture(tmp_path / "cut-0.png")
 
 
 def test_trailing_data_after_a_jpeg_is_no_flaw(tmp_path: Path) -> None:

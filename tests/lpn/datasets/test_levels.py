@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -29,11 +28,13 @@ def refusal(root: Path | str) -> str:
         (layouts.university_gaps, "test"),
         (layouts.university_gaps, "train"),
         (layouts.university_gaps, "test/query_drone"),
+        (layouts.university_gaps, "test/query_drone/0004"),
         (layouts.university_gaps, "train/google"),
         (layouts.sues, "Testing"),
         (layouts.sues, "Testing/150"),
         (layouts.sues, "Testing/150/query_drone"),
         (layouts.sues, "Training"),
+        (layouts.sues_raw, "drone_view_512"),
         (layouts.denseuav, "test"),
         (layouts.denseuav, "train/drone"),
         (layouts.cvusa, "splits"),
@@ -52,12 +53,6 @@ def test_a_part_of_a_data_set_names_its_folder(
     assert refusal(f"release/{part}") == f"release/{part} is the part {part} of a data set; give release."
     monkeypatch.chdir(root / part)
     assert refusal(".") == f". is the part {part} of a data set; give {root}."
-
-
-def test_the_raw_drone_folder_of_sues_names_its_folder(tmp_path: Path) -> None:
-    root = layouts.sues_raw(tmp_path / "sues")
-    (drone,) = (folder.name for folder in root.iterdir() if "drone" in folder.name)
-    assert refusal(root / drone).endswith(f"give {root}.")
 
 
 @pytest.mark.parametrize("around", ["", "University-Release", "downloads/University-Release"])
@@ -99,14 +94,6 @@ def test_a_folder_of_pictures_gets_one_sentence_for_training_and_for_testing(tmp
     )
 
 
-def test_a_place_of_a_data_set_names_its_folder_and_other_pictures_are_opened(tmp_path: Path) -> None:
-    root = layouts.university_gaps(tmp_path / "release")
-    place = root / "test" / "query_drone" / "0004"
-    assert refusal(place) == f"{place} is the part test/query_drone/0004 of a data set; give {root}."
-    small_worlds.write(tmp_path / "photos" / "a" / "1.jpg", layouts.small(1))
-    assert open_dataset(tmp_path / "photos").kind == "folder"
-
-
 def test_a_folder_that_may_not_be_read_is_no_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def refused(folder: Path) -> bool:
         raise PermissionError(13, "Permission denied", str(folder))
@@ -127,27 +114,6 @@ def test_a_file_and_an_absent_folder_are_told(tmp_path: Path) -> None:
     assert refusal(lone) == f"{lone} is a file; expected a data set's folder, so check the path."
     absent = tmp_path / "University-Release"
     assert refusal(absent) == f"There is no data set folder at {absent}; check the path."
-
-
-@pytest.mark.parametrize(
-    ("make", "lost", "said"),
-    [
-        (layouts.vigor, "splits", "has the lists of none; expected splits/Chicago/same_area_balanced_test.txt"),
-    ],
-)
-def test_pictures_without_the_lists_of_their_data_set_are_told(
-    tmp_path: Path, make: Callable[[Path], Path], lost: str, said: str
-) -> None:
-    root = make(tmp_path / "release")
-    shutil.rmtree(root / lost) if (root / lost).is_dir() else (root / lost).unlink()
-    assert said in refusal(root)
-
-
-def test_a_release_in_a_folder_with_spaces_and_further_files_is_read(tmp_path: Path) -> None:
-    root = layouts.cvusa(tmp_path / "CVPR subset-selected")
-    (root / "all.csv").write_text("1,2\n")
-    assert open_dataset(root).kind == "CVUSA"
-    assert refusal(tmp_path).endswith(f"give {root}.")
 
 
 def test_a_list_in_another_encoding_is_refused(tmp_path: Path) -> None:
@@ -171,11 +137,3 @@ def test_an_archive_a_video_or_a_model_in_place_of_a_data_set_says_what_to_do(
     (tmp_path / name).write_bytes(b"what it holds does not matter")
     assert refusal(tmp_path / name) == f"{tmp_path / name} is a file; expected a data set's folder, so {todo}."
     assert refusal(tmp_path) == f"{tmp_path} holds {name}; {todo}."
-
-
-def test_a_file_in_the_working_folder_names_its_data_set_by_a_path(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    root = layouts.pairs(tmp_path / "mine", "satellite,drone\nb.jpg,1.jpg\n")
-    monkeypatch.chdir(root)
-    assert refusal(Path("pairs.csv")) == f"pairs.csv is a file; expected a data set's folder, so give {root}."

@@ -8,13 +8,13 @@ import pytest
 from lpn.descriptors.transforms import Change
 from lpn.drawing import verdicts
 from lpn.explain import Evidence, SideEvidence
-from lpn.explain.counterfactual import Effect, Reweighting
+from lpn.explain.counterfactual import Effect
 from lpn.explain.sweeps import SweepPoint, SweepResult
 from lpn.retrieval.scoring import part_weights
 
 
 def test_reweighting_states_its_effect_on_all_queries() -> None:
-    change = Reweighting(np.array([0.7, 0.3], np.float32))
+    change = np.array([0.7, 0.3], np.float32)
     none = np.zeros(0, np.int64)
     assert verdicts.describe_reweighting(None, None) == "No choice of part weights would put the truth first."
     helped = verdicts.describe_reweighting(change, Effect(50.0, 52.0, np.arange(3), np.arange(1), 100))

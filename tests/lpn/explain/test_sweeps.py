@@ -195,7 +195,9 @@ def test_the_demo_s_headings_are_found_more_often_than_by_chance() -> None:
     errors = []
     for i in downward:
         picture, angles = images.load_picture(queries[i].path), changes_over("rotation", 45)
-        points = tuple(sweep_points(model, picture, "drone", angles, ranked_in(tiles, scoring.part_weights(4))))
+        points = tuple(
+            sweep_points(model, picture, "drone", angles, ranked_in(tiles.descriptors, scoring.part_weights(4)))
+        )
         heading = SweepResult("rotation", points).heading()
         assert heading is not None
         errors.append(abs((heading - (known[i].heading or 0.0) + 180) % 360 - 180))
@@ -228,8 +230,6 @@ def test_the_command_prints_a_table_and_writes_csv(
     [
         (["--query", "nowhere"], "has no query nowhere; did you mean 0007?"),
         (["--query", "0009", "--task", "street-to-drone"], "has the tasks drone-to-satellite"),
-        (["--query", "0009", "--weights", "1,x"], "expected a number for each part"),
-        (["--query", "0009", "--weights", "1,1"], "expected 4 numbers"),
         (["--query", "0009", "--step", "-5"], "step is -5"),
     ],
 )

@@ -12,13 +12,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lpn.core.errors import InputError, StoreError
-from lpn.index import DegreeBox, open_index
+from lpn.index import DegreeBox, FaissIndex
 from lpn.models.base import normalise
 from tests.lpn.index.test_index import KIND, Tiles
 
-pytest.importorskip("faiss", reason="faiss is not installed (the extra search)")
-from lpn.index.faiss import FaissIndex
+faiss = pytest.importorskip("faiss", reason="faiss is not installed (the extra search)")
 
 COUNT = 12_000
 WIDE: list[DegreeBox] = [(-70, -160, 80, 170), (-85, 60, 85, 20)]
@@ -43,33 +41,40 @@ def queries(tiles: Tiles) -> Any:
     return normalise(tiles.descriptors[:40] + np.float32(0.1) * noise)
 
 
-@pytest.fixture(scope="module", params=["flat", "sq8", "pq"])
-def made(request: pytest.FixtureRequest, tiles: Tiles, tmp_path_factory: pytest.TempPathFactory) -> Path:
+@pytest.fixture(scope="module")
+def made(tiles: Tiles, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """An index of one part."""
     folder = tmp_path_factory.mktemp("faiss") / "index"
-    with FaissIndex.create(folder, KIND, request.param) as index:
+    with FaissIndex.create(folder, KIND) as index:
         tiles.add_to(index, COUNT)
     return folder
+
+
+def opened(folder: Path) -> FaissIndex:
+    """An index that looks through all lists and scores most tiles."""
+    index = FaissIndex(folder)
+    index.nprobe, index.depth = 10_000, 300
+    return index
 
 
 @pytest.fixture
 def searched(monkeypatch: pytest.MonkeyPatch) -> list[tuple[bool, int]]:
     """Record for each search by faiss if only some rows were allowed, and how many lists it looked through."""
     seen: list[tuple[bool, int]] = []
-    original = FaissIndex._parameters
+    original = faiss.SearchParametersIVF
 
-    def watched(self: FaissIndex, selector: Any, nprobe: int) -> Any:
-        seen.append((selector is not None, nprobe))
-        return original(self, selector, nprobe)
+    def watched(sel: Any, nprobe: int) -> Any:
+        seen.append((sel is not None, nprobe))
+        return original(sel=sel, nprobe=nprobe)
 
-    monkeypatch.setattr(FaissIndex, "_parameters", watched)
+    monkeypatch.setattr(faiss, "SearchParametersIVF", watched)
     return seen
 
 
 def test_a_box_that_leaves_many_tiles_is_searched_by_faiss(
     made: Path, tiles: Tiles, queries: Any, searched: list[tuple[bool, int]]
 ) -> None:
-    with FaissIndex(made, nprobe=10_000, depth=300) as index:
+    with opened(made) as index:
         for box in WIDE:
             assert 4096 < len(tiles.inside(box)) < 0.9 * COUNT
             for query in queries[:3]:
@@ -86,7 +91,7 @@ def test_replaced_tiles_that_have_codes_are_not_found(
     # The first hundred are what the queries are near to; they come back elsewhere, with vectors of others.
     now = replace(tiles, descriptors=tiles.descriptors.copy(), positions=tiles.positions.copy())
     now.descriptors[:100], now.positions[:100] = tiles.descriptors[5000:5100], (50, 60)
-    with FaissIndex(folder, nprobe=10_000, depth=300) as index:
+    with opened(folder) as index:
         index.add(now.names[:100], now.descriptors[:100], now.positions[:100])
         assert index.count() == COUNT
         # Those that were replaced lie last in the brute force's order, not first.
@@ -108,16 +113,16 @@ def test_replaced_tiles_that_have_codes_are_not_found(
     assert "0000001" not in named
 
 
-@pytest.mark.parametrize("codes", ["sq8", "pq"])
 def test_more_lists_are_looked_through_until_a_box_has_given_enough(
-    tmp_path: Path, tiles: Tiles, searched: list[tuple[bool, int]], codes: Any
+    tmp_path: Path, tiles: Tiles, searched: list[tuple[bool, int]]
 ) -> None:
     query = tiles.descriptors[0]
     # The tiles like the query lie in the south, so that the lists nearest to it hold next to none of the north.
     positions = np.where(tiles.scores(query, None) > np.median(tiles.scores(query, None)), -45.0, 45.0)
     places = np.stack([positions, np.zeros(COUNT)], 1)
     north: DegreeBox = (0, -10, 90, 10)
-    with FaissIndex.create(tmp_path / "index", KIND, codes, nprobe=1) as index:
+    with FaissIndex.create(tmp_path / "index", KIND) as index:
+        index.nprobe = 1
         index.add(tiles.names, tiles.descriptors, places)
         found = index.search(query, None, 200, north)
         assert len(set(found.ids)) == 200
@@ -129,56 +134,33 @@ def test_more_lists_are_looked_through_until_a_box_has_given_enough(
         assert len(set(everything.ids)) == COUNT // 2 - 1500
 
 
-@pytest.mark.parametrize(("codes", "spread", "floor"), [("sq8", 2.0, 0.9), ("pq", 0.6, 0.91)])
+@pytest.mark.parametrize(
+    ("embedding", "spread", "floor"), [(9, 1.2, 0.9), (16, 0.6, 0.91)], ids=["a byte a number", "a byte for 32"]
+)
 def test_few_tiles_are_missed_by_default_and_more_with_less_effort(
-    tmp_path: Path, codes: Any, spread: float, floor: float
+    tmp_path: Path, embedding: int, spread: float, floor: float
 ) -> None:
-    tiles = Tiles.draw(COUNT, spread=spread)
-    noise = np.random.default_rng(1).standard_normal((40, 4, 16)).astype(np.float32)
+    kind = replace(KIND, embedding=embedding)
+    tiles = Tiles.draw(COUNT, spread=spread, kind=kind)
+    noise = np.random.default_rng(1).standard_normal((40, 4, embedding)).astype(np.float32)
     queries = normalise(tiles.descriptors[:40] + np.float32(0.1) * noise)
     truth = [{tiles.names[i] for i in np.argsort(-tiles.scores(query, None))[:10]} for query in queries]
-    FaissIndex.create(tmp_path / "index", KIND, codes).close()
-
-    def recall(**given: int) -> float:
-        with open_index(tmp_path / "index", **given) as index:
-            hits = sum(len(true & set(index.search(q, None, 10).ids)) for q, true in zip(queries, truth, strict=True))
-        return hits / (10 * len(queries))
-
-    with open_index(tmp_path / "index") as index:
+    with FaissIndex.create(tmp_path / "index", kind) as index:
         tiles.add_to(index, COUNT)
-    assert recall() >= floor
-    assert recall(effort=64, depth=16) == recall()
-    assert recall(effort=110, depth=300) >= 0.99
-    assert recall(effort=1) < floor - 0.1
-    if codes == "pq":
-        assert recall(depth=1) < floor - 0.1
 
+        def recall(nprobe: int, depth: int) -> float:
+            index.nprobe, index.depth = nprobe, depth
+            hits = sum(len(true & set(index.search(q, None, 10).ids)) for q, true in zip(queries, truth, strict=True))
+            return hits / (10 * len(queries))
 
-def test_what_another_thread_has_read_since_makes_no_index_damaged(
-    tmp_path: Path, tiles: Tiles, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """A thread has its parts; more are added by a process; another thread sees that; the first opens what is gone."""
-    adder = FaissIndex.create(tmp_path / "index", KIND, "sq8")
-    adder.add(tiles.names[:5000], tiles.descriptors[:5000], tiles.positions[:5000])
-    reader = FaissIndex(tmp_path / "index")
-    current, waiting = reader._current, [True]
-
-    def overtaken() -> Any:
-        mine = current()
-        if waiting:
-            waiting.clear()
-            adder.add(tiles.names[5000:], tiles.descriptors[5000:], tiles.positions[5000:])
-            current()  # as another thread's search does
-        return mine
-
-    monkeypatch.setattr(reader, "_current", overtaken)
-    with adder, reader:
-        assert reader.search(tiles.descriptors[7000], None, 1).ids == [tiles.names[7000]]
+        assert recall(64, 16) >= floor  # the default
+        assert recall(110, 300) >= 0.99
+        assert recall(1, 16) < floor - 0.1
 
 
 def test_an_index_made_anew_in_the_same_place_is_searched_by_its_own_codes(tmp_path: Path, tiles: Tiles) -> None:
     def make(rows: slice) -> FaissIndex:
-        index = FaissIndex.create(tmp_path / "index", KIND, "sq8")
+        index = FaissIndex.create(tmp_path / "index", KIND)
         index.add(tiles.names[rows], tiles.descriptors[rows], tiles.positions[rows])
         return index
 
@@ -190,49 +172,15 @@ def test_an_index_made_anew_in_the_same_place_is_searched_by_its_own_codes(tmp_p
             assert reader.search(tiles.descriptors[row], None, 1).ids == [tiles.names[row]]
 
 
-def test_codes_that_cannot_be_read_are_told_as_that(tmp_path: Path, tiles: Tiles) -> None:
-    with FaissIndex.create(tmp_path / "index", KIND, "sq8") as index:
-        index.add(tiles.names[:5000], tiles.descriptors[:5000])
-        (file,) = (tmp_path / "index").glob("*.faiss")
-        file.unlink()
-        file.mkdir()
-        with pytest.raises(StoreError, match=r"faiss cannot be read \(Is a directory\); check its permissions"):
-            index.search(tiles.descriptors[0], None, 1)
-
-
-def test_effort_and_depth_are_whole_numbers_of_one_or_more(made: Path) -> None:
-    for given in ({"effort": 0}, {"depth": -1}, {"effort": 1.5}, {"depth": float("nan")}, {"effort": "many"}):
-        ((name, value),) = given.items()
-        with pytest.raises(InputError, match=rf"The {name} is {value}; expected 1 or more\."):
-            open_index(made, **given)  # type: ignore[arg-type]
-    if json.loads((made / "index.json").read_text())["settings"]["codes"] == "flat":
-        with pytest.raises(InputError, match="no effort to choose here, as an index of the codes flat compares every"):
-            open_index(made, effort=4)
-
-
-def test_many_small_adds_learn_once_in_many_tiles(
-    tiles: Tiles, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    learnt: list[int] = []
-    original = FaissIndex._learn
-
-    def counted(self: FaissIndex, parts: list[Any], file: Path) -> None:
-        original(self, parts, file)
-        learnt.append(sum(map(len, parts)))
-
-    monkeypatch.setattr(FaissIndex, "_learn", counted)
-    with FaissIndex.create(tmp_path / "index", KIND, "sq8", nprobe=10_000, depth=300) as index:
+def test_many_small_adds_learn_once_in_many_tiles(tiles: Tiles, tmp_path: Path) -> None:
+    learnt: list[str] = []
+    with FaissIndex.create(tmp_path / "index", KIND) as index:
+        index.nprobe, index.depth = 10_000, 300
         for start in range(0, COUNT, 500):
             some = slice(start, start + 500)
             index.add(tiles.names[some], tiles.descriptors[some], tiles.positions[some])
-        assert learnt == [4500, 9500]
-        assert [file.suffix for file in (tmp_path / "index").iterdir()].count(".faiss") == 1
+            learnt += [file.name for file in (tmp_path / "index").glob("*.faiss") if file.name not in learnt]
+        assert len(learnt) == 2  # of 4,500 and of 9,500 tiles
         for box in (None, *WIDE):
             query = tiles.descriptors[-1]
             tiles.check(index.search(query, None, 10, box), query, None, 10, box)
-
-
-def test_codes_are_chosen_by_what_a_descriptor_allows(tmp_path: Path) -> None:
-    for numbers, codes in ((16, "pq"), (20, "sq8")):
-        with FaissIndex.create(tmp_path / str(numbers), replace(KIND, n_parts=2, embedding=numbers)) as index:
-            assert index.codes == codes

@@ -14,7 +14,8 @@ from lpn.core.progress import listening
 from lpn.datasets import open_dataset
 from lpn.descriptors.transforms import Change
 from lpn.drawing import mosaic
-from lpn.index import DescriptorKind, Index, IndexEngine, create_index, gallery
+from lpn.index import DescriptorKind, Index, IndexEngine, create_index
+from lpn.index import task as index_tasks
 from lpn.index.queries import dataset_queries, picture_queries
 from lpn.index.task import index_task
 from lpn.library.analyser import QueryAnalyser, QueryRequest, describe_tile
@@ -176,8 +177,8 @@ def test_of_a_large_index_the_tiles_are_ranked_that_its_engine_proposes(
 ) -> None:
     if engine == "faiss":
         pytest.importorskip("faiss")
-    monkeypatch.setattr(gallery, "MOST_TILES", PLACES - 1)
-    monkeypatch.setattr(gallery, "PROPOSED", 2)
+    monkeypatch.setattr(index_tasks, "MOST_TILES", PLACES - 1)
+    monkeypatch.setattr(index_tasks, "PROPOSED", 2)
     index, said = _index(tmp_path / "index", whole, engine), []
     queries = dataset_queries(model, open_dataset(whole.root), index)
     assert queries.places is not None
@@ -197,7 +198,7 @@ def test_of_a_large_index_the_tiles_are_ranked_that_its_engine_proposes(
     np.testing.assert_array_equal(task.outcomes.rank == 0, expected == 0)
     assert (task.outcomes.rank <= expected).all()
     assert (task.outcomes.rank[expected >= 2] >= 2).all()
-    monkeypatch.setattr(gallery, "MOST_TILES", 5)
+    monkeypatch.setattr(index_tasks, "MOST_TILES", 5)
     with pytest.raises(
         InputError, match=r"30 tiles is searched for 10 queries, which gives \d+ tiles to rank; expected 5"
     ):

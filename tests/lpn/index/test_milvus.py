@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import time
-from typing import Any
 
 import pytest
 
-from lpn.core.errors import InputError, StoreError
+from lpn.core.errors import StoreError
 from lpn.index import MilvusIndex, create_index, open_index
 from tests.lpn.index.test_index import KIND
 from tools.fixtures.milvus_server import COLLECTION, FakeMilvusClient, pretend
@@ -44,32 +43,23 @@ def test_no_connection_is_left_open(client: type[FakeMilvusClient]) -> None:
     assert all(one.closed for one in client.clients)
 
 
-def test_a_collection_that_is_gone_is_told_at_once(
-    client: type[FakeMilvusClient], monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(
+    ("code", "message", "said"),
+    [
+        (100, "collection not found[collection=tiles]", "refuses: collection not found"),
+        *(
+            (code, "privilege not permitted", r"denies access \(privilege not permitted\)")
+            for code in (1400, 1401, 1800)
+        ),
+    ],
+)
+def test_what_no_retry_mends_is_told_at_once(
+    client: type[FakeMilvusClient], monkeypatch: pytest.MonkeyPatch, code: int, message: str, said: str
 ) -> None:
     from pymilvus.exceptions import MilvusException
 
     monkeypatch.setattr(time, "sleep", lambda _: pytest.fail("it waited"))
     with open_index(COLLECTION) as index:
-        client.error = MilvusException(100, "collection not found[collection=tiles]")
-        with pytest.raises(StoreError, match="refuses: collection not found"):
+        client.error = MilvusException(code, message)
+        with pytest.raises(StoreError, match=said):
             index.count()
-
-
-@pytest.mark.parametrize("code", [1400, 1401, 1800])
-def test_a_right_that_is_missing_is_told_at_once(
-    client: type[FakeMilvusClient], monkeypatch: pytest.MonkeyPatch, code: int
-) -> None:
-    from pymilvus.exceptions import MilvusException
-
-    monkeypatch.setattr(time, "sleep", lambda _: pytest.fail("it waited"))
-    with open_index(COLLECTION) as index:
-        client.error = MilvusException(code, "privilege not permitted")
-        with pytest.raises(StoreError, match=r"denies access \(privilege not permitted\)"):
-            index.count()
-
-
-@pytest.mark.parametrize("effort", [0, -1, 32769, 1.5])
-def test_an_effort_that_cannot_be_is_refused(effort: Any) -> None:
-    with pytest.raises(InputError, match=f"effort is {effort}; expected 1 to 32768"):
-        MilvusIndex(COLLECTION, effort=effort)

@@ -18,11 +18,10 @@ from torch import Tensor
 import lpn
 from lpn.core.errors import InputError, LPNError, ModelFileError
 from lpn.models import checkpoints
-from lpn.models.checkpoints import TorchModel, exact_inference, load_backbone, load_torch, save
+from lpn.models.checkpoints import TorchModel, WeightType, exact_inference, load_backbone, load_torch, save
 from lpn.models.lpn import LPN
 from lpn.models.published_checkpoints import infer_spec
 from lpn.models.spec import ModelSpec
-from lpn.models.weight_storage import WeightType
 from tools.fixtures import seeded, small_worlds
 
 
@@ -456,7 +455,7 @@ def test_what_holds_no_weights_says_what_it_holds(tmp_path: Path) -> None:
         ({3: torch.zeros(3)}, "net.pth holds 3; expected"),
         (
             {"a": torch.zeros(3).to_sparse()},
-            "In net.pth, a is no plain tensor but quantised, sparse, or without values; give",
+            "In net.pth, a is no plain tensor but quantised, sparse, complex, or without values; give",
         ),
     ):
         torch.save(value, file)

@@ -115,14 +115,6 @@ def test_another_provider_is_taken_by_its_name_only(
     assert len(gpu.asked) == 1
 
 
-def test_a_name_of_no_provider_is_refused_with_those_there_are(
-    model_file: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    FakeGpu(monkeypatch)
-    with pytest.raises(InputError, match=f"has no gpu, but {TENSORRT}, {CUDA}, {CPU}; install the one that has it"):
-        lpn.load(model_file, "gpu")
-
-
 def test_a_variable_takes_the_place_of_auto(model_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     safetensors = model_file.with_suffix(".safetensors")
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
@@ -239,19 +231,6 @@ def test_quantisation_needs_no_newer_onnx_runtime(
     FakeGpu(monkeypatch)
     assert Engine(written, provider="auto").device == "cpu"
     assert Engine(written, provider="cuda").device == "cuda"
-
-
-def test_models_of_pytorch_take_the_same_option(model_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    safetensors = model_file.with_suffix(".safetensors")
-    assert lpn.load(safetensors, "cpu").device == "cpu"
-    with pytest.raises(
-        InputError,
-        match=r"'tensorrt' is not PyTorch's, which computes model\.safetensors .* lpn export",
-    ):
-        lpn.load(safetensors, "tensorrt")
-    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
-    with pytest.raises(InputError, match="finds no GPU; install its driver"):
-        lpn.load(safetensors, "cuda")
 
 
 def test_the_commands_pass_the_option_on(

@@ -56,21 +56,6 @@ def test_every_convolution_computes_in_8_bits_and_descriptors_stay(
     assert 0 < np.abs(described[0] - described[1]).max() < 0.1
 
 
-def test_a_quantised_model_s_evidence_still_adds_up(data: Path, model_file: Path, tmp_path: Path) -> None:
-    quantize(model_file, open_dataset(data), tmp_path / "small.onnx", 4)
-    model, found = lpn.load(tmp_path / "small.onnx"), open_dataset(data)
-    query, tile = (
-        describe_picture(model, load_picture(entry.path), view)
-        for entry, view in ((found.queries("drone")[0], "drone"), (found.gallery("satellite")[0], "satellite"))
-    )
-    assert query.trace is not None
-    assert tile.trace is not None
-    weights = scoring.part_weights(4)
-    evidence = explain.evidence(query.trace, tile.trace, weights)
-    score = float((query.descriptor * tile.descriptor).sum())
-    assert sum(float(values.sum()) for values in evidence.part_sums) == pytest.approx(score, abs=1e-5)
-
-
 @pytest.mark.slow
 def test_views_with_weights_of_their_own_are_calibrated_by_their_own_pictures(data: Path, tmp_path: Path) -> None:
     torch.manual_seed(2)

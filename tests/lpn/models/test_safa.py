@@ -143,21 +143,6 @@ def test_a_descriptor_is_what_plain_loops_make_of_the_map() -> None:
     np.testing.assert_allclose(np.linalg.norm(descriptors.reshape(2, -1), axis=1), 1, rtol=1e-5)
 
 
-def test_attention_lies_inside_its_strip_and_makes_the_embedding() -> None:
-    built = network()
-    images = torch.from_numpy(seeded.pictures(4, 2, 32, 160))
-    with torch.inference_mode():
-        parts, features, weights = built.embed(images, "satellite")
-        assert weights is not None
-        assert weights.shape == (2, 4, 3, 2, 10)
-        for part in range(4):
-            outside = [column for column in range(10) if not 2 * part <= column < 2 * part + 4]
-            assert not weights[:, part, :, :, outside].any()
-            assert weights[:, part, :, :, 2 * part : 2 * part + 4].all()
-        sums = torch.einsum("bnmhw,bchw->bnmc", weights, features).flatten(2)
-    torch.testing.assert_close(parts, sums, rtol=1e-4, atol=1e-4)
-
-
 @given(st.integers(1, 8), st.integers(8, 40))
 def test_windows_are_as_wide_as_the_stride_leaves(n: int, width: int) -> None:
     stride = width // n
@@ -202,31 +187,9 @@ def test_polar_tiles_have_north_in_the_middle_and_east_to_its_right() -> None:
     assert bool((unrolled[-5:] == 255).all())
 
 
-def test_polar_rows_are_distances_from_the_centre() -> None:
-    east = np.broadcast_to(np.arange(200, dtype=np.uint8)[None, :, None], (200, 200, 3)).copy()
-    unrolled = polar(east, 50, 80)[..., 0].astype(float)
-    for row in range(50):
-        distance = 200 / 2 * (50 - 1 - row) / 50
-        assert unrolled[row, 60] == pytest.approx(100 + distance, abs=0.1)
-        assert unrolled[row, 20] == pytest.approx(100 - distance, abs=0.1)
-        assert unrolled[row, 40] == pytest.approx(100, abs=0.1)
-    wide = np.zeros((60, 100, 3), np.uint8)
-    wide[:, 20:80] = 255
-    assert bool((polar(wide, 20, 40)[:, 1:] == 255).all())
-
-
 def test_tiles_are_unrolled_by_the_released_formula() -> None:
     tile = small_worlds.place(3)
     assert np.abs(polar(tile, *released_safa.SIZE) - released_safa.unroll(tile)).mean() < 0.5
-
-
-def test_turning_a_tile_moves_its_polar_picture_sideways() -> None:
-    smooth = cv2.GaussianBlur(np.kron(small_worlds.place(2), np.ones((2, 2, 1), np.uint8)), (0, 0), 3)
-    # A tile of even side is unrolled around a whole pixel, which is the centre of a tile one pixel larger.
-    larger = np.pad(smooth, ((0, 1), (0, 1), (0, 0)), mode="edge")
-    turned = polar(np.rot90(larger)[:-1, :-1], 32, 128).astype(int)
-    # A quarter turn counter-clockwise brings what was in the north to the west, a quarter of the width to the left.
-    assert np.abs(turned - np.roll(polar(smooth, 32, 128).astype(int), -32, axis=1)).max() <= 2
 
 
 def test_only_satellites_are_unrolled() -> None:

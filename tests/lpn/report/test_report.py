@@ -9,6 +9,7 @@ from dataclasses import replace
 from datetime import UTC, datetime
 from html.parser import HTMLParser
 from pathlib import Path
+from unittest.mock import Mock
 
 import cv2
 import numpy as np
@@ -264,14 +265,8 @@ def test_progress_counts_the_queries(task: Task) -> None:
     seen: list[tuple[int, int]] = []
     report.build(task, [4, 1], progress=lambda *done: seen.append(done))
     assert seen == [(1, 2), (2, 2)]
-
-
-def test_an_exception_of_progress_ends_the_work(task: Task) -> None:
-    def stop(*_: int) -> None:
-        raise KeyboardInterrupt
-
     with pytest.raises(KeyboardInterrupt):
-        report.build(task, [4, 1], progress=stop)
+        report.build(task, [4, 1], progress=Mock(side_effect=KeyboardInterrupt))
 
 
 def test_changes_of_queries_and_part_weights_are_stated(task: Task) -> None:

@@ -12,7 +12,7 @@ from hypothesis.extra import numpy as arrays
 
 from lpn.core.errors import InputError
 from lpn.datasets import Truth
-from lpn.retrieval import gallery_search, inner_products, metrics
+from lpn.retrieval import gallery_search, metrics
 from tools.fixtures import seeded
 
 Case = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
@@ -77,15 +77,6 @@ def test_absent_and_junk_labels_are_treated_by_the_book(arguments: tuple[Any, ..
     np.testing.assert_allclose([found[key] for key in KEYS], by_the_book(*made), atol=1e-9)
 
 
-def test_equal_scores_keep_gallery_order() -> None:
-    rng = np.random.default_rng(0)
-    gallery = rng.integers(-1, 2, (60, 4)).astype(np.float32)
-    labels = np.arange(60) // 6
-    found = metrics.evaluate(gallery[::3], labels[::3], gallery, labels)
-    expected = by_the_book(gallery[::3], labels[::3], gallery, labels)
-    np.testing.assert_allclose([found[key] for key in KEYS], expected, atol=1e-9)
-
-
 @st.composite
 def coarse(draw: st.DrawFn) -> Case:
     """Descriptors of one to three numbers, each -1, 0, or 1, and labels of few classes."""
@@ -104,15 +95,6 @@ def test_coarse_descriptors_full_of_ties_are_treated_by_the_book(made: Case) -> 
     found = metrics.evaluate(query, query_labels, gallery, labels)
     np.testing.assert_allclose(
         [found[key] for key in KEYS], by_the_book(query, query_labels, gallery, labels), atol=1e-9
-    )
-
-
-def test_order_of_queries_and_gallery_does_not_matter() -> None:
-    query, query_labels, gallery, labels = case(8, 40, 30, 2, 16, 1.0, 3, 4)
-    rng = np.random.default_rng(1)
-    a, b = rng.permutation(len(query)), rng.permutation(len(gallery))
-    assert metrics.evaluate(query, query_labels, gallery, labels) == pytest.approx(
-        metrics.evaluate(query[a], query_labels[a], gallery[b], labels[b])
     )
 
 
@@ -190,18 +172,6 @@ def test_lists_of_true_matches_and_junk_are_treated_as_oxford_does(seed: int) ->
         assert best == np.argmax(row)
 
 
-def test_lists_that_say_what_labels_say_give_the_same_figures() -> None:
-    query, query_labels, gallery, labels = case(11, 40, 20, 4, 8, 1.2, absent=3, junk=9)
-    junk = np.flatnonzero(labels == -1)
-    truth = [Truth(np.flatnonzero(labels == label), junk) for label in query_labels]
-    by_label = metrics.retrieve(query, query_labels, gallery, labels)
-    by_list = metrics.retrieve(query, None, gallery, None, truth)
-    assert by_label.metrics() == by_list.metrics()
-    np.testing.assert_array_equal(by_label.first, by_list.first)
-    np.testing.assert_array_equal(by_label.best, by_list.best)
-    np.testing.assert_allclose(by_label.precision, by_list.precision)
-
-
 def test_queries_of_unknown_truth_do_not_count() -> None:
     rng = np.random.default_rng(3)
     query, gallery = (rng.standard_normal((count, 8)).astype(np.float32) for count in (12, 40))
@@ -215,15 +185,6 @@ def test_queries_of_unknown_truth_do_not_count() -> None:
     none = metrics.evaluate(query[:1], None, gallery, None, [unknown])
     assert none["queries"] == 0
     assert np.isnan([none["recall@1"], none["ap"]]).all()
-
-
-def test_blocks_of_queries_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    made = case(12, 50, 20, 4, 8, 1.2, absent=3, junk=9)
-    whole = metrics.retrieve(*made)
-    monkeypatch.setattr(inner_products, "_BLOCK_BYTES", 4 * 80 * 7)
-    blocks = metrics.retrieve(*made)
-    assert whole.metrics() == blocks.metrics()
-    np.testing.assert_array_equal(whole.best, blocks.best)
 
 
 def test_the_best_match_is_the_first_of_equals_and_never_junk() -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lpn.datasets import Truth
-from lpn.retrieval import inner_products, metrics, ranks
+from lpn.retrieval import metrics, ranks
 
 
 def plainly(
@@ -62,21 +62,16 @@ def alike(rng: np.random.Generator, queries: int, gallery: int, length: int) -> 
 def test_equal_and_almost_equal_scores_are_ranked_as_in_double_precision(
     seed: int, length: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(inner_products, "_COLUMNS", 13)
-    monkeypatch.setattr(inner_products, "_BLOCK_BYTES", 4 * 60 * 7)
+    monkeypatch.setattr(ranks, "_COLUMNS", 13)
+    monkeypatch.setattr(ranks, "_BLOCK_BYTES", 4 * 60 * 7)
     rng = np.random.default_rng(seed)
     queries, tiles = alike(rng, 30, 60, length)
     truth = truths(rng, 30, 60, (1, 12)[seed % 2])
     same(metrics.retrieve(queries, None, tiles, None, truth), plainly(queries, tiles, truth))
 
 
-@pytest.mark.parametrize("few", [0, 3, 1000])
-def test_a_query_with_too_many_close_tiles_is_ranked_in_double_precision_alone(
-    few: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(ranks, "_MAX_CLOSE", few)
-    monkeypatch.setattr(ranks, "_MAX_CLOSE_SHARE", 0)
-    rng = np.random.default_rng(few)
+def test_labels_are_ranked_as_lists_are() -> None:
+    rng = np.random.default_rng(0)
     queries, tiles = alike(rng, 40, 50, 64)
     asked, labels = rng.integers(-1, 12, 40), rng.integers(-1, 10, 50)
     junk = np.flatnonzero(labels == -1)
@@ -120,7 +115,7 @@ def test_weighted_queries_are_ranked_by_what_they_are_weighted_to() -> None:
 def test_no_product_is_off_by_more_than_is_said(length: int) -> None:
     rng = np.random.default_rng(length)
     queries, tiles = (np.abs(rng.standard_normal((count, length))).astype(np.float32) for count in (6, 9))
-    held = inner_products.Scores(queries, tiles, (inner_products.norms(queries), inner_products.norms(tiles)))
+    held = ranks.Scores(queries, tiles, (metrics.norms(queries), metrics.norms(tiles)))
     exact = queries.astype(np.float64) @ tiles.T.astype(np.float64)
     for rows, block, errors in held.blocks():
         off = np.abs(block - exact[rows])
@@ -131,7 +126,7 @@ def test_no_product_is_off_by_more_than_is_said(length: int) -> None:
 
 def test_norms_are_bounds_and_tell_what_is_not_finite() -> None:
     rows = np.array([[3, 4], [1e-30, 0], [1e30, 1e30], [0, 0], [np.nan, 1], [np.inf, 0]], np.float32)
-    found, true = inner_products.norms(rows), np.array([5, 1e-30, np.sqrt(2) * 1e30, 0])
+    found, true = metrics.norms(rows), np.array([5, 1e-30, np.sqrt(2) * 1e30, 0])
     assert (found[:4] >= true).all()
     assert (found[:4] <= 1.0011 * true).all()
     assert not np.isfinite(found[4:]).any()

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import csv
+import json
 import math
 import os
 import zlib
@@ -17,19 +19,22 @@ from lpn.cli.main import main
 from lpn.core import images
 from lpn.core.arrays import Float32Array
 from lpn.core.errors import InputError
-from lpn.datasets import Picture, Truth, geo, open_dataset
+from lpn.datasets import Picture, Truth, geo, labels_of, open_dataset
 from lpn.datasets.layouts.university import University
 from lpn.descriptors.transforms import Change
+from lpn.descriptors.weather import WEATHERS, Weather
 from lpn.models.base import Model, normalise
 from lpn.models.checkpoints import save
 from lpn.models.lpn import LPN
-from lpn.retrieval import metrics
+from lpn.retrieval import describe_picture, metrics
 from lpn.retrieval.calibration import centred as without_mean
+from lpn.sources import SourceOptions, open_source
 from lpn.tasks import query_outcomes
-from lpn.tasks.changes import averaged, centred, changed, turned, with_parts
+from lpn.tasks.changes import averaged, centred, changed, in_weather, turned, with_parts
 from lpn.tasks.measure import measure
 from lpn.tasks.opening import lazy_task
 from lpn.tasks.query_outcomes import Outcomes
+from lpn.tasks.weathers import measure_weathers
 from tools.fixtures import layouts, small_worlds
 from tools.fixtures.tasks import descriptor_task
 
@@ -91,15 +96,9 @@ def test_figures_in_training_leave_nothing_in_the_cache(data: Path, model_file: 
     assert passing.recall == measure(lazy_task(model, dataset, "drone-to-satellite")).recall
 
 
-@pytest.mark.parametrize("parts", [(), (0,), (5,)])
-def test_parts_that_do_not_exist_are_refused(data: Path, model_file: Path, parts: tuple[int, ...]) -> None:
-    with pytest.raises(InputError, match="parts 1 to 4"):
-        with_parts(lazy_task(lpn.load(model_file), open_dataset(data), "drone-to-satellite"), parts)
-
-
-@pytest.mark.parametrize("parts", ["a", 2, ["1"], [1.5], [True], [[1]]])
-def test_parts_that_are_no_whole_numbers_are_refused(data: Path, model_file: Path, parts: Any) -> None:
-    with pytest.raises(InputError, match=r"The parts are .*expected whole numbers from 1 to 4, such as \[1\]"):
+@pytest.mark.parametrize("parts", [(), (0,), (5,), "a", 2, ["1"], [1.5], [True], [[1]]])
+def test_parts_that_are_no_parts_of_the_model_are_refused(data: Path, model_file: Path, parts: Any) -> None:
+    with pytest.raises(InputError, match=r"(parts|numbers from) 1 to 4"):
         lpn.evaluate(model_file, data, parts=parts)
 
 
@@ -341,3 +340,137 @@ def test_vigor_has_a_hit_rate_and_a_row_for_each_city(tmp_path: Path, model_file
     assert semi.values.tolist() == [
         "yes" if answer in lists.semi else "no" for answer, lists in zip(outcomes.answer, truth, strict=True)
     ]
+
+
+TASK = "drone-to-satellite"
+
+
+def test_each_query_has_its_rank_precision_and_nearest_tiles(data: Path, model_file: Path, tmp_path: Path) -> None:
+    out, options = tmp_path / "deep" / "queries.csv", ["--csls", "3", "--no-calibrate", "--rotate", "90"]
+    given = ["evaluate", str(data), "--model", str(model_file), "--task", TASK, "--per-query", str(out)]
+    assert main([*given, *options]) == 0
+    task = lpn.open_task(data, TASK, model_file, csls=3)
+    with out.open(newline="", encoding="utf-8") as file:
+        turned = list(csv.DictReader(file))
+    assert main([*given, *options[:-2]]) == 0
+    with out.open(newline="", encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert [row["query"] for row in rows] == [row["query"] for row in turned] == task.query_names
+    assert rows != turned
+    assert [row["rank"] for row in rows] == [str(rank + 1) for rank in task.outcomes.rank.tolist()]
+    assert np.mean([float(row["ap"]) for row in rows]) == pytest.approx(task.metrics["ap"], abs=1e-4)
+    for query, row in enumerate(rows):
+        ranking = task.search(query)
+        nearest = [task.gallery[match.index].name for match in ranking.top(10)]
+        assert [row[f"top {k}"] for k in range(1, 11)] == nearest
+        # The term of the query is the same for all tiles, and no part of a score of the evaluation.
+        assert ranking.csls is not None
+        scores = [match.score + float(ranking.csls.query @ ranking.weights) for match in ranking.top(10)]
+        assert [float(row[f"score {k}"]) for k in range(1, 11)] == pytest.approx(scores, abs=1e-5)
+
+
+def test_weathers_have_no_table_of_queries(
+    data: Path, model_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    given = ["evaluate", str(data), "--model", str(model_file), "--weather", "all"]
+    assert main([*given, "--per-query", str(tmp_path / "queries.csv")]) == 2
+    assert "choose one with --weather" in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("by_lists", [False, True])
+def test_junk_is_left_out_and_names_are_no_formulas(by_lists: bool) -> None:
+    rng = np.random.default_rng(4)
+    query, gallery = (rng.standard_normal((count, 2, 3)).astype(np.float32) for count in (3, 6))
+    labels = np.array([0, 1, 2, -1, 1, 0])
+    none = np.zeros(0, np.int64)
+    truth = [
+        Truth(np.array([0, 5]), np.array([1, 3])),
+        Truth(np.array([1, 4]), np.array([3])),
+        Truth(none, none, known=False),
+    ]
+    lists = truth if by_lists else None
+    task = replace(
+        descriptor_task(query, gallery, np.arange(3), labels, lists),
+        queries=[Picture(Path(), i, name) for i, name in enumerate(("=1+1", "b", "c"))],
+        gallery=[Picture(Path(), i, f"-tile {i}") for i in range(6)],
+    )
+    found = measure(task, 8)
+    assert found.nearest is not None
+    nearest, near = found.nearest
+    lines = [line.split(",") for line in found.queries_csv().decode("utf-8-sig").splitlines()]
+    scores = np.einsum("qnd,gnd->qg", query.astype(float), gallery.astype(float))
+    for row, junk in enumerate([one.junk for one in truth] if by_lists else [np.array([3])] * 3):
+        order = [tile for tile in np.argsort(-scores[row], kind="stable").tolist() if tile not in junk]
+        assert nearest[row].tolist() == order + [-1] * (8 - len(order))
+        np.testing.assert_allclose(near[row, : len(order)], scores[row, order], atol=1e-12)
+        true = truth[row].good.tolist() if by_lists else np.flatnonzero(labels == row).tolist()
+        assert lines[row + 1][1] == (str(1 + min(order.index(tile) for tile in true)) if true else "")
+    assert lines[1][0] == "'=1+1"
+    assert sum(cell.startswith("'-tile ") for cell in lines[1]) == int((nearest[0] >= 0).sum())
+    assert lines[1][-1] == ""
+    assert (lines[3][:3] == ["c", "", ""]) is by_lists
+
+
+def test_weather_falls_on_the_drone_pictures_of_the_gallery(data: Path, model_file: Path) -> None:
+    model, dataset = lpn.load(model_file), open_dataset(data)
+    change = Change(weather=Weather("dark"))
+    result = measure(changed(lazy_task(model, dataset, "satellite-to-drone"), change))
+    tiles, photos = dataset.queries("satellite"), dataset.gallery("drone")
+    expected = metrics.evaluate(
+        np.stack([describe_picture(model, one.load(), "satellite").descriptor for one in tiles]),
+        labels_of(tiles),
+        np.stack([describe_picture(model, one.load(), "drone", change).descriptor for one in photos]),
+        labels_of(photos),
+    )
+    assert [result.recall["1"], result.ap] == pytest.approx([expected["recall@1"], expected["ap"]])
+    assert "gallery pictures in the dark" in result.sentence
+
+
+@pytest.mark.slow
+def test_all_weathers_print_the_leaderboards_table(
+    data: Path, model_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "weathers.json"
+    command = ["evaluate", str(data), "--model", str(model_file), "--weather"]
+    assert main([*command, "all", "--json", str(out)]) == 0
+    printed = capsys.readouterr().out
+    written = json.loads(out.read_text())
+    assert list(written["weathers"]) == list(WEATHERS)
+    for task in ("drone-to-satellite", "satellite-to-drone"):
+        of_task = [results[task]["ap"] for results in written["weathers"].values()]
+        assert written["mean"][task]["ap"] == pytest.approx(np.mean(of_task))
+        assert len(set(of_task)) > 3
+        assert task in printed
+    assert f"{written['mean']['satellite-to-drone']['ap']:.2f}" in printed.split("mean")[1]
+    assert main([*command, "rain", "--json", str(out)]) == 0
+    rain = json.loads(out.read_text())
+    assert rain["weather"] == {"name": "rain", "strength": 1.0, "seed": 0}
+    assert rain["ap"] == written["weathers"]["rain"]["drone-to-satellite"]["ap"]
+
+
+def test_tiles_have_no_weather(data: Path, model_file: Path) -> None:
+    task = replace(
+        lazy_task(lpn.load(model_file), open_dataset(data), "satellite-to-drone"), name="satellite-to-satellite"
+    )
+    with pytest.raises(InputError, match="satellite tiles on both sides"):
+        measure_weathers([task])
+    with pytest.raises(InputError, match="satellite tiles on both sides"):
+        in_weather(task, "fog")
+
+
+def test_a_query_whose_truth_is_taken_away_is_not_graded(data: Path, model_file: Path) -> None:
+    by_labels = open_source(SourceOptions(source=str(data), model=model_file)).task
+    with pytest.raises(InputError, match="told by labels"):
+        by_labels.without_truth([0])
+    none = np.zeros(0, np.int64)
+    lists = [Truth(np.flatnonzero(by_labels.gallery_labels == label), none) for label in by_labels.query_labels]
+    task = replace(by_labels, truth=lists)
+    assert task.without_truth([]) is task
+    failed = np.flatnonzero(task.outcomes.failed)
+    assert len(failed)
+    left = task.without_truth([int(failed[0])])
+    assert left.without_truth(failed[:1].tolist()) is left
+    np.testing.assert_array_equal(np.flatnonzero(left.outcomes.failed), failed[1:])
+    assert (task.metrics["queries"], left.metrics["queries"]) == (len(lists), len(lists) - 1)
+    assert left.search(int(failed[0])).relevant is None

@@ -17,9 +17,9 @@ from lpn.core.arrays import Float32Array
 from lpn.core.errors import DataError, InputError
 from lpn.core.tables import number_column, text_column
 from lpn.datasets import Picture, Truth, geo, labels_of, open_dataset
-from lpn.descriptors import cached_descriptors, describe, shipped_or_cached
+from lpn.descriptors import cached_descriptors
 from lpn.models.base import normalise
-from lpn.retrieval import inner_products, metrics, scoring
+from lpn.retrieval import metrics, ranks, scoring
 from lpn.tasks import notes
 from lpn.tasks.gallery_geometry import GalleryGeometry
 from lpn.tasks.query_outcomes import (
@@ -100,7 +100,7 @@ def build(
 def test_outcomes_are_those_of_each_query_ranked_alone(
     block: int, weights: list[float] | None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(inner_products, "_BLOCK_BYTES", block)
+    monkeypatch.setattr(ranks, "_BLOCK_BYTES", block)
     monkeypatch.setattr("lpn.tasks.query_outcomes._CHUNK_BYTES", block)
     rng = np.random.default_rng(1)
     queries, gallery = descriptors(50), descriptors(30, seed=1)
@@ -152,7 +152,7 @@ def test_equal_scores_are_in_the_gallerys_order() -> None:
 
 
 def test_progress_is_told_and_can_end_the_work(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(inner_products, "_BLOCK_BYTES", 4 * 5 * 4)
+    monkeypatch.setattr(ranks, "_BLOCK_BYTES", 4 * 5 * 4)
     told: list[tuple[int, int]] = []
     sides = descriptors(10), np.arange(10), descriptors(5), np.arange(5)
     metrics.retrieve(*sides, progress=lambda done, of: told.append((done, of)))
@@ -385,22 +385,6 @@ def test_failure_rates_by_text_come_with_the_highest_first() -> None:
     assert [(r.name, r.queries, r.failures) for r in found] == [("b", 1, 1), ("a", 3, 1), ("not known", 1, 1)]
     with pytest.raises(InputError, match="one value for each"):
         breakdown.rates(failed, text_column("district", ["a"]))
-
-
-def test_descriptors_that_came_with_a_data_set_are_taken(tmp_path: Path, model_file: Path) -> None:
-    root, model = small_worlds.make_dataset(tmp_path / "places", train=0, test=3), lpn.load(model_file)
-    queries = open_dataset(root).queries("drone")
-    folder = root / "test" / "query_drone"
-    store = describe(model, [q.path for q in queries], "drone", root / "descriptors" / "query_drone", root=folder)
-    marked = np.lib.format.open_memmap(root / "descriptors" / "query_drone" / "descriptors.npy", mode="r+")
-    marked[0] = marked[1]
-    marked.flush()
-    taken = shipped_or_cached(model, queries, "drone", root, "query").descriptors
-    np.testing.assert_array_equal(taken[0], taken[1])
-    (root / "descriptors" / "query_drone" / "manifest.json").unlink()
-    fresh = shipped_or_cached(model, queries, "drone", root, "query").descriptors
-    assert np.abs(fresh[0] - fresh[1]).max() > 1e-3
-    assert store.manifest.view == "drone"
 
 
 def test_the_command_lists_failures_and_writes_them(

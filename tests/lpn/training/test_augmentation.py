@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from lpn.core import images
-from lpn.core.arrays import UInt8Array
 from lpn.core.views import View
 from lpn.training.augmentation import augment
 from lpn.training.recipe import Recipe
@@ -15,22 +14,9 @@ STILL = Recipe(
 )
 
 
-def changed(recipe: Recipe, seed: int) -> UInt8Array:
-    return augment(small_worlds.place(7), recipe, np.random.default_rng(seed), 0.0, False, "drone")
-
-
 def test_a_recipe_without_changes_leaves_the_picture_alone() -> None:
-    np.testing.assert_array_equal(changed(STILL, 1), small_worlds.place(7))
-
-
-def test_compression_leaves_its_traces_as_often_as_it_is_told() -> None:
-    always = Recipe(**{**STILL.__dict__, "compression": 1.0})
-    errors = [np.abs(changed(always, seed).astype(int) - small_worlds.place(7)).mean() for seed in range(12)]
-    assert 0.1 < min(errors) < max(errors) < 25
-    assert max(errors) > 1.2 * min(errors)  # qualities differ
-    often = Recipe(**{**STILL.__dict__, "compression": 0.5})
-    touched = sum(not np.array_equal(changed(often, seed), small_worlds.place(7)) for seed in range(40))
-    assert 8 < touched < 32
+    same = augment(small_worlds.place(7), STILL, np.random.default_rng(1), 0.0, False, "drone")
+    np.testing.assert_array_equal(same, small_worlds.place(7))
 
 
 def test_weather_falls_on_drone_and_street_pictures_as_often_as_it_is_told() -> None:
@@ -47,7 +33,7 @@ def test_weather_falls_on_drone_and_street_pictures_as_often_as_it_is_told() -> 
 
 
 @pytest.mark.parametrize("view", ["drone", "satellite"])
-@pytest.mark.parametrize("name", ["season", "bands", "shadows", "occlusion", "blur", "noise"])
+@pytest.mark.parametrize("name", ["season", "bands", "shadows", "occlusion", "blur", "noise", "compression"])
 def test_both_views_of_a_place_are_seen_on_other_days_as_often_as_it_is_told(name: str, view: View) -> None:
     def touched(value: float) -> int:
         recipe = Recipe(**{**STILL.__dict__, name: value})
@@ -99,11 +85,6 @@ def test_a_turned_place_is_turned_alike_in_its_tile_and_its_panorama() -> None:
         return float(np.abs(unrolled.astype(int) - rolled)[4:].mean())
 
     for angle, mirror in ((0, False), (90, False), (45, False), (0, True), (30, True)):
-        assert unrolled_shape(tile, still) == (48, 192, 3)
         assert difference(angle, mirror, angle, mirror) < 8  # a mirrored polar picture is one column off
     assert difference(90, False, -90, False) > 12
     assert difference(0, True, 0, False) > 12
-
-
-def unrolled_shape(tile: UInt8Array, recipe: Recipe) -> tuple[int, ...]:
-    return augment(tile, recipe, np.random.default_rng(0), 0.0, False, "satellite").shape

@@ -93,21 +93,6 @@ def test_a_batch_larger_than_the_smallest_set_is_refused(data: Path) -> None:
             loader(data, replace(recipe, batch=12))
 
 
-def test_pictures_are_normalised_as_everywhere_and_channels_last(data: Path) -> None:
-    picture = np.random.default_rng(0).integers(0, 256, (8, 6, 3), np.uint8)
-    given = loader(data)._network_input([picture, picture[::-1]])
-    np.testing.assert_array_equal(given[0].numpy(), images.normalise(picture))
-    assert given.is_contiguous(memory_format=torch.channels_last)
-
-
-def test_a_picture_is_decoded_once(data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    decoded: list[Path] = []
-    load = images.load_picture
-    monkeypatch.setattr(images, "load_picture", lambda path: (decoded.append(path), load(path))[1])
-    assert len(list(loader(data, workers=1).stream(0, 6))) == 12
-    assert len(decoded) == len(set(decoded)) == 20
-
-
 def test_an_error_in_a_worker_reaches_the_caller_and_the_workers_stop(data: Path, tmp_path: Path) -> None:
     shutil.copytree(data, tmp_path / "places")
     broken = tmp_path / "places" / "train" / "drone" / "0003" / "image-01.png"

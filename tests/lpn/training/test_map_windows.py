@@ -2,7 +2,6 @@ from __future__ import annotations
 
 import io
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 import cv2
@@ -17,9 +16,9 @@ from lpn.core.arrays import Float64Array, UInt8Array
 from lpn.core.errors import DataError, InputError
 from lpn.flight.files.cameras import rotation
 from lpn.flight.maps import Map, Window, open_map
-from lpn.training import appearance, map_windows
+from lpn.training import augmentation as appearance
 from lpn.training.loader import Loader, TrainingBatch
-from lpn.training.map_windows import MapWindows, draw_photo, overlaps
+from lpn.training.map_windows import GroundPicture, MapWindows, draw_photo, overlaps
 from lpn.training.recipe import Recipe
 from lpn.training.recipes import RECIPES
 from lpn.training.trainer import Trainer
@@ -71,31 +70,20 @@ def places_of(ramp: Map, picture: UInt8Array) -> Float64Array:
 
 def test_the_drone_view_shows_the_ground_that_its_rays_meet(ramp: Map) -> None:
     recipe = replace(PLAIN, size=32, tilt=12.0, rotation=0.0)
-    for seed, in_memory in ((1, True), (2, True), (3, False)):
-        window = Window(4.0, -6.0, 40.0)
+    window = Window(4.0, -6.0, 40.0)
+    ground = GroundPicture.read(ramp, window, recipe.size)
+    for seed in (1, 2, 3):
         shot = draw_photo(window, recipe, np.random.default_rng(seed))
         # The square keeps the photo's top, so its pixels lie on a grid of the photo's.
         shot = replace(shot, heading=0.0)
-        whole = MapWindows(ramp, recipe, (30.0, 50.0))._whole
-        ground = whole if in_memory and whole else map_windows._ground_about(ramp, window, recipe.size)
         found = places_of(ramp, ground.photo(shot, recipe.size))
-        frame = shot.frame
-        assert frame.fov is not None
-        assert frame.heading is not None
-        assert frame.pitch is not None
-        assert frame.height_above_ground is not None
-        v, u = np.mgrid[: recipe.size, : recipe.size]
+        frame, metres = shot.frame, shot.frame.height_above_ground or 0.0
+        v, u = np.mgrid[: recipe.size, : recipe.size] - (recipe.size - 1) / 2
         step = shot.share * frame.width / recipe.size
-        right = (u - (recipe.size - 1) / 2) * step
-        up = ((recipe.size - 1) / 2 - v) * step
-        focal = frame.width / 2 / np.tan(np.radians(frame.fov) / 2)
-        rays = (
-            np.stack([up, right, np.full(u.shape, focal)], axis=2)
-            @ rotation(frame.heading, frame.pitch, frame.roll or 0.0).T
-        )
-        middle = rotation(frame.heading, frame.pitch, frame.roll or 0.0)[:, 2]
-        metres = frame.height_above_ground
-        expected = (rays / rays[..., 2:] - middle / middle[2])[..., 1::-1] * metres + shot.centre
+        focal = frame.width / 2 / np.tan(np.radians(frame.fov or 0.0) / 2)
+        turn = rotation(frame.heading or 0.0, frame.pitch or 0.0, frame.roll or 0.0)
+        rays = np.stack([-v * step, u * step, np.full(u.shape, focal)], axis=2) @ turn.T
+        expected = (rays / rays[..., 2:] - turn[:, 2] / turn[2, 2])[..., 1::-1] * metres + shot.centre
         pixel = 40.0 / recipe.size
         off = np.linalg.norm(found - expected, axis=2)
         # A pixel is 1.25 m, and a grey level half a metre, to which the photo and the cut are rounded.
@@ -105,38 +93,32 @@ def test_the_drone_view_shows_the_ground_that_its_rays_meet(ramp: Map) -> None:
 
 def test_a_square_is_cut_with_the_windows_heading_up(ramp: Map) -> None:
     recipe = replace(PLAIN, tilt=0.0, rotation=0.0, shift=0.0, scale=0.0)
-    windows = MapWindows(ramp, recipe, (30.0, 50.0))
-    assert windows._whole is not None
     for seed in range(4):
         window = Window(0.0, 0.0, 40.0, 37.0 * seed)
-        shot = draw_photo(window, recipe, np.random.default_rng(seed))
-        photo, tile = windows._whole.photo(shot, 64), windows._whole.tile(window, 64)
+        shot, ground = draw_photo(window, recipe, np.random.default_rng(seed)), GroundPicture.read(ramp, window, 64)
+        photo, tile = ground.photo(shot, 64), ground.tile(window, 64)
         inside = cv2.circle(np.zeros((64, 64), np.uint8), (32, 32), 28, 1, -1) > 0
         off = np.linalg.norm(places_of(ramp, photo) - places_of(ramp, tile), axis=2)[inside]
         assert off.mean() < 0.6
 
 
-def test_a_tile_is_what_retrieval_cuts_in_memory_or_by_windows(town: Map) -> None:
-    for whole in (True, False):
-        windows = MapWindows(town, PLAIN, (40.0, 60.0), in_memory=4096 if whole else 16)
-        assert (windows._whole is not None) == whole
-        for number, window in enumerate(windows.windows(0)):
-            tile = windows.draw(number, 0)["satellite"]
-            cut = town.read(window, PLAIN.size)[0]
-            # Mirrored views are mirrored back.
-            off = min(np.abs(view.astype(int) - cut).mean() for view in (tile, tile[:, ::-1]))
-            assert off < 6
+def test_a_tile_is_what_retrieval_cuts(town: Map) -> None:
+    windows = MapWindows(town, PLAIN, (40.0, 60.0))
+    for number, window in enumerate(windows.windows(0)):
+        (tile,) = windows.draw(number, 0)["satellite"]
+        cut = town.read(window, PLAIN.size)[0]
+        # Mirrored views are mirrored back.
+        assert min(np.abs(view.astype(int) - cut).mean() for view in (tile, tile[:, ::-1])) < 6
 
 
 def test_ground_without_data_is_black_in_a_tile_and_not_in_a_photo(town: Map) -> None:
-    windows = MapWindows(town, PLAIN, (40.0, 60.0))
-    assert windows._whole is not None
     west, south, *_ = town.bounds
     edge = Window(west + 50, south + 25, 40.0)
-    black = (windows._whole.tile(edge, 64) == 0).all(axis=2)
+    ground = GroundPicture.read(town, edge, 64)
+    black = (ground.tile(edge, 64) == 0).all(axis=2)
     assert (black ^ ~town.read(edge, 64)[1]).mean() < 0.03
     assert 0.2 < black.mean() < 0.8
-    photo = windows._whole.photo(draw_photo(edge, PLAIN, np.random.default_rng(0)), 64)
+    photo = ground.photo(draw_photo(edge, PLAIN, np.random.default_rng(0)), 64)
     assert (photo == 0).all(axis=2).mean() < 0.01
 
 
@@ -189,9 +171,10 @@ def train(town: Map, out: Path, recipe: Recipe = QUICK, **options: object) -> tu
     return run.run(), said.getvalue()
 
 
-def stop_after_two(run: Trainer) -> None:
-    if len(run.history) == 2:
+def stop_after_two(history: list[object], _: int) -> str:
+    if len(history) == 2:
         raise KeyboardInterrupt
+    return ""
 
 
 def test_a_training_lowers_the_loss_resumes_and_goes_on_from_its_model(
@@ -205,11 +188,10 @@ def test_a_training_lowers_the_loss_resumes_and_goes_on_from_its_model(
     picture = loaded.prepare(town.read(Window(0, 0, 40), 32)[0], "satellite")
     assert np.isfinite(loaded.run(picture[None], "satellite").parts).all()
 
-    quiet = Console(quiet=True)
-    stopped = Trainer(town, tmp_path / "half", QUICK, from_scratch=True, console=quiet, window_sizes=(30, 50))
-    monkeypatch.setattr(stopped, "_select", partial(stop_after_two, stopped))
-    with pytest.raises(KeyboardInterrupt):
-        stopped.run()
+    with monkeypatch.context() as patch:
+        patch.setattr("lpn.training.trainer.epoch_line", stop_after_two)
+        with pytest.raises(KeyboardInterrupt):
+            train(town, tmp_path / "half")
     train(town, tmp_path / "half", resume=True)
     assert losses(tmp_path / "half") == whole
 
@@ -233,7 +215,7 @@ def test_windows_that_do_not_fit_are_refused(town: Map, sizes: tuple[float, floa
         MapWindows(town, RECIPE, sizes)
 
 
-def test_a_map_without_enough_data_is_refused(tmp_path: Path) -> None:
+def test_a_map_without_enough_data_is_refused(town: Map, tmp_path: Path) -> None:
     picture = np.zeros((200, 200, 3), np.uint8)
     picture[:, 95:105] = 90
     strip = open_map(small_maps.write_geotiff(tmp_path / "strip.tif", picture, nodata=0))
@@ -244,9 +226,7 @@ def test_a_map_without_enough_data_is_refused(tmp_path: Path) -> None:
     low, high = MapWindows(wider, RECIPE).sizes
     assert low == pytest.approx(16, rel=0.01)
     assert 30 < high < 41
-
-
-def test_the_default_sizes_follow_from_the_resolution_and_fit_the_map(town: Map) -> None:
+    # Else they follow from the resolution, up to half of the map.
     assert MapWindows(town, RECIPE).sizes == pytest.approx((16.0, 64.0), rel=0.01)
     assert MapWindows(town, replace(RECIPE, size=256)).sizes == pytest.approx((40.0, 80.0), rel=0.01)
 

@@ -10,11 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 from rich.console import Console
-from torch import nn
 
 import lpn
 from lpn.datasets import open_dataset
-from lpn.models import backbones
 from lpn.models.checkpoints import load_torch, save
 from lpn.models.export import export
 from lpn.tasks.opening import lazy_task
@@ -45,7 +43,6 @@ AS_RELEASED = {"linear": False, "lr": 1e-4}
 ON_PLACES: dict[str, dict[str, Any]] = {
     "lpn": {},
     "lpn on resnet50": {"backbone": "resnet50", "google": False, "n_parts": 2, "lr": 3e-3, "epochs": 5},
-    "lpn on vgg16": {"backbone": "vgg16_bn", "last_layer": "layer4", "n_parts": 2, "google": False, "size": 32},
     "instance": {},
     # Each loss and its slopes are compared with numbers elsewhere.
     **{f"{name} as released": AS_RELEASED for name in METRIC_LOSSES},
@@ -58,15 +55,6 @@ ON_PANORAMAS: dict[str, dict[str, Any]] = {
     "lpn-strips": {"width": 128, "n_parts": 4},
     "safa": {"size": 32, "width": 128},
     "safa-lpn": {"size": 32, "width": 128},
-    "safa-lpn on vgg16": {
-        "size": 32,
-        "width": 256,
-        "backbone": "vgg16",
-        "last_layer": "layer4",
-        "backbone_dropout": 0.2,
-        "lr": 1e-4,
-        "epochs": 3,
-    },
 }
 
 
@@ -80,28 +68,13 @@ def panoramas(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return small_worlds.make_cvusa(tmp_path_factory.mktemp("methods") / "pairs", PLACES)
 
 
-class ShallowVGG16(backbones.VGG16):
-    """One convolution before each pooling."""
-
-    def __init__(self, *given: Any) -> None:
-        super().__init__(*given)
-        layers: list[nn.Module] = []
-        for layer in self.features:
-            if isinstance(layer, nn.Conv2d):
-                kept = not layers or isinstance(layers[-1], nn.MaxPool2d)
-            if kept or isinstance(layer, nn.MaxPool2d):
-                layers.append(layer)
-        self.features = nn.Sequential(*layers)
-
-
 @pytest.fixture(autouse=True)
 def _shallow(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Build each ResNet with one block a stage, and VGG-16 likewise: they learn in a fraction of the time.
+    """Build each ResNet with one block a stage: they learn in a fraction of the time.
 
     The released metric losses learn too little with so few blocks, and have a whole ResNet-18. Other tests compare the outputs of
     whole backbones with the published ones.
     """
-    monkeypatch.setattr(backbones, "VGG16", ShallowVGG16)
     if not request.node.name.endswith("as released]"):
         make_resnets_shallow(monkeypatch)
 

@@ -29,26 +29,17 @@ def test_the_released_cvusa_run_warms_its_loss_up_and_not_its_rate() -> None:
     assert {rate_factor(recipe, step, STEPS) for step in range(80 * STEPS)} == {1.0}
 
 
-def test_a_warm_up_of_the_rate_leaves_the_loss_alone() -> None:
-    recipe = replace(RECIPES["paper"], warmup_epochs=2)
-    factors = [rate_factor(recipe, step, STEPS) for step in range(3 * STEPS)]
-    assert factors[: 2 * STEPS] == pytest.approx([(step + 1) / (2 * STEPS) for step in range(2 * STEPS)])
-    assert set(factors[2 * STEPS :]) == {1.0}
-    assert loss_factor(recipe, 0, STEPS) == 1.0
-
-
 def test_schedules_end_as_they_are_named() -> None:
     def last(recipe: Recipe) -> float:
         return rate_factor(recipe, recipe.epochs * STEPS - 1, STEPS)
 
     assert (last(RECIPES["released"]), last(RECIPES["safa-released"])) == (0.1, 1.0)
     assert last(RECIPES["small"]) < 0.001
-
-
-def test_the_released_metric_losses_decay_twice() -> None:
-    recipe = RECIPES["metric-released"]
-    factors = [rate_factor(recipe, epoch * STEPS, STEPS) for epoch in range(70)]
-    assert factors == pytest.approx([1.0] * 40 + [0.1] * 20 + [0.01] * 10)
+    twice = [rate_factor(RECIPES["metric-released"], epoch * STEPS, STEPS) for epoch in range(70)]
+    assert twice == pytest.approx([1.0] * 40 + [0.1] * 20 + [0.01] * 10)
+    recipe = replace(RECIPES["paper"], warmup_epochs=2)
+    assert [rate_factor(recipe, step, STEPS) for step in (0, 19, 40)] == pytest.approx([1 / 40, 0.5, 1.0])
+    assert loss_factor(recipe, 0, STEPS) == 1.0
 
 
 def test_a_factor_of_the_loss_scales_the_step_and_not_the_loss_that_is_told() -> None:

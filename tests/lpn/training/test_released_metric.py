@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from lpn.training.recipes import METRIC_LOSSES
-from tools.fixtures import released_metric, seeded
+from tools.fixtures import released_metric
 
 
 @pytest.mark.slow
@@ -15,13 +15,6 @@ def test_network_losses_and_gradients_are_the_released_ones() -> None:
     # Differences are relative to the largest value of each array. All but the descriptor are computed in float64.
     assert found.pop("descriptor") < 2e-5
     assert max(found.values()) < 1e-7, found
-
-
-def test_the_numbers_tell_the_losses_apart() -> None:
-    released = seeded.arrays("parity_metric")
-    assert len({round(float(released[f"{name}.loss"]), 3) for name in METRIC_LOSSES}) == len(METRIC_LOSSES)
-    # All eight triplets lie within both margins.
-    assert float(released["triplet-0.5.loss"] - released["triplet-0.3.loss"]) == pytest.approx(8 * 0.2, abs=1e-5)
 
 
 def test_the_released_test_scales_before_it_adds_the_mirror() -> None:

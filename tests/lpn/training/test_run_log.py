@@ -8,7 +8,7 @@ import pytest
 from lpn.core.errors import InputError
 from lpn.training.model_selection import EpochMetrics, best_epoch
 from lpn.training.recipes import RECIPES
-from lpn.training.run_log import begin, epoch_line, read_run, save_log
+from lpn.training.run_folder import begin, epoch_line, read_run, save_log
 
 
 def row(epoch: int, loss: float, **more: float) -> EpochMetrics:

@@ -81,10 +81,10 @@ class TilePair:
 
     def _rows(self, compared: Comparison) -> list[dict[str, Any]]:
         """Return for each part its gain as the screen's rows show it, the truth's ranks, and the weights before and after."""
-        without, change = compared.without, compared.change
+        without, weights = compared.without, compared.weights
         n = self.result.workspace.contract.n_parts
         now = 100 * self.result.analysis.ranking.weights
-        then = None if change is None or compared.followed.rank == 1 else 100 * change.weights
+        then = None if weights is None or compared.followed.rank == 1 else 100 * weights
         gains = self.result.rows(self.result.rival)
         return [
             gains[part]
@@ -104,7 +104,7 @@ class TilePair:
             return ""
         if compared.followed.rank == 1:
             return f"The {followed} is first already, so no weights need to change."
-        if compared.change is None:
+        if compared.weights is None:
             return f"No part weights at all put the {followed} first."
         fine = "" if self.usable else " It is finer than the screen's weights."
         return f"The smallest change of part weights that puts the {followed} first is in the last column.{fine}"
@@ -144,9 +144,9 @@ class TilePair:
 
 def _usable(result: ScreenResult, compared: Comparison) -> list[float]:
     """Return weights of two digits near those of the change that put the truth first; none if there are none."""
-    if compared.change is None or compared.followed.rank == 1:
+    if compared.weights is None or compared.followed.rank == 1:
         return []
-    now, new = result.analysis.ranking.weights, compared.change.weights
+    now, new = result.analysis.ranking.weights, compared.weights
     query = None if result.state.own else result.state.query
     search = result.task.start_search(query, result.analysis.query.descriptor)
     for factor in _FURTHER:

@@ -1,8 +1,7 @@
 // The map of queries and tiles: Leaflet moves and zooms it, and draws the points. A lasso picks queries.
 
-import { find, findAll, make, variable } from "../../page/dom.js";
+import { find, findAll, load, make, variable } from "../../page/dom.js";
 import { put } from "../../page/fragment.js";
-import { load } from "../../page/vendor.js";
 
 const [SELECTED, MISSED] = [1, 2]; // flags of a query
 const CORNERS = 300; // of a lasso

@@ -1,7 +1,6 @@
 // The table of queries: Tabulator draws the rows in sight, and the server sends them in pieces, sorted and filtered.
 
-import { find, make } from "../../page/dom.js";
-import { load } from "../../page/vendor.js";
+import { find, load, make } from "../../page/dom.js";
 
 const ROW = 33; // pixels without the line below; lab.css has the same height for rows that are still empty
 const PIECE = 100; // rows that the server sends at once

@@ -1,6 +1,6 @@
 // Cells of the photo are painted; the tiles are ranked by them alone.
 
-import { make, prepare, variable } from "../../page/dom.js";
+import { make, makeSvg } from "../../page/dom.js";
 import { listen, put } from "../../page/fragment.js";
 import { makePicture, rollPicture, showPicture } from "../../page/pictures.js";
 
@@ -8,7 +8,8 @@ const KEYS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDo
 
 export const open = (box, { set, act, view }) => {
   const figure = makePicture();
-  const grid = make("canvas", { class: "cells", tabindex: 0, role: "application", "aria-label": "Cells of the photo: arrows move, Space paints or erases" });
+  const [mask, mark] = [makeSvg("path", { class: "mask" }), makeSvg("rect", { class: "at", width: 1, height: 1 })];
+  const grid = makeSvg("svg", { class: "cells", preserveAspectRatio: "none", tabindex: 0, role: "application", "aria-label": "Cells of the photo: arrows move, Space paints or erases" }, mask, mark);
   figure.querySelector(".pan").append(grid);
   const [why, found] = [make("p"), make("div", { class: "fade" })];
   const clear = make("button", { class: "clear button", text: "Clear" });
@@ -30,17 +31,11 @@ export const open = (box, { set, act, view }) => {
     const photo = { ...view.result.photo, heat: null };
     showPicture(figure, photo, view.focus, view.page.parts, "none", photo.name);
     rollPicture(figure, photo, view.result.angle);
-    const { pen, width, height } = prepare(grid);
-    const [across, down] = [width / told.columns, height / told.rows];
-    if (cells.size) {
-      pen.fillStyle = "#000a";
-      pen.fillRect(0, 0, width, height);
-      for (const cell of cells) pen.clearRect((cell % told.columns) * across, Math.floor(cell / told.columns) * down, across, down);
-    }
-    if (document.activeElement !== grid) return;
-    pen.strokeStyle = variable("--ink");
-    pen.lineWidth = 2;
-    pen.strokeRect((at % told.columns) * across + 1, Math.floor(at / told.columns) * down + 1, across - 2, down - 2);
+    const { rows, columns } = told;
+    const place = (cell) => [cell % columns, Math.floor(cell / columns)];
+    grid.setAttribute("viewBox", `0 0 ${columns} ${rows}`);
+    mask.setAttribute("d", cells.size ? `M0 0h${columns}v${rows}h${-columns}z${[...cells].map((cell) => `M${place(cell)}h1v1h-1z`).join("")}` : "");
+    [mark.style.x, mark.style.y] = place(at).map((one) => `${one}px`);
   };
   const cellAt = (event) => {
     const { left, top, width, height } = grid.getBoundingClientRect();
@@ -81,7 +76,6 @@ export const open = (box, { set, act, view }) => {
     paint(at);
     send();
   });
-  for (const change of ["focus", "blur"]) grid.addEventListener(change, draw);
   clear.onclick = () => {
     cells = new Set();
     draw();

@@ -31,6 +31,7 @@ def page(result: ScreenResult, ranking: RankingJob) -> dict[str, Any]:
         "answer": _answer(result, ranking),
         "scored": _scored(result),
         "pictures": _pictures(result),
+        "sweeps": result.workspace.model is not None,
         "protocol": measure.sentence(result.task),
         "ranked": [ranking.n_ranked, len(ranking.task.queries)] if ranking.result is None else [],
         "error": ranking.error,

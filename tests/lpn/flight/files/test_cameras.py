@@ -68,15 +68,6 @@ def test_a_picture_from_above_is_a_rectangle_with_its_top_to_the_heading() -> No
     assert ground_width(DOWN, 50.0) == pytest.approx(2 * half)
 
 
-def test_the_camera_of_a_banked_aircraft_looks_away_from_the_lower_wing() -> None:
-    banked = footprint(replace(DOWN, roll=10.0), 71.0)
-    nose_up = footprint(replace(DOWN, pitch=-80.0), 71.0)
-    assert banked is not None
-    assert nose_up is not None
-    assert banked[:, 0].mean() < -71 * math.tan(math.radians(10))
-    assert nose_up[:, 1].mean() > 71 * math.tan(math.radians(10))
-
-
 def test_heights_of_the_frame_are_used_and_unknown_values_give_none() -> None:
     low = replace(DOWN, height_above_takeoff=50.0)
     np.testing.assert_allclose(footprint(low), footprint(DOWN, 50.0))

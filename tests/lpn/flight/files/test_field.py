@@ -206,6 +206,13 @@ CASES = (
        "1 of 1 entries of no_fix.srt have no position", latitude=None, longitude=None, height_above_takeoff=0.4),
     by("before the fix", "lost.srt", "HOME(-1.2218,42.4668) 2018.08.19 08:00:50\nGPS(N/A,N/A,3) BAROMETER:0.0\nISO:100",
        "have no position", latitude=None, height_above_takeoff=0.0),
+    by("no place on Earth", "beyond.srt", "[latitude: 95.0] [longitude: 10.0] [rel_alt: 3.0 abs_alt: 4.0]", "have no position",
+       latitude=None, longitude=None, height_above_takeoff=3.0),
+    by("before the fix", "letters.srt", "GPS(W: 0.0, N: 0.0, 0m)", "have no position", latitude=None),
+    by("before the fix", "zeros.srt", "GPS (0, 0, 0)", "have no position", latitude=None),
+    by(PARSER, "home.srt", "HOME(8.5, 47.3)\nGPS (8.501, 47.301, 15)", **HERE),
+    by(PARSER, "home_names.srt", "[home latitude: 47.3] [home longitude: 8.5] [latitude: 47.301] [longitude: 8.501]", **HERE),
+    by("Autel", "home_letters.srt", "HOME(W: 70.5, S: 33.4) ISO:100\nGPS (E: 8.501, N: 47.301, 812.5m)", **HERE),
     by("a Mavic Air 2 that wrote radians", "radians.srt", "[latitude: 0.825562] [longtitude: 0.148374] [altitude: 27.3]",
        "if the camera wrote radians, they are wrong", **at(0.825562, 0.148374)),
 )  # fmt: skip

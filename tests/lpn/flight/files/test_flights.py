@@ -12,9 +12,9 @@ import pytest
 from PIL import ExifTags, Image
 
 from lpn.cli import main
-from lpn.core.errors import DataError, InputError
+from lpn.core.errors import DataError
 from lpn.core.images import load_picture
-from lpn.flight.files import FlightOptions, Frame, ground_width, make_flight, open_flight
+from lpn.flight.files import Frame, ground_width, make_flight, open_flight
 from lpn.flight.files.base import degrees, local_metres
 from lpn.flight.files.quality import flight_notes, with_courses
 from lpn.flight.locate.tracks import TrackPoint, write_track
@@ -142,6 +142,9 @@ def test_maps_of_a_survey_program_are_no_photos(tmp_path: Path) -> None:
         ([], "There are no files; give photos"),
         (["nowhere.jpg"], "There is no nowhere.jpg"),
         (["photo.jpg", "--every", "0"], "--every is 0; expected a number from 0.04"),
+        (["photo.jpg", "--pitch", "100"], "--pitch is 100; expected a number from -180 to 90"),
+        (["photo.jpg", "--every", "2"], "so --every would not be used"),
+        (["photo.jpg", "--every-metres", "5"], "so --every-metres would not be used"),
         (["photo.jpg", "--fov", "200"], "--fov is 200"),
         (["a.SRT"], "There is no video for 1 .SRT file"),
         (["a.txt"], "There is no photo and no video (a.txt is neither)"),
@@ -169,21 +172,11 @@ def test_wrong_files_are_refused_in_one_sentence(
     assert not (tmp_path / "out").exists()
 
 
-def test_two_videos_of_one_name_and_bad_options_are_refused(tmp_path: Path) -> None:
+def test_two_videos_of_one_name_are_refused(tmp_path: Path) -> None:
     for folder in ("a", "b"):
         write_video(tmp_path / folder / "DJI_1.mp4", 0.2)
     with pytest.raises(DataError, match="Two videos are named dji_1"):
         make_flight([tmp_path / "a", tmp_path / "b"], tmp_path / "out")
-    with pytest.raises(InputError, match="--pitch is 100; expected a number from -180 to 90"):
-        FlightOptions(pitch=100.0)
-
-
-def test_options_of_videos_are_refused_beside_photos(tmp_path: Path) -> None:
-    photo = write_photo(tmp_path / "a.jpg")
-    for options, name in ((FlightOptions(every=2.0), "--every"), (FlightOptions(every_metres=5.0), "--every-metres")):
-        with pytest.raises(InputError, match=f"so {name} would not be used"):
-            make_flight([photo], tmp_path / "out", options)
-    assert not (tmp_path / "out").exists()
 
 
 def test_without_the_extra_video_the_note_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import io
 import math
 from pathlib import Path
@@ -11,12 +10,11 @@ import numpy as np
 import pytest
 from PIL import ExifTags, Image
 
-from lpn.cli import main
 from lpn.core.errors import DataError, PictureError
 from lpn.core.images import load_picture
 from lpn.flight.files import open_flight
 from lpn.flight.files.base import Frame
-from lpn.flight.files.photos import natural, photo_of, read_photo
+from lpn.flight.files.photos import photo_of, read_photo
 from tools.fixtures.field_photos import FIELD, PARROT, elements
 from tools.fixtures.photos import (
     dji_xmp,
@@ -172,15 +170,6 @@ def test_a_time_that_cannot_be_read_is_named() -> None:
     assert (photo.local, photo.oddities) == (None, ("has values that cannot be read: exif:DateTimeOriginal",))
 
 
-def test_names_are_ordered_by_their_numbers() -> None:
-    assert sorted(["DJI_0010.jpg", "DJI_0009.JPG", "a2", "²"], key=natural) == [
-        "a2",
-        "DJI_0009.JPG",
-        "DJI_0010.jpg",
-        "²",
-    ]
-
-
 def test_broken_photos_are_left_out_and_named(tmp_path: Path) -> None:
     whole = photo_bytes(exif(1.0, 2.0))
     (tmp_path / "a.jpg").write_bytes(whole)
@@ -198,16 +187,6 @@ def test_broken_photos_are_left_out_and_named(tmp_path: Path) -> None:
         read_photo(tmp_path / "nowhere.jpg")
 
 
-def test_a_photo_without_position_stays(tmp_path: Path) -> None:
-    for i in range(5):
-        camera = {BASE.DateTimeOriginal: f"2024:05:01 14:00:{i:02d}"}
-        write_photo(tmp_path / f"{i}.jpg", exif(*(None, None) if i % 2 else (1.0, 2.0), camera=camera))
-    flight = open_flight(tmp_path)
-    assert len(flight.frames) == 5
-    assert flight.degrees[[1, 3]].tolist() == [[pytest.approx(math.nan, nan_ok=True)] * 2] * 2
-    assert "2 of 5 photos have no GPS tag: 1.jpg, 3.jpg." in flight.notes
-
-
 @pytest.mark.parametrize("name", FIELD)
 def test_photos_as_people_have_them(name: str) -> None:
     data, expected, note = FIELD[name]
@@ -220,43 +199,16 @@ def test_photos_as_people_have_them(name: str) -> None:
     assert photo.oddities == () if note is None else any(note in oddity for oddity in photo.oddities)
 
 
-def written(folder: Path, capsys: pytest.CaptureFixture[str]) -> tuple[list[dict[str, str]], str]:
-    """The rows of flight.csv that `lpn flight` writes for a folder of photos, and what it prints."""
-    main.main(["flight", str(folder), "--out", str(folder / "out")])
-    with (folder / "out" / "flight.csv").open(newline="") as table:
-        return list(csv.DictReader(table)), capsys.readouterr().out
-
-
-@pytest.mark.parametrize(
-    ("name", "row", "note"),
-    [
-        ("a letter of Latin-1", {"heading": "319.0", "heading_source": "gimbal", "height_above_takeoff": "61.2"}, ""),
-        ("no references", {"latitude": "", "heading": ""},
-         "3 of 3 photos: each has values that cannot be read: exif:GPSLatitudeRef, exif:GPSLongitudeRef."),
-    ],
-)  # fmt: skip
-def test_lpn_flight_writes_what_the_photos_say(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str, row: dict[str, str], note: str
-) -> None:
-    for i in range(3):
-        (tmp_path / f"{i}.jpg").write_bytes(FIELD[name][0])
-    rows, printed = written(tmp_path, capsys)
-    assert [{column: line[column] for column in row} for line in rows] == [row] * 3
-    assert note in printed
-
-
-def test_the_course_is_never_taken_where_a_photo_tells_a_heading(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_course_is_never_taken_where_a_photo_tells_a_heading(tmp_path: Path) -> None:
     packet = xmp_packet(
         elements("drone-parrot", CameraRollDegree=0.0, CameraPitchDegree=-90.0, CameraYawDegree=15.0), PARROT
     )
     for i in range(3):
         camera = {BASE.DateTimeOriginal: f"2024:05:01 10:00:{2 * i:02d}"}
         write_photo(tmp_path / f"{i}.jpg", exif(47.301234, 8.501234 + 0.0002 * i, camera=camera), packet)
-    rows, printed = written(tmp_path, capsys)
-    assert [(row["heading"], row["heading_source"]) for row in rows] == [("15.0", "gimbal")] * 3
-    assert "course over ground" not in printed
+    flight = open_flight(tmp_path)
+    assert [(frame.heading, frame.heading_source) for frame in flight.frames] == [(15.0, "gimbal")] * 3
+    assert not any("course over ground" in note for note in flight.notes)
 
 
 @pytest.mark.parametrize("kind", ["JPEG", "PNG", "WEBP", "TIFF"])

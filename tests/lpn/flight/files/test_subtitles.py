@@ -92,22 +92,6 @@ def test_degrees_beyond_90_settle_the_order_or_else_the_third_value(
         assert (told.entries[0].latitude, told.entries[0].longitude) == place[::-1]
 
 
-def test_positions_before_the_fix_or_without_numbers_are_unknown() -> None:
-    texts = ["[latitude: 0.000000] [longitude: 0.000000] [rel_alt: 0.400 abs_alt: 269.099]"] * 3
-    found = parse_subtitles(blocks_of(srt(*texts, BRACKETS)), "a.SRT")
-    assert [entry.latitude for entry in found.entries] == [None, None, None, 34.270373]
-    assert found.entries[0].height_above_takeoff == 0.4
-    assert found.notes == ("3 of 4 entries of a.SRT have no position.",)
-    assert one("[latitude: 95.0] [longitude: 10.0] [rel_alt: 3.0 abs_alt: 4.0]").latitude is None
-
-
-@pytest.mark.parametrize("text", ["GPS(W: 0.0, N: 0.0, 0m)", "GPS (0, 0, 0)", "[latitude: 0.0] [longitude: 0.0]"])
-def test_a_video_without_any_fix_is_of_a_known_dialect(text: str) -> None:
-    found = parse_subtitles(blocks_of(srt(text)), "a.SRT")
-    assert found.entries[0].latitude is None
-    assert found.notes[-1] == "1 of 1 entries of a.SRT have no position."
-
-
 @given(st.integers(20, len(BRACKETS) - 1))
 def test_a_number_that_the_end_cuts_off_is_not_used(length: int) -> None:
     whole = one(BRACKETS)
@@ -189,11 +173,6 @@ def test_a_dialect_that_is_not_known_is_named_by_a_line_of_it(text: str, line: s
     assert found.notes == (f"1 of 1 entries of a.SRT have no position; one of its lines is {line!r}.",)
 
 
-def test_subtitles_in_utf_16_are_read() -> None:
-    data = srt(MAVIC_PRO).decode().encode("utf-16")
-    assert parse_subtitles(blocks_of(data), "a").entries[0].latitude == -20.2533
-
-
 SAMPLES = Path(os.environ["LPN_FLIGHTS"]).parent / "srt" if "LPN_FLIGHTS" in os.environ else None
 
 
@@ -211,15 +190,3 @@ def test_real_samples_are_read() -> None:
             continue
         assert any(entry.latitude is not None for entry in found.entries), file.stem
     assert refused == {"mavic_air", "broken_empty2"}
-
-
-@pytest.mark.parametrize(
-    "text",
-    [
-        "HOME(8.5, 47.3)\nGPS (8.6, 47.4, 15)",
-        "[home latitude: 47.3] [home longitude: 8.5] [latitude: 47.4] [longitude: 8.6]",
-        "HOME(W: 70.5, S: 33.4) ISO:100\nGPS (E: 8.6, N: 47.4, 812.5m)",
-    ],
-)
-def test_the_position_is_the_drone_s_and_no_other_s(text: str) -> None:
-    assert (one(text).latitude, one(text).longitude) == (47.4, 8.6)

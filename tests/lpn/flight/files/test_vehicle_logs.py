@@ -6,7 +6,6 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from PIL import ExifTags
 
 from lpn.core.errors import DataError
 from lpn.flight.files import make_flight
@@ -45,21 +44,6 @@ def test_a_log_has_positions_heights_and_angles_of_the_aircraft(tmp_path: Path, 
         assert (entry.pitch, entry.roll) == (pytest.approx(-93, abs=0.01), pytest.approx(2, abs=0.01))
     if name != "flight.ulg":
         assert entries[5].height_above_takeoff == pytest.approx(100)
-
-
-def test_photos_take_the_values_of_a_log(tmp_path: Path) -> None:
-    log = written(tmp_path, "flight.tlog")
-    for second in (2, 4):
-        time = {
-            ExifTags.Base.DateTimeOriginal: f"2024:05:01 12:00:0{second}",
-            ExifTags.Base.OffsetTimeOriginal: "+00:00",
-        }
-        write_photo(tmp_path / f"{second}.jpg", exif=exif(camera=time))
-    flight = make_flight([tmp_path / "2.jpg", tmp_path / "4.jpg", log], tmp_path / "out")
-    assert [frame.latitude for frame in flight.frames] == pytest.approx(
-        [47 + 20 / 111_000, 47 + 40 / 111_000], abs=1e-6
-    )
-    assert any(note.startswith("flight.tlog gives the values of 2 of 2 photos") for note in flight.notes)
 
 
 def test_positions_of_another_vehicle_are_left_out_with_a_note(tmp_path: Path) -> None:

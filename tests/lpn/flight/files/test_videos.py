@@ -96,15 +96,6 @@ def test_a_turned_video_says_what_was_turned(tmp_path: Path, angles: str, told: 
     assert [note for note in make_flight([video], tmp_path / "flight").notes if "turned" in note] == [told]
 
 
-def test_subtitles_inside_the_video_are_read(tmp_path: Path) -> None:
-    video = embed(write_video(tmp_path / "plain.mp4", 3), TELEMETRY[:3], tmp_path / "inside.mp4")
-    flight = make_flight([video], tmp_path / "flight")
-    assert [frame.height_above_takeoff for frame in flight.frames] == pytest.approx(
-        [50 + (frame.time or 0) for frame in flight.frames], abs=1e-6
-    )
-    assert not any("recordings" in note for note in flight.notes)
-
-
 @pytest.mark.parametrize(
     ("text", "latitude", "note"),
     [

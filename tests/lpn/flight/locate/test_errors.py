@@ -12,10 +12,9 @@ import numpy as np
 import pytest
 
 from lpn.flight.files import Flight, Frame
-from lpn.flight.locate.belief import beliefs
+from lpn.flight.locate.belief import beliefs, placed_errors
 from lpn.flight.locate.errors import RIGHT_CALIBRATION, Errors
 from lpn.flight.locate.located import LocatedFlight, LocatedFrame, StageRecord
-from lpn.flight.locate.summary import placed_errors
 from lpn.flight.maps import Map
 
 
@@ -44,7 +43,6 @@ def test_without_photos_or_radii_nothing_is_told() -> None:
     assert none.within[5] == 0.0
     assert none.calibration == bare.calibration == {}
     assert none.figures()["photos"] == 0
-    assert bare.calibration_sentence("registration") is None
 
 
 def test_radii_of_normal_errors_are_right() -> None:

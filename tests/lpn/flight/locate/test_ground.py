@@ -81,18 +81,21 @@ def test_a_cache_that_cannot_be_written_is_said_once(
 
 
 def test_features_of_all_maps_together_take_a_limited_number_of_bytes() -> None:
-    def block(features: int) -> Ground:
-        return Ground(np.zeros((features, 2)), np.zeros((features, 16), np.float32), 1.0)  # 80 bytes each
+    cache, made = GroundCache(8000), list[str]()
 
-    cache = GroundCache(8000)
-    for key in "abc":
-        cache.put(key, block(40))
-        assert cache.get("a") is not None, "it was used last"
-    assert cache.size == 6400
-    assert cache.get("b") is None
-    assert cache.get("c") is not None
-    cache.put("c", block(60))
-    assert cache.size == 8000
-    cache.put("d", block(200))
-    assert cache.size == 16000, "the newest are kept"
-    assert [cache.get(key) is not None for key in "acd"] == [False, False, True]
+    def get(key: str, features: int = 40) -> None:
+        def make() -> Ground:
+            made.append(key)
+            return Ground(np.zeros((features, 2)), np.zeros((features, 16), np.float32), 1.0)  # 80 bytes each
+
+        cache.get(key, make)
+
+    for key in "abaca":
+        get(key)
+    assert made == ["a", "b", "c"], "the one that was used last stays"
+    get("b")
+    get("d", 200)
+    get("d")
+    assert made == ["a", "b", "c", "b", "d"], "the newest is kept, whatever it takes"
+    get("a")
+    assert made[5:] == ["a"]

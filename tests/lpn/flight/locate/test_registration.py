@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -69,6 +70,18 @@ def test_a_heading_that_is_not_certain_does_not_lock_the_photo_out(ground: Groun
     assert found.turn_sentence == f"The picture is turned by {abs(turn)} degrees against its heading."
 
 
+def _forced(monkeypatch: pytest.MonkeyPatch, seeds: Callable[..., list[registration._Seed]]) -> np.ndarray:
+    """Have these places found with their support, whose matches fill the photo; return a photo."""
+    u = np.array([x + 1j * y for x in np.linspace(-0.45, 0.45, 7) for y in np.linspace(-0.3, 0.3, 7)])
+
+    def guided(seed: registration._Seed, _: Ground) -> registration._Candidate:
+        return registration._Candidate(seed.seen, seed.a, seed.b, u, seed.a * u + seed.b, seed.support, len(u))
+
+    monkeypatch.setattr(registration, "_seeds", seeds)
+    monkeypatch.setattr(registration, "_guided", guided)
+    return _photo((0.0, 0.0), 0.0, 80.0)[0]
+
+
 @pytest.mark.parametrize(
     ("other", "east", "reason"),
     [
@@ -81,19 +94,13 @@ def test_a_place_at_another_heading_replaces_one_with_little_support_and_does_no
     ground: Ground, monkeypatch: pytest.MonkeyPatch, other: float, east: float, reason: str
 ) -> None:
     supports = {0.0: 20.0, -90.0: 5.0, 90.0: other}
-    u = np.array([x + 1j * y for x in np.linspace(-0.45, 0.45, 7) for y in np.linspace(-0.3, 0.3, 7)])
 
     def seeds(*arguments: object) -> list[registration._Seed]:
         seen, heading = arguments[1], arguments[5]
         places = [90.0] if heading is None else [0.0, -90.0]
         return [registration._Seed(seen, 80 + 0j, complex(x), supports[x]) for x in places]  # type: ignore[arg-type]
 
-    def guided(seed: registration._Seed, _: Ground) -> registration._Candidate:
-        return registration._Candidate(seed.seen, seed.a, seed.b, u, seed.a * u + seed.b, seed.support, len(u))
-
-    monkeypatch.setattr(registration, "_seeds", seeds)
-    monkeypatch.setattr(registration, "_guided", guided)
-    photo, _ = _photo((0.0, 0.0), 0.0, 80.0)
+    photo = _forced(monkeypatch, seeds)
     found = register(SiftMatcher(), photo, ground, Expectation(80.0, 0.0, certain=False), bounds=BOUNDS)
     assert found.accepted == (not reason)
     assert found.reason.endswith(reason)
@@ -106,17 +113,10 @@ def test_a_place_at_another_heading_replaces_one_with_little_support_and_does_no
 def test_a_heading_far_from_the_expected_one_needs_twice_the_support(
     ground: Ground, monkeypatch: pytest.MonkeyPatch, turn: int, support: float, accepted: bool
 ) -> None:
-    u = np.array([x + 1j * y for x in np.linspace(-0.45, 0.45, 7) for y in np.linspace(-0.3, 0.3, 7)])
-
     def seeds(*arguments: object) -> list[registration._Seed]:
         return [registration._Seed(arguments[1], 80 + 0j, 0j, support)]  # type: ignore[arg-type]
 
-    def guided(seed: registration._Seed, _: Ground) -> registration._Candidate:
-        return registration._Candidate(seed.seen, seed.a, seed.b, u, seed.a * u + seed.b, seed.support, len(u))
-
-    monkeypatch.setattr(registration, "_seeds", seeds)
-    monkeypatch.setattr(registration, "_guided", guided)
-    photo, _ = _photo((0.0, 0.0), 0.0, 80.0)
+    photo = _forced(monkeypatch, seeds)
     for certain in (False, True):
         found = register(SiftMatcher(), photo, ground, Expectation(80.0, -float(turn), certain), bounds=BOUNDS)
         assert found.accepted == accepted
@@ -144,21 +144,18 @@ def test_a_tilted_photo_needs_a_homography(ground: Ground) -> None:
     assert np.linalg.norm(found.to_metres(points) - truth, axis=1).max() < 1.2
 
 
-def test_a_photo_of_another_place_is_refused(ground: Ground) -> None:
-    photo = photo_of(land(seed=5), ground_to_photo((0, 0), 0, 90, SIZE), SIZE)
-    found = register(SiftMatcher(), photo, ground, Expectation(90.0, 0.0), bounds=BOUNDS)
+@pytest.mark.parametrize(
+    ("seed", "mirrored", "expected"),
+    [(5, False, Expectation(90.0, 0.0)), (0, False, Expectation(140.0, 0.0)), (0, True, Expectation(90.0))],
+    ids=["of another place", "of an implausible width", "mirrored"],
+)
+def test_a_false_photo_is_refused(ground: Ground, seed: int, mirrored: bool, expected: Expectation) -> None:
+    width = 60.0 if expected.width == 140 else 90.0
+    photo = photo_of(land(seed), ground_to_photo((0, 0), 0, width, SIZE), SIZE)
+    photo = photo[:, ::-1].copy() if mirrored else photo
+    found = register(SiftMatcher(), photo, ground, expected, bounds=BOUNDS)
     assert not found.accepted
-    assert "agree" in found.reason
-
-
-def test_an_implausible_width_is_refused(ground: Ground) -> None:
-    photo, _ = _photo((0.0, 0.0), 0.0, 60.0)
-    assert not register(SiftMatcher(), photo, ground, Expectation(140.0, 0.0)).accepted
-
-
-def test_a_mirrored_photo_is_refused(ground: Ground) -> None:
-    photo, _ = _photo((0.0, 0.0), 0.0, 80.0)
-    assert not register(SiftMatcher(), photo[:, ::-1].copy(), ground, Expectation(80.0)).accepted
+    assert found.reason
 
 
 def test_matches_in_too_few_cells_are_refused(ground: Ground, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -265,3 +262,13 @@ def test_a_guessed_heading_is_tried_first_and_limits_nothing(ground: Ground, gue
     assert found.heading == pytest.approx(300, abs=1)
     assert found.turn is None
     assert len(described) == descriptions
+
+
+def test_sift_places_a_keypoint_at_the_middle_of_a_round_spot() -> None:
+    row, column = np.mgrid[:101, :101]
+    spot = 255 * np.exp(-((column - 50) ** 2 + (row - 50) ** 2) / (2 * 5.0**2))
+    picture = np.repeat(spot.astype(np.uint8)[..., None], 3, axis=2)
+    points = SiftMatcher().features(picture).points
+    off = points - 50
+    nearest = off[np.argmin(np.abs(off).sum(axis=1))]
+    assert np.abs(nearest).max() < 0.1

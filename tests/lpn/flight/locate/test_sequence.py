@@ -7,12 +7,10 @@ import math
 import tracemalloc
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
 
-from lpn.core.errors import InputError
 from lpn.flight.locate.sequence import (
     _ANY_HEADING,
     _BEGIN,
@@ -26,11 +24,10 @@ from lpn.flight.locate.sequence import (
     ForwardFilter,
     MotionModel,
     SequenceResult,
-    _Grid,
-    _Step,
     emissions,
     fitted,
     heading_evidence,
+    merged_coordinates,
     score_units,
     smooth,
 )
@@ -182,20 +179,6 @@ def test_frames_without_evidence_do_not_speak_for_leaving_the_map() -> None:
     assert found.beyond.max() < 0.1
 
 
-def test_places_beyond_the_map_cost_few_rows_and_columns_of_the_grid() -> None:
-    side = 25.0 * np.arange(-4, 24)
-    places = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
-    off = ((places < 0) | (places > 475)).any(axis=1)
-    off |= (abs(places - 250) < 30).all(axis=1)  # a hole of the map
-    grid = _Grid(np.concatenate([places[~off], places[off]]), int(off.sum()))
-    assert [len(band) for band in grid.bands] == [8 + 3, 8]
-    step = _Step(grid, MOTION, 3.0, 30.0, np.array([10.0, 80.0]), np.array([20.0, 90.0]))
-    values = np.random.default_rng(0).random((len(places), 2)) * grid.is_beyond[:, None]
-    for back in (False, True):
-        all_cells = step._blurred(grid.image(values), back)
-        np.testing.assert_allclose(step._blurred_beyond(grid.image(values), back), all_cells, rtol=1e-10)
-
-
 def test_steps_of_unknown_time_go_anywhere_and_turn_anywhere() -> None:
     headings = [MIXED[1], MIXED[2]]
     times = np.array([0.0, np.nan])
@@ -209,10 +192,10 @@ def test_coordinates_that_names_rounded_to_a_centimetre_are_one() -> None:
     side = np.arange(-20, 20) * 17.5
     places = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
     off = np.random.default_rng(0).uniform(-0.006, 0.006, places.shape)
-    grid = _Grid(places + off)
-    assert [len(axis) for axis in grid.axes] == [40, 40]
-    for axis, numbers, own in ((grid.axes[0], grid.columns, places[:, 0]), (grid.axes[1], grid.rows, places[:, 1])):
-        np.testing.assert_allclose(axis[numbers], own, atol=0.006)
+    for values, own in zip((places + off).T, places.T, strict=True):
+        merged, numbers = merged_coordinates(values)
+        assert len(merged) == 40
+        np.testing.assert_allclose(merged[numbers], own, atol=0.006)
 
 
 def _track(scores: np.ndarray, places: np.ndarray, times: np.ndarray, motion: MotionModel) -> SequenceResult:
@@ -452,19 +435,6 @@ def test_steps_follow_time_and_unknown_times() -> None:
     np.testing.assert_allclose(steps, [50, 60, 60])
 
 
-def test_wrong_numbers_are_refused() -> None:
-    with pytest.raises(InputError, match="temperature is 0"):
-        emissions(np.zeros((2, 3)), temperature=0)
-    with pytest.raises(InputError, match="shape"):
-        emissions(np.full((2, 3), np.nan))
-    with pytest.raises(InputError, match=r"shape \(4, 1\); expected \(5, 1\)"):
-        smooth(lambda _: np.zeros((4, 1)), ANY, PLACES, TIMES, MOTION)
-    with pytest.raises(InputError, match="motion model"):
-        MotionModel(speed=0)
-    with pytest.raises(InputError, match="probability of 1"):
-        MotionModel(along=1)
-
-
 def test_memory_grows_with_the_root_of_the_frames() -> None:
     side = np.arange(40) * 25.0
     places = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
@@ -477,43 +447,3 @@ def test_memory_grows_with_the_root_of_the_frames() -> None:
     # All frames at once would take 64 values.
     assert peak < 50 * emitted.nbytes
     assert found.positions.shape == (64, 2)
-
-
-@pytest.mark.slow
-def test_ten_thousand_windows_and_many_frames_fit() -> None:
-    side = np.arange(100) * 25.0
-    places = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
-    truth = np.stack([np.linspace(100, 2300, 60), np.linspace(200, 1900, 60)], axis=1)
-    distance = np.linalg.norm(truth[:, None] - places[None], axis=2)
-    scores = 0.4 * np.exp(-((distance / 40) ** 2)) + np.random.default_rng(0).normal(0, 0.05, distance.shape)
-    found = _track(scores, places, np.arange(60) * 10.0, MotionModel(6.0, 10.0))
-    assert np.median(np.linalg.norm(found.positions - truth, axis=1)) < 15
-
-
-def test_steps_of_like_seconds_and_headings_are_computed_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    made: list[float] = []
-
-    class Counted(_Step):
-        def __init__(self, *args: Any) -> None:
-            made.append(args[2])
-            super().__init__(*args)
-
-    turns = [np.array([0.0, 120.0, 240.0])] * 9
-    times = np.array([0.0, 2.0, 4.0, 6.0, 8.0, 13.0, 15.0, 17.0, 22.0])
-    scores = np.random.default_rng(0).standard_normal((9, 5, 3))
-    plain = fitted(lambda t: scores[t], turns, PLACES, times, 20.0)
-    smoothed = smooth(lambda t: emissions(scores[t]), turns, PLACES, times, plain[0])
-    monkeypatch.setattr("lpn.flight.locate.sequence._Step", Counted)
-    assert fitted(lambda t: scores[t], turns, PLACES, times, 20.0) == plain
-    # Each motion has steps of 2 and of 5 seconds, and six temperatures add none.
-    motions = 2 * len(SPEEDS) + 5
-    assert len(made) <= 2 * (motions + 1)
-    made.clear()
-    found = smooth(lambda t: emissions(scores[t]), turns, PLACES, times, plain[0])
-    assert made == [2.0, 5.0]
-    np.testing.assert_array_equal(found.positions, smoothed.positions)
-    monkeypatch.setattr("lpn.flight.locate.sequence._HELD_STEPS", 0)
-    made.clear()
-    found = smooth(lambda t: emissions(scores[t]), turns, PLACES, times, plain[0])
-    assert len(made) > 16
-    np.testing.assert_array_equal(found.positions, smoothed.positions)

@@ -49,7 +49,7 @@ def test_answers_of_another_model_map_or_flight_are_not_taken(tmp_path: Path) ->
     shutil.copytree(DEMO_PLACE[0].with_name(DEMO_ANSWERS), folder)
     answers = ShippedAnswers.open(folder, FORMAT, model, basemap, flight)
     assert answers is not None
-    assert set(answers.registration) == {frame.name for frame in flight.frames}
+    assert set(answers.record.registration) == {frame.name for frame in flight.frames}
     assert ShippedAnswers.open(folder, FORMAT, lpn.load(DEMO_BASELINE), basemap, flight) is None
     assert ShippedAnswers.open(folder, f"{FORMAT}0", model, basemap, flight) is None
     assert ShippedAnswers.open(folder, FORMAT, model, open_map(DEMO_FLIGHT[0]), flight) is None
@@ -93,7 +93,7 @@ def test_errors_against_tags_without_their_lag_are_told_once_and_with_what_may_b
     frames = [
         LocatedFrame(frame, tag) for frame, tag in zip(flight.frames, basemap.frame.xy(*flight.degrees.T), strict=True)
     ]
-    bare = LocatedFlight(flight, basemap, frames, None, [], None, answers.registration)
+    bare = LocatedFlight(flight, basemap, frames, None, [], None, answers.record.registration)
     assert bare.late_tags is not None
     located = registered(bare, None, LocateOptions(matcher="sift"))
     print_summary(located, Console(file=(written := io.StringIO()), width=140))

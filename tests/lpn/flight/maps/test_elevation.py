@@ -115,18 +115,14 @@ def test_heights_that_cannot_be_the_maps_are_refused_before_anything_is_written(
     centimetres = write_geotiff(tmp_path / "cm.tif", values * 100, matrix=matrix)
     assert "heights from 2" in refused(tmp_path, ortho, centimetres)
     feet = write_geotiff(tmp_path / "feet.tif", values, STATE_PLANE, (2, 0, 6_400_000, 0, -2, 1_800_000))
-    assert "nothing says whether its heights are" in refused(tmp_path, ortho, feet)
+    assert "coordinates in US survey foot, which does not tell the unit" in refused(tmp_path, ortho, feet)
     picture = write_geotiff(tmp_path / "picture.tif", smooth(80, 80), matrix=matrix)
     assert "3 bands of the type uint8" in refused(tmp_path, ortho, picture)
     empty = write_geotiff(tmp_path / "empty.tif", np.full_like(values, np.nan), matrix=matrix)
     assert "no valid height" in refused(tmp_path, ortho, empty)
-    assert not (tmp_path / "map").exists()
-
-
-def test_heights_of_a_small_part_of_the_map_are_refused(tmp_path: Path, ortho: Path) -> None:
     values, matrix = slope(side=30)
-    source = write_geotiff(tmp_path / "dsm.tif", values, matrix=matrix)
-    assert "% of the map; expected 50% at least" in refused(tmp_path, ortho, source)
+    part = write_geotiff(tmp_path / "part.tif", values, matrix=matrix)
+    assert "% of the map; expected 50% at least" in refused(tmp_path, ortho, part)
     assert not (tmp_path / "map").exists()
 
 

@@ -2,7 +2,6 @@ from __future__ import annotations
 
 import gzip
 import shutil
-import sqlite3
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -210,10 +209,6 @@ def test_sets_with_impossible_tiles_are_refused(
     assert not ran.called
 
 
-def test_vector_tiles_are_named(tmp_path: Path) -> None:
-    refused(write_folder(tmp_path / "tiles", PICTURE, "{z}/{x}/{y}.pbf"), "vector tiles (pbf)")
-
-
 def test_empty_tiles_and_pages_of_html_have_no_data(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     tiles = write_folder(tmp_path / "town", PICTURE)
     first_tile(b"<!DOCTYPE html><html>Not found</html>")(tiles)
@@ -293,42 +288,6 @@ def test_an_mbtiles_against_its_format_is_refused(tmp_path: Path, case: str) -> 
     refused(write_mbtiles(tmp_path / "town.mbtiles", PICTURE, metadata, **options), words)
 
 
-def test_missing_tiles_of_an_mbtiles_have_no_data(tmp_path: Path) -> None:
-    path = write_mbtiles(tmp_path / "town.mbtiles", PICTURE, METADATA, encode=jpeg)
-    with sqlite3.connect(path) as database:
-        database.execute("DELETE FROM tiles WHERE rowid = 1")
-    database.close()
-    assert open_map(path).overview(200)[1].mean() == pytest.approx(0.75, abs=0.01)
-
-
-def test_a_database_in_a_read_only_folder_needs_no_files_beside_it(tmp_path: Path, same: Map) -> None:
-    path = write_mbtiles(tmp_path / "town.mbtiles", PICTURE, METADATA)
-    with sqlite3.connect(path) as database:
-        assert database.execute("PRAGMA journal_mode = WAL").fetchone() == ("wal",)
-    database.close()
-    for name in ("town.mbtiles-wal", "town.mbtiles-shm"):
-        (tmp_path / name).unlink(missing_ok=True)
-    check(open_map(path), same)
-    assert [file.name for file in tmp_path.iterdir()] == ["town.mbtiles"]
-
-
-def test_databases_without_tiles_are_named(tmp_path: Path) -> None:
-    (tmp_path / "empty.mbtiles").touch()
-    refused(tmp_path / "empty.mbtiles", "is empty")
-    (tmp_path / "text.mbtiles").write_text("no database")
-    refused(tmp_path / "text.mbtiles", "cannot be read as a map")
-    refused(write_mbtiles(tmp_path / "none.mbtiles", smooth(9, 9), {}), "cannot be read as a map")
-    with sqlite3.connect(tmp_path / "other.mbtiles") as database:
-        database.execute("CREATE TABLE roads (name TEXT)")
-    refused(tmp_path / "other.mbtiles", "cannot be read as a map")
-    path = write_mbtiles(tmp_path / "text_zoom.mbtiles", PICTURE, {})
-    with sqlite3.connect(path) as database:
-        database.execute("UPDATE tiles SET zoom_level = 'deep'")
-    refused(path, "cannot be read as a map")
-    (tmp_path / "town.sqlitedb").write_bytes(path.read_bytes())
-    refused(tmp_path / "town.sqlitedb", "is a set of tiles that is no .mbtiles; export it as .mbtiles.")
-
-
 def test_a_coarser_zoom_that_reaches_further_is_named(tmp_path: Path) -> None:
     tiles = write_folder(tmp_path / "town", PICTURE)
     finer = tiles / str(ZOOM + 1) / str(2 * WEST)
@@ -343,15 +302,6 @@ def test_the_folder_of_tiles_is_named_from_above_and_below(tmp_path: Path) -> No
     refused(tmp_path / "download" / "tiles" / str(ZOOM), "give", str(tmp_path / "download" / "tiles") + ".")
 
 
-def test_pictures_that_only_look_like_tiles_are_sheets(tmp_path: Path) -> None:
-    """Numbers in names are no tiles where a world file or another picture stands beside them."""
-    Image.fromarray(PICTURE).save(tmp_path / "18_137700_90900.png")
-    write_geotiff(tmp_path / "32_500_5316.tif", smooth(60, 60))
-    (tmp_path / "18_137700_90900.pgw").write_text("0.5\n0\n0\n-0.5\n500000\n5316000\n")
-    (tmp_path / "18_137700_90900.prj").write_text("EPSG:32632")
-    assert [sheet.name for sheet in open_map(tmp_path).sheets] == ["18_137700_90900.png", "32_500_5316.tif"]
-
-
 @pytest.mark.parametrize("write", [write_folder, partial(write_mbtiles, metadata=METADATA)])
 def test_the_command_maps_tiles_and_the_folder_moves_with_them(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], same: Map, write: Callable[[Path, UInt8Array], Path]
@@ -362,18 +312,3 @@ def test_the_command_maps_tiles_and_the_folder_moves_with_them(
     assert "shows 204 m by 204 m about 48.205456, 9.103546, 100% of it with data" in capsys.readouterr().out
     shutil.move(tmp_path / "all", tmp_path / "elsewhere")
     check(open_map(tmp_path / "elsewhere" / "map"), same)
-
-
-@pytest.mark.parametrize("write", [write_folder, partial(write_mbtiles, metadata=METADATA)])
-def test_a_large_set_is_read_from_many_threads(
-    tmp_path: Path, write: Callable[[Path, UInt8Array], Path], same: Map
-) -> None:
-    from concurrent.futures import ThreadPoolExecutor
-
-    town = open_map(write(tmp_path / "town.mbtiles", PICTURE))
-    windows = [Window(x, y, 40, x) for x in range(-50, 50, 20) for y in range(-50, 50, 20)]
-    with ThreadPoolExecutor(4) as threads:
-        for window, (picture, valid) in zip(windows, threads.map(lambda w: town.read(w, 32), windows), strict=True):
-            assert valid.all()
-            np.testing.assert_allclose(picture.astype(int), same.read(window, 32)[0], atol=2)
-    town.close()

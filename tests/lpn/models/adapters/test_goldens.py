@@ -161,5 +161,5 @@ def test_resizes_are_those_of_the_released_code_bit_for_bit(case: int) -> None:
         linear, bicubic = file[f"cv2_linear_exact_{case}"], file[f"pillow_bicubic_{case}"]
     size = ((64, 64), (64, 64), (37, 53), (30, 40))[case]
     picture = np.random.default_rng(7 + case).integers(0, 256, (*size, 3), np.uint8)
-    np.testing.assert_array_equal(images.resize_linear(picture, *linear.shape[:2]), linear)
+    np.testing.assert_array_equal(images.resize(picture, *linear.shape[:2], "linear"), linear)
     np.testing.assert_array_equal(images.resize(picture, *bicubic.shape[:2]), bicubic)

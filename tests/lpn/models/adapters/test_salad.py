@@ -164,5 +164,5 @@ def test_the_resize_is_pillows_with_anti_aliasing() -> None:
     picture = np.zeros((4, 4, 3), np.uint8)
     picture[:, 0] = 240
     # Each new column weighs the three old ones around it by the triangle of twice the width.
-    assert images.resize_bilinear(picture, 2, 2)[0, :, 0].tolist() == [103, 0]
-    assert images.resize_bilinear(picture, 4, 4) is picture
+    assert images.resize(picture, 2, 2, "bilinear")[0, :, 0].tolist() == [103, 0]
+    assert images.resize(picture, 4, 4, "bilinear") is picture

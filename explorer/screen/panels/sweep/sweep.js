@@ -1,3 +1,0 @@
-// Curves of one photo over shifts, zooms, turns, or weathers.
-
-export { open } from "../../page/fragment.js";

@@ -1,3 +1,0 @@
-// The page behind the verdict.
-
-export { open } from "../../page/fragment.js";
