@@ -314,7 +314,7 @@ def test_queries_without_a_label_and_part_weights_do_not_count(tmp_path: Path) -
             "failures FILE --data FOLDER",
             "file.mp4 is a file; expected a data set's folder, so make a flight of it with lpn flight",
         ),
-        ("failures FOLDER --map FILE", "file.mp4 is a video; make a flight of it"),
+        ("failures FOLDER --map FILE", "; make a flight of it with lpn flight."),
         ("failures FLIGHT", "flight is a flight; give the map under it as --map"),
         ("failures", "There is no SOURCE; give its path first"),
         ("failures RESULT", "r.mat holds no pictures; give the data set that it was computed on as --data"),

@@ -1,4 +1,4 @@
-"""Panels: what opens beside or over the rings. Each is a folder of `explorer/screen/panels`: Python, a module, a style sheet."""
+"""Panels: what opens beside or over the rings. Each is a folder: Python, a style sheet, and perhaps a module."""
 
 from __future__ import annotations
 
@@ -133,11 +133,11 @@ class Panel:
     """A panel, which its folder's `__init__.py` calls `PANEL`.
 
     Attributes:
-        name: of the folder, of its module `NAME.js`, of its style sheet `NAME.css`, and in the address.
+        name: of the folder, of its style sheet `NAME.css`, of its module `NAME.js` if it has one, and in the address.
         title: of its command, and of its heading.
         part: makes its part of a tab; None where there are only commands, and nothing opens.
         key: that opens and closes it, in lower case; empty for none.
-        place: "beside" the rings in place of the rail, a "page" over the rings, or the "full" window.
+        place: "beside" the rings in place of the rail, a "page" over the rings, which another photo closes, or the "full" window.
         fields: the choices that it adds to the state; their names begin with the panel's and "_".
         offered: whether a workspace has it, and its commands.
         commands: what it offers in the palette and by keys.

@@ -47,7 +47,7 @@ from lpn.index.base import (
 )
 from lpn.index.parts import FILES, Part, identity_of, readable, sum_of, write_part
 
-FORMAT = "lpn-index/2"
+FORMAT = "lpn-index/3"
 MANIFEST = "index.json"
 _UNFINISHED = re.compile(re.escape(MANIFEST) + r"\.\d+-\d+\.part")
 _PART, _CODES = re.compile(r"\d{7,}"), re.compile(r"\d{7,}\.faiss")

@@ -459,6 +459,8 @@ def _read_tensors(path: Path) -> tuple[StateDict, dict[str, str]]:
         raise ModelFileError(f"{path.name} is damaged, truncated, or no .safetensors file; {_AGAIN}.") from error
     if SEAL in metadata and not sealed_file:
         raise ModelFileError(f"{path.name} is damaged: its checksum is malformed; {_AGAIN}.")
+    if key := next((key for key, tensor in state.items() if tensor.is_complex()), ""):
+        raise ModelFileError(f"In {path.name}, {printable(key)} is complex; give the weights as they were trained.")
     return state, metadata
 
 

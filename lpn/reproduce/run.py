@@ -117,6 +117,13 @@ class Reproduction:
         self._loaded = self._load(uses)
         self._check_data(wanted, drawn)
         self._jobs = self._planned(uses)
+        starting = {job.recipe.backbone for job in self._jobs}
+        if any(row.training is None and not row.quoted for table in wanted for row in table.rows):
+            starting.add(self.scale.base.backbone)
+        for backbone in self._starts.keys() - starting:
+            self._say(
+                f"{self._starts[backbone].name} of --init is left aside: no requested row starts from a {backbone}."
+            )
         for table in wanted:
             self._say(plan(table, {row.label: self._reason(table, row) for row in table.rows}))
         left = self._check_jobs(uses)

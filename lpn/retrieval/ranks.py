@@ -2,7 +2,7 @@
 
 The rank of a true match is the number of tiles ahead of it. If the single-precision scores of a true and a false tile differ
 by more than their rounding errors, they decide the order. The closer false tiles are compared in double precision, and equal
-scores rank in gallery order.
+scores rank in gallery order. A query with many close tiles, as of a collapsed network, has all its scores in double precision.
 
 An inner product of F numbers in single precision (u = 2^-24), summed in any order over chunks of L and then over the chunks,
 has an error of at most
@@ -37,7 +37,10 @@ _COLUMNS = 4096
 _CHUNK = 512
 # Unit roundoff of single precision.
 _UNIT = 2.0**-24
-_PAIRS_AT_A_TIME = 1024
+# Pairs whose numbers stay in the processor's cache.
+_PAIRS_AT_A_TIME = 64
+# Close tiles of a query that are compared one by one, and for large galleries their share of the gallery.
+_MOST_CLOSE, _MOST_CLOSE_SHARE = 256, 1 / 16
 # Norms beyond 2^30 or 2^-30 are scaled.
 _MOST_EXPONENT = 30
 
@@ -158,7 +161,9 @@ class Scores:
         if max(np.abs(powers).max(initial=0), abs(of_tiles)) <= _MOST_EXPONENT:
             powers, of_tiles = np.zeros_like(powers), 0
         self._powers, self.exponents = powers, powers + of_tiles
-        self._single = (np.ldexp(tiles, -of_tiles) if of_tiles else tiles).astype(np.float32, copy=False)
+        # Numbers of half precision would underflow.
+        wide = np.promote_types(tiles.dtype, np.float32)
+        self._single = (np.ldexp(tiles.astype(wide), -of_tiles) if of_tiles else tiles).astype(np.float32, copy=False)
         terms = min(length, _CHUNK) + -(-length // _CHUNK) + 2
         reach, longest = np.ldexp(reach, -powers), float(np.ldexp(longest, -of_tiles))
         # The second term is the extra error of subnormal numbers, which have fewer than 24 digits.
@@ -180,14 +185,13 @@ class Scores:
 
     def exact(self, queries: int | Int64Array, tiles: Int64Array) -> Float64Array:
         """Return the products of pairs, or of one query with tiles, in double precision, equal for equal tiles, (P,)."""
-        queries = np.broadcast_to(queries, tiles.shape)
         products = np.empty(len(tiles))
         for start in range(0, len(tiles), _PAIRS_AT_A_TIME):
             some = slice(start, start + _PAIRS_AT_A_TIME)
             # Rows must be summed in the same order: a matrix product may change it from row to row, and einsum splits long
             # rows by their position in its buffer.
-            asked = self._asked(queries[some]).astype(np.float64, copy=False)
-            products[some] = (asked * self._tiles[tiles[some]]).sum(axis=1)
+            asked = self._asked(slice(queries, queries + 1) if isinstance(queries, int) else queries[some])
+            products[some] = (asked.astype(np.float64, copy=False) * self._tiles[tiles[some]]).sum(axis=1)
         return products
 
     def _asked(self, rows: slice | Int64Array) -> AnyArray:
@@ -217,7 +221,10 @@ def rank(scores: Scores, ground_truth: GroundTruth, rows: slice, block: Float32A
     false = np.argmax(block, axis=1)
     top = block[lines, false].astype(np.float64)
     floor = _rounded(top - gap, -np.inf)
-    for i in np.flatnonzero((_count_true(block >= floor[:, None]) > 1) & (top > -np.inf)).tolist():
+    near = np.where(top > -np.inf, _count_true(block >= floor[:, None]), 0)
+    most = max(_MOST_CLOSE, int(_MOST_CLOSE_SHARE * block.shape[1]))
+    crowded = near > most
+    for i in np.flatnonzero((near > 1) & ~crowded).tolist():
         close = np.flatnonzero(block[i] >= floor[i])
         false[i] = close[np.argmax(scores.exact(rows.start + i, close))]
     first, true, precision = np.full(len(block), -1), np.full(len(block), -1), np.zeros(len(block))
@@ -232,7 +239,8 @@ def rank(scores: Scores, ground_truth: GroundTruth, rows: slice, block: Float32A
     some = block[alone[contested]]
     above[contested] = _count_true(some > high[contested, None])
     between[contested] = _count_true(some >= low[contested, None]) - above[contested]
-    unsure = np.flatnonzero(between)
+    crowded[alone[between > most]] = True
+    unsure = np.flatnonzero((between > 0) & ~crowded[alone])
     some, queries = block[alone[unsure]], rows.start + alone[unsure]
     line, close = np.nonzero((some >= low[unsure, None]) & (some <= high[unsure, None]))
     exact, tiles = scores.exact(queries, own_tile[unsure]), own_tile[unsure]
@@ -241,23 +249,45 @@ def rank(scores: Scores, ground_truth: GroundTruth, rows: slice, block: Float32A
     first[alone], true[alone] = above, own_tile
     whole = 1 / (first[alone] + 1)
     precision[alone] = np.where(trapezoid[alone], (whole + (first[alone] == 0)) / 2, whole)
-    for i in np.flatnonzero(counts > 1).tolist():
-        own = slice(begins[i], begins[i] + counts[i])
-        ranks, true[i] = _ranks_of_several(scores, rows.start + i, tile[own], score[own], block[i], gap[i])
-        first[i], precision[i] = ranks[0], average_precision(ranks, bool(trapezoid[i]))
+    for i in np.flatnonzero(crowded | (counts > 1)).tolist():
+        own, query = slice(begins[i], begins[i] + counts[i]), rows.start + i
+        found = None
+        if not crowded[i]:
+            found = _ranks_of_several(scores, query, tile[own], score[own], block[i], gap[i], most)
+        if found is None:
+            exact = scores.exact(query, np.arange(block.shape[1]))
+            found = _ranks_in_double(exact, tile[own], block[i] > -np.inf)
+            false[i] = np.argmax(np.where(block[i] > -np.inf, exact, -np.inf))
+        ranks, true[i] = found
+        if len(ranks):
+            first[i], precision[i] = ranks[0], average_precision(ranks, bool(trapezoid[i]))
     return Ranked(first, true, np.where(top > -np.inf, false, -1), precision, lead)
 
 
+def _ranks_in_double(exact: Float64Array, tiles: Int64Array, is_false: BoolArray) -> tuple[Int64Array, int]:
+    """Return the ascending ranks of the true tiles of a query, and the nearest of them or -1, from its exact scores (G,)."""
+    others, scores = np.flatnonzero(is_false), exact[is_false]
+    above = [np.count_nonzero(_ranks_before(exact[tile], tile, scores, others)) for tile in tiles]
+    nearest = int(tiles[exact[tiles].argmax()]) if len(tiles) else -1
+    return np.sort(np.array(above, np.int64)) + np.arange(len(tiles)), nearest
+
+
 def _ranks_of_several(
-    scores: Scores, query: int, tiles: Int64Array, score: Float64Array, line: Float32Array, gap: float
-) -> tuple[Int64Array, int]:
-    """Return the ascending ranks of the true tiles of a query, and the nearest of them; `line` has the false tiles, (G,)."""
+    scores: Scores, query: int, tiles: Int64Array, score: Float64Array, line: Float32Array, gap: float, most: int
+) -> tuple[Int64Array, int] | None:
+    """Return the ascending ranks of the true tiles of a query, and the nearest of them; None if more than `most` are close.
+
+    Args:
+        line: scores of the false tiles, (G,).
+    """
     low, high = _rounded(score - gap, -np.inf), _rounded(score + gap, np.inf)
     near = (line >= low.min()).nonzero()[0]
     order = near[line[near].argsort()]
     ordered = line[order]
     start, stop = ordered.searchsorted(low, "left"), ordered.searchsorted(high, "right")
     above, counts = len(ordered) - stop, stop - start
+    if counts.sum() > most:
+        return None
     unsure, nearest = counts.nonzero()[0], (score >= score.max() - gap).nonzero()[0]
     exact = np.zeros(len(tiles))
     recomputed = np.union1d(unsure, nearest) if len(nearest) > 1 else unsure
@@ -297,7 +327,9 @@ def _gaps(block: Float32Array) -> Float64Array:
     return np.where(np.isfinite(gaps), gaps, np.nan)
 
 
-def _ranks_before(score: Float64Array, tile: Int64Array, others: Float64Array, tiles: Int64Array) -> BoolArray:
+def _ranks_before(
+    score: float | Float64Array, tile: int | Int64Array, others: Float64Array, tiles: Int64Array
+) -> BoolArray:
     """True for the `tiles` that rank before `tile`; equal scores rank in gallery order."""
     return np.asarray((others > score) | ((others == score) & (tiles < tile)))
 

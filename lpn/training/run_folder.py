@@ -25,7 +25,7 @@ import lpn
 from lpn.core.checksums import check_entries
 from lpn.core.errors import InputError, ModelFileError
 from lpn.core.files import write_atomic, write_json
-from lpn.core.formats import decode_json
+from lpn.core.formats import UPGRADE, decode_json
 from lpn.training.model_selection import EpochMetrics
 from lpn.training.recipe import Recipe
 
@@ -189,8 +189,9 @@ def read_state(path: Path, recipe: Recipe, places: str) -> ResumeState:
     try:
         values: Any = torch.load(path, map_location="cpu", weights_only=True)
         if (version := values.get("format")) != STATE_FORMAT:
+            later = f"{UPGRADE}, or " if isinstance(version, int) and version > STATE_FORMAT else ""
             raise ModelFileError(
-                f"{path} has the format {version}, and this version of lpn knows {STATE_FORMAT}; {_ANEW}."
+                f"{path} has the format {version}, and this version of lpn knows {STATE_FORMAT}; {later}{_ANEW}."
             )
         saved: dict[str, Any] = dict(json.loads(values["recipe"]))
         history, digest = json.loads(values["history"]), values["places"]

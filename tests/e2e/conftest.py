@@ -126,6 +126,8 @@ class Screen:
         """Wait until the page shows the result of what was asked for."""
         body = self.page.locator("body")
         expect(body).to_have_attribute("data-sequence", re.compile(r"\d"))
+        # A state that has come is drawn with the next frame.
+        self.page.evaluate("() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
         expect(body).not_to_have_class(re.compile("wait|turning"))
         if angle is not None:
             expect(self.photo).to_have_attribute("aria-valuenow", angle)

@@ -117,7 +117,9 @@ def test_a_pth_whose_tensors_repeat_one_number_takes_no_memory(tmp_path: Path) -
 def test_a_pth_of_tensors_without_numbers_is_refused(kind: str, tmp_path: Path) -> None:
     made = torch.zeros(3, device="meta") if kind == "meta" else torch.eye(3).to_sparse()
     torch.save({"model_1.model.conv1.weight": made}, tmp_path / "net.pth")
-    with pytest.raises(ModelFileError, match=r"conv1\.weight is no plain tensor but quantised, sparse, or without"):
+    with pytest.raises(
+        ModelFileError, match=r"conv1\.weight is no plain tensor but quantised, sparse, complex, or without"
+    ):
         load_torch(tmp_path / "net.pth")
 
 

@@ -237,6 +237,10 @@ def test_a_folder_of_other_pictures_is_left_alone(tmp_path: Path, atlas: Atlas) 
     check_folder(SETTINGS, file, WORLD)
     file.write_bytes(atlas.world_json())
     check_folder(SETTINGS, file, WORLD)
+    file.write_text(
+        json.dumps({**plan, "settings": {name: plan["settings"][name] for name in plan["settings"] if name != "vary"}})
+    )
+    check_folder(SETTINGS, file, WORLD)
     others = (
         {"edition": 3},
         {"format": "lpn-world/2"},

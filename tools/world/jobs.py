@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import asdict
+from dataclasses import MISSING, asdict, fields
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -41,9 +41,15 @@ def check_folder(settings: Settings | FlightSettings, file: Path, form: str) -> 
         return
     try:
         held = {name: value for name, value in json.loads(file.read_bytes()).items() if name in _DECIDES}
-    except (OSError, ValueError, AttributeError, RecursionError):
+        # A plan may lack settings that came later, with their defaults.
+        held["settings"] = {one.name: one.default for one in fields(settings) if one.default is not MISSING} | held[
+            "settings"
+        ]
+        held = json.loads(json.dumps(held))
+    except (OSError, ValueError, AttributeError, KeyError, TypeError, RecursionError):
         held = {}
-    if held != json.loads(json.dumps({"format": form, "edition": EDITION, "settings": asdict(settings)})):
+    wanted = json.loads(json.dumps({"format": form, "edition": EDITION, "settings": asdict(settings)}))
+    if held != wanted:
         raise OutputError(
             f"{file} is of pictures made otherwise, by {json.dumps(held)[:300]}; delete that folder, or choose another one."
         )

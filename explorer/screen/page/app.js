@@ -39,6 +39,7 @@ const channel = connect(
     // Its state comes with it.
     page: (page) => {
       view.page = page;
+      if (view.pin >= 0) channel.act("hover", { part: -1 });
       [view.result, view.curve, view.focus, view.pin] = [null, null, -1, -1];
     },
     state: (state) => {
@@ -229,7 +230,9 @@ const draw = () => {
 // One part is lit wherever it is drawn: that under the pointer, else the pinned one; never in a drag.
 const focusOn = (hovered) => {
   const part = hovered < 0 ? view.pin : hovered;
-  if (part === view.focus || dragged() || !view.result || view.page.parts === 1 || isStale()) return;
+  if (part !== view.focus && !dragged() && view.result && view.page.parts > 1 && !isStale()) light(part);
+};
+const light = (part) => {
   view.focus = part;
   channel.act("hover", { part });
   for (const one of [rows, strip, sum]) markFocus(one, part);
@@ -237,8 +240,9 @@ const focusOn = (hovered) => {
 };
 /** Keep a part lit, or no longer. */
 const pin = (part) => {
+  if (!view.result || view.page.parts === 1) return;
   view.pin = part === view.pin ? -1 : part;
-  focusOn(-1);
+  light(view.pin);
 };
 for (const figure of [photo, tile]) {
   const frame = find(".frame", figure);
@@ -309,7 +313,7 @@ document.addEventListener("click", (event) => {
   if (mine) set({ own: mine });
   if (seen) set({ view: seen });
   if (filter) set({ filter });
-  if (name) commandsNow().find((one) => one.keys?.includes(name))?.act();
+  if (name && view.page) commandsNow().find((one) => one.keys?.includes(name))?.act();
   if (back !== undefined) say("");
   if (equal !== undefined) set({ weights: [] });
 });

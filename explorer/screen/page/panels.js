@@ -1,7 +1,8 @@
 // Panels beside or over the rings. The server says which there are; script and style sheet of one are loaded when it opens.
 //
-// A panel without a script of its own shows the HTML of its Python, see fragment.js. The script of another one has `open(box, context)`, which returns `{receive(message), draw(view), close()}`: `receive` takes what its
-// Python sends, `draw` is called after each change of the view. `context` is `{set, go, act, say, view}`; `go` shows an address.
+// A panel without a script of its own shows the HTML of its Python, see fragment.js. The script of another one has
+// `open(box, context)`, which returns `{receive(message), draw(view), close()}`: `receive` takes what its Python sends, `draw` is
+// called after each change of the view. `context` is `{set, go, act, say, view}`; `go` shows an address.
 
 import { addStyle, find } from "./dom.js";
 
@@ -36,8 +37,10 @@ export class Panels {
     this.box.hidden = !known;
     document.documentElement.dataset.panel = known?.place ?? "";
     dispatchEvent(new Event("resize")); // the rings take the room that is left
-    const content = find(".content", this.box);
-    content.replaceChildren();
+    // A panel that was still opening writes into a box that is gone.
+    const left = find(".content", this.box);
+    const content = left.cloneNode();
+    left.replaceWith(content);
     if (!known) {
       if (had) this.before?.focus();
       return;

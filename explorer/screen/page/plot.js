@@ -4,7 +4,7 @@ import { load, variable } from "./dom.js";
 
 const FONT = "12px Inter, Helvetica, Arial";
 const signed = (text) => text.replace("-", "−");
-const drawn = new WeakMap(); // by its box
+const drawn = new Map(); // by its box
 
 /**
  * Draw a chart that Python describes in a box, in place of what the box holds; the legend has the values under the pointer.
@@ -51,6 +51,7 @@ export const plot = async (box, chart, pick) => {
   const options = {
     width: box.clientWidth,
     height: chart.height ?? 170,
+    ...(chart.bare ? { padding: [6, 8, 6, 0] } : {}),
     cursor: { drag: { x: false, y: false }, points: { show: !chart.bare, size: 7 } },
     legend: { show: !chart.bare },
     scales: {
@@ -64,7 +65,11 @@ export const plot = async (box, chart, pick) => {
     series: [{ label: chart.name, value: (_, one) => ofX(one) }, ...chart.lines.map(({ label, colour, dash }) => ({ label, stroke: variable(colour), width: 1.75, dash: dash ? [5, 4] : [], value: ofY, ...style(variable(colour)) }))],
     hooks: { draw: [stand] },
   };
-  drawn.get(box)?.destroy();
+  for (const [one, chart] of drawn) {
+    if (one !== box && one.isConnected) continue;
+    chart.destroy();
+    drawn.delete(one);
+  }
   const made = new UPlot(options, [chart.x, ...chart.lines.map((one) => one.values)], (shown, init) => {
     box.replaceChildren(shown.root);
     init();

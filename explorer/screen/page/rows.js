@@ -2,7 +2,7 @@
 
 import { find, findAll, make, partColour, partInk, shown } from "./dom.js";
 import { drawCrop } from "./pictures.js";
-import { tip } from "./terms.js";
+import { hide, tip } from "./terms.js";
 
 export const sign = (true_) => (true_ === null ? "" : make("i", { class: true_ ? "right" : "wrong", text: true_ ? "✓" : "✗" }));
 
@@ -16,7 +16,7 @@ export const stack = (tile, total, least) => {
     const number = count > 1 && width >= least ? String(part + 1) : "";
     return make("i", { "data-part": part, text: number, style: { width: `${width}%`, background: colour, color: partInk(part, count) } });
   });
-  return make("div", { class: sum > total ? "stack cut" : "stack", title: sum > total ? "Longer than the scale" : "" }, ...segments);
+  return make("div", { class: sum > total ? "stack cut" : "stack", title: sum > total ? "Longer than the scale" : null }, ...segments);
 };
 
 /** Make the rows of so many parts once. */
@@ -34,23 +34,36 @@ const layRows = (rows, count) => {
   rows.replaceChildren(make("div", { class: "head" }), ...Array.from({ length: count }, (_, part) => row(part)), make("p", { class: "beside" }));
 };
 
+/** Show the words over the rows; while they are the same they stay, as a person may be reading their tips. */
+const showHead = (head, page, result) => {
+  const { rival_word: word, headline: { found }, tiles, weights } = result;
+  const rival = tiles[result.rival];
+  const end = Number(result.scale.part.toFixed(2));
+  const prefers = result.rows.some((one) => one.prefers !== null);
+  const said = JSON.stringify([page.photo, page.word, tiles[result.answer].true, rival?.true, word, found === null, end, prefers, weights.length]);
+  if (head.dataset.said === said) return;
+  head.dataset.said = said;
+  const meaning = { truth: "the true tile", next: found === null ? "the next one" : "the nearest wrong one", pinned: "the one that you clicked" }[word];
+  const gains = prefers ? `✓: the ${page.word} is nearer to the true tile than to the wrong one, by so much. ✗: the wrong tile is nearer.` : `By how much the answer is nearer in this ${page.word}.`;
+  const focused = findAll(".term", head).indexOf(document.activeElement);
+  hide();
+  head.replaceChildren(
+    make("span", { text: page.photo }),
+    make("span", { text: "answer " }, sign(tiles[result.answer].true)),
+    make("span", {}, ...(rival ? [make("u", { ...tip(`The tile that the answer is compared with: ${meaning}. Its shares are hatched.`), text: word }), " ", sign(rival.true), " ", make("u", { class: "hatched" })] : [])),
+    make("span", {}, make("u", { ...tip(`Each ${page.word}'s share of the squared distance: that between its two descriptors. All bars end at ${end}.`), text: `share to ${end}` }),
+      weights.length ? make("button", { class: "reset", "data-equal": true, text: "equal weights" }) : rival ? make("i", { ...tip(gains), text: prefers ? "prefers" : "nearer" }) : ""),
+  );
+  findAll(".term", head)[focused]?.focus({ preventScroll: true });
+};
+
 /** Show the rows of a result. */
 export const showRows = (rows, page, result, colour) => {
   const count = page.parts;
   layRows(rows, count);
   const answer = result.tiles[result.answer];
   const rival = result.rival === null ? null : result.tiles[result.rival];
-  const end = Number(result.scale.part.toFixed(2));
-  const judged = result.headline.found !== null;
-  const meaning = { truth: "the true tile", next: "the nearest wrong one", pinned: "the one that you clicked" }[result.rival_word];
-  const gains = judged ? `✓: the ${page.word} is nearer to the true tile than to the wrong one, by so much. ✗: the wrong tile is nearer.` : `By how much the answer is nearer in this ${page.word}.`;
-  find(".head", rows).replaceChildren(
-    make("span", { text: page.photo }),
-    make("span", { text: "answer " }, sign(answer.true)),
-    make("span", {}, ...(rival ? [make("u", { ...tip(`The tile that the answer is compared with: ${meaning}. Its shares are hatched.`), text: result.rival_word }), " ", sign(rival.true), " ", make("u", { class: "hatched" })] : [])),
-    make("span", {}, make("u", { ...tip(`Each ${page.word}'s share of the squared distance: that between its two descriptors. All bars end at ${end}.`), text: `share to ${end}` }),
-      result.weights.length ? make("button", { class: "reset", "data-equal": true, text: "equal weights" }) : rival ? make("i", { ...tip(gains), text: judged ? "prefers" : "nearer" }) : ""),
-  );
+  showHead(find(".head", rows), page, result);
   findAll(".row", rows).forEach((row, part) => {
     const [photo, own, other] = findAll("canvas", row);
     drawCrop(photo, result.photo, part, count, -result.angle, colour, result.angle);

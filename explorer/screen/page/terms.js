@@ -18,7 +18,8 @@ const meanings = () =>
 
 /** @type {any} */
 let explainedTerm = null;
-const hide = () => {
+/** Hide the meaning that is shown. */
+export const hide = () => {
   find("#tip")?.remove();
   explainedTerm?.removeAttribute("aria-describedby");
   explainedTerm = null;

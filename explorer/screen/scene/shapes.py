@@ -111,6 +111,7 @@ def ribbon(
     length: float, share: float, rival: float | None, text: str, colour: Colour, soft: Colour
 ) -> tuple[UInt8Array, float]:
     """Draw the ribbon of a part's share with the rival's as dashes: RGBA pixels, and their height in units of the scene."""
+    share = max(share, 0.0)  # calibrated ones may be less
     thin = _WIDTH * share < _LETTERS  # its text stands above it
     height = max(_WIDTH * max(share, rival or 0.0, 0.12) + 0.12, (_WIDTH * share + 2.4 * _LETTERS) * thin)
     unit = _RIBBON * _FINER
@@ -126,7 +127,10 @@ def ribbon(
                 at = middle + sign * y
                 draw.line((number * dash, at, (number + 1) * dash, at), fill=(*soft, 230), width=2 * _FINER)
     ink, y = (soft, middle - wide - 0.6 * _LETTERS * unit) if thin else (_ink_on(colour), middle)
-    draw.text((across / 2, y), text, (*ink, 255), captions.font(round(_LETTERS * unit)), anchor="mm")
+    font = captions.font(round(_LETTERS * unit))
+    if thin:  # no dash strikes it through
+        draw.rectangle(draw.textbbox((across / 2, y), text, font, anchor="mm"), fill=(*colour, 0))
+    draw.text((across / 2, y), text, (*ink, 255), font, anchor="mm")
     small = image.resize((max(image.width // _FINER, 1), max(image.height // _FINER, 1)), Image.Resampling.LANCZOS)
     return np.asarray(small), height
 

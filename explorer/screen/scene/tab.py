@@ -41,6 +41,7 @@ class TabScene:
         self.drawn: Scene | None = None
         self._shown: tuple[ScreenResult, ScreenState] | None = None
         self._aspect = 1.0
+        self._part: int | None = None
         self._worker = Worker(self._draw, lambda _: None)
 
     def attach(self, client: viser.ClientHandle | None) -> None:
@@ -59,8 +60,9 @@ class TabScene:
     def hover(self, arguments: Mapping[str, Any]) -> None:
         """Show one `part` alone, or all."""
         part = arguments.get("part")
+        self._part = part if isinstance(part, int) and part >= 0 else None
         if self.drawn is not None:
-            self.drawn.hover(part if isinstance(part, int) and part >= 0 else None)
+            self.drawn.hover(self._part)
 
     def pick(self, arguments: Mapping[str, Any]) -> None:
         """Say what is at `x` and `y` of the scene, in shares of its sides, and `why` the page asks: a "hover" or a "click"."""
@@ -92,4 +94,5 @@ class TabScene:
         self.drawn.show(
             replace(result, state=replace(result.state, view=state.view, theme=state.theme)), self._lines(result)
         )
+        self.drawn.hover(self._part)
         self._send({"scene": result.state.place})

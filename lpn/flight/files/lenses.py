@@ -173,7 +173,9 @@ def _camera(content: dict[str, Any]) -> tuple[Lens, float]:
     if "camera_matrix" in content:
         width, height = float(content["image_width"]), float(content["image_height"])
         model = content.get("distortion_model", "plumb_bob")
-        fx, _, cx, _, fy, cy, *_ = _numbers(content["camera_matrix"])
+        if len(matrix := _numbers(content["camera_matrix"])) != 9:
+            raise ValueError(f"{len(matrix)} numbers in camera_matrix and not 9")
+        fx, _, cx, _, fy, cy, *_ = matrix
         coefficients = _numbers(content.get("distortion_coefficients", []))
     else:
         cameras = {str(name): camera for name, camera in content.items() if isinstance(camera, dict)} or {"": content}

@@ -51,8 +51,10 @@ class GroundCache:
     def get(self, key: Hashable, make: Callable[[], Ground]) -> Ground:
         """Return the features of a block, which are made if they are not held."""
         with self._lock:
-            ground = self._grounds.pop(key, None)
-        ground = make() if ground is None else ground
+            if (held := self._grounds.pop(key, None)) is not None:
+                self._grounds[key] = held
+                return held
+        ground = make()
         with self._lock:
             self._grounds[key] = ground
             sizes = {key: one.points.nbytes + one.descriptors.nbytes for key, one in self._grounds.items()}

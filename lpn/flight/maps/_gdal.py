@@ -51,6 +51,15 @@ PIXELS_PER_MINUTE, _MOST_MINUTES = 1.3e9, 10
 # `warnings.catch_warnings` changes the filters of all threads.
 _opening = threading.Lock()
 
+# What to do with files by their endings that people give as maps, and with all others.
+_REMEDIES = {
+    (".mp4", ".mov", ".mkv", ".avi", ".srt"): "make a flight of it with lpn flight",
+    (".pth", ".pt", ".ckpt", ".safetensors", ".onnx"): "give a model with --model",
+    (".las", ".laz", ".ply", ".e57"): "give the orthophoto and not the point cloud",
+    (".kml", ".kmz"): "give the picture in it, with --corners",
+}
+_CONVERT = "expected a GeoTIFF, a picture, or an .mbtiles of pictures, so convert, unpack, or copy it again"
+
 
 @cache
 def rasterio() -> Any:
@@ -122,16 +131,25 @@ def _checked(path: Path) -> Any:
             file = library.io.DatasetReader(str(path.absolute()), driver=_DRIVERS)
             flaw = _flaw(file, path)
         except failures() as error:
-            head = printable(_head(path)[:40].decode("ascii", "replace"))
-            begins = f"begins with {head!r}" if head else "is empty"
+            remedies = (remedy for endings, remedy in _REMEDIES.items() if path.suffix.lower() in endings)
             raise DataError(
-                f"{file_name} cannot be read as a map, as it {begins} ({_reason(error, path)}); expected a GeoTIFF, a picture, "
-                "or an .mbtiles of pictures, so convert or unpack it, such as with QGIS, or copy it again."
+                f"{file_name} {_begins(path)}cannot be read as a map ({_reason(error, path)}); {next(remedies, _CONVERT)}."
             ) from error
     if flaw:
         file.close()
         raise DataError(f"{file_name} {flaw}")
     return file
+
+
+def _begins(path: Path) -> str:
+    """Return that a file is empty, or its first words, as of a web page or a pointer of Git LFS."""
+    try:
+        head = " ".join(_head(path)[:60].decode("ascii").split())
+    except (OSError, UnicodeDecodeError):
+        return ""
+    if not head.isprintable():  # of a picture or an archive
+        return ""
+    return f"begins with {head!r} and " if head else "is empty and "
 
 
 def named(folder: Path, names: Sequence[str]) -> list[Path]:

@@ -310,13 +310,12 @@ def _from_corners(corners: Sequence[float], width: int, height: int, what: str) 
     """Return CRS and matrix of a picture by latitude and longitude of its top-left and bottom-right corner."""
     top, left, bottom, right = corners
     on_earth = all(map(np.isfinite, corners)) and max(abs(top), abs(bottom)) <= 90 and max(abs(left), abs(right)) <= 180
-    if left > right + 180:  # across the antimeridian
-        right += 360
-    if not (on_earth and top > bottom and left < right):
+    east = right + 360 if left > right + 180 else right  # across the antimeridian
+    if not (on_earth and top > bottom and left < east):
         where = "are not top left and bottom right" if on_earth else "lie outside the world"
         raise DataError(
             f"The corners {top:g}, {left:g} and {bottom:g}, {right:g} of {what} {where}; expected latitude, then longitude, of "
             "the top-left corner, and of the bottom-right one south and east of it."
         )
-    matrix = np.array([[(right - left) / width, 0, left], [0, (bottom - top) / height, top]])
+    matrix = np.array([[(east - left) / width, 0, left], [0, (bottom - top) / height, top]])
     return _gdal.rasterio().crs.CRS.from_epsg(4326), matrix

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import contextlib
 import http.client
+import logging
 import os
 import socket
+import sys
 import urllib.error
 import urllib.request
 from collections.abc import Callable, Iterator
@@ -496,3 +498,44 @@ def test_a_flood_of_small_frames_ends_its_connection(app: App) -> None:
                 for _ in range(50):
                     tab.socket.socket.sendall(small * 100)
             assert tab.closed(), small
+
+
+def test_the_log_has_no_token(locked: App, caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(logging.DEBUG)
+    status, headers, _ = get(locked, "/?token=correct+horse+battery")
+    assert status == 200
+    get(locked, cookie=headers["Set-Cookie"].partition(";")[0])
+    assert "horse" not in caplog.text
+    assert locked.authenticator.cookie_value not in caplog.text
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems answer at 127.0.0.1 alone")
+def test_guesses_from_all_addresses_of_this_machine_count_together(
+    locked: App, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now, compared = [0.0], []
+    monkeypatch.setattr(locked.gateway, "_rate_limiter", RateLimiter(lambda: now[0]))
+    check = Authenticator.check
+    monkeypatch.setattr(
+        Authenticator,
+        "check",
+        lambda rules, request, port: compared.append(request.address) or check(rules, request, port),
+    )
+
+    def status(source: str, token: str, **headers: str) -> int:
+        connection = http.client.HTTPConnection(
+            "127.0.0.1", locked.server.get_port(), timeout=TIMEOUT, source_address=(source, 0)
+        )
+        connection.request("GET", f"/?token={token}", headers=headers)
+        answer = connection.getresponse().status
+        connection.close()
+        return answer
+
+    sources = [f"127.{i % 3}.{i % 5}.{i + 1}" for i in range(60)]
+    statuses = [status(source, "wrong", **{"X-Forwarded-For": f"10.0.0.{i}"}) for i, source in enumerate(sources)]
+    assert statuses == [403] * int(GUESSES) + [429] * (60 - int(GUESSES))
+    assert compared == sources[: int(GUESSES)]
+    held = f"lpn-{locked.server.get_port()}={locked.authenticator.cookie_value}"
+    assert get(locked, cookie=held)[0] == 200, "browsers that are signed in stay so"
+    now[0] = 2.5
+    assert status("127.0.0.1", "correct+horse+battery") == 200, "also for a proxy's visitors"

@@ -3,6 +3,9 @@ from __future__ import annotations
 import json
 import os
 import shutil
+import signal
+import subprocess
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
@@ -24,6 +27,7 @@ from lpn.index import (
     Index,
     SearchResult,
     create_index,
+    exact,
     folder,
     open_index,
 )
@@ -396,9 +400,9 @@ def test_what_is_no_index_is_told_in_a_sentence(tmp_path: Path) -> None:
                 open_index(tmp_path / "index").holds(["any"])
             file.write_bytes(whole)
     open_index(tmp_path / "index").close()
-    for text in ("", "[]", '{"format": "lpn-index/2"}', '{"format": "lpn-index/1", "precision": "int8"}'):
+    for text in ("", "[]", '{"format": "lpn-index/3"}', '{"format": "lpn-index/2", "settings": {}}'):
         (tmp_path / "index" / "index.json").write_text(text)
-        with pytest.raises(StoreError, match="not of the format lpn-index/2"):
+        with pytest.raises(StoreError, match="not of the format lpn-index/3"):
             open_index(tmp_path / "index")
 
 
@@ -561,3 +565,63 @@ def test_what_cannot_be_indexed_or_searched_is_told_in_a_sentence(
         assert said in error, (said, error)
         assert error.count("\n") == 1
         assert not (tmp_path / "i").exists()
+
+    kind = DescriptorKind("f", 4, 64)
+    tiles = Tiles.draw(200, kind=kind)
+    with ExactIndex.create(tmp_path / "a", kind) as index:
+        tiles.add_to(index)
+        query = tiles.descriptors[7].astype(np.float64)
+        once = index.search(query, None, 5)
+        for length in (2.0**20, 2.0**130):
+            found = index.search(query * length, None, 5)
+            assert found.ids == once.ids
+            np.testing.assert_allclose(found.scores, once.scores * length, rtol=1e-6)
+
+
+def test_no_float32_score_is_off_by_more_than_its_bound_which_is_small() -> None:
+    kind = DescriptorKind("f", 4, 64)
+    tiles = Tiles.draw(2000, kind=kind)
+    vectors = kind.checked(tiles.descriptors)
+    for weights in (*WEIGHTS, [0, 0, 0, 1]):
+        wanted = kind.rescaled(tiles.descriptors[3] * 3 - tiles.descriptors[4], weights)
+        scores = (vectors @ wanted.astype(np.float32)).astype(np.float64)
+        bound = exact.rounding_bound(wanted)
+        off = scores - vectors.astype(np.float64) @ wanted
+        assert (scores - bound <= scores - off).all()
+        over = bound + off
+        assert (over >= 0).all()
+        assert over.max() < 1e-4 * np.linalg.norm(wanted)
+
+
+ADDING = """
+import sys
+import numpy as np
+from lpn.index import open_index
+index = open_index(sys.argv[1])
+vectors = np.load(sys.argv[2])
+print("ready", flush=True)
+for start in range(0, len(vectors), 25):
+    index.add([str(i) for i in range(start, start + 25)], vectors[start : start + 25])
+    print(start + 25, flush=True)
+"""
+
+
+def test_a_process_that_is_killed_while_it_adds_loses_nothing_it_had_added(tmp_path: Path) -> None:
+    tiles = Tiles.draw(2500)
+    np.save(tmp_path / "vectors.npy", tiles.descriptors)
+    ExactIndex.create(tmp_path / "index", KIND).close()
+    rng = np.random.default_rng(0)
+    for _ in range(3):
+        command = [sys.executable, "-c", ADDING, str(tmp_path / "index"), str(tmp_path / "vectors.npy")]
+        with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+            assert process.stdout is not None
+            said = [process.stdout.readline() for _ in range(int(rng.integers(3, 20)))]
+            os.kill(process.pid, signal.SIGKILL)
+            said += process.stdout.readlines()
+        added = int(said[-1])
+        with ExactIndex(tmp_path / "index") as index:
+            assert index.holds([str(i) for i in range(added)]).all()
+            assert index.count() % 25 == 0
+            found = index.search(tiles.descriptors[7], None, 5000)
+            assert len(set(found.ids)) == len(found) == index.count()
+            np.testing.assert_array_equal(found.vectors, tiles.descriptors[[int(name) for name in found.ids]])

@@ -226,6 +226,12 @@ def test_scales_that_fit_no_kernels_are_refused(fault: str, tmp_path: Path) -> N
         checkpoints.check_opens(tmp_path / "m.safetensors")
 
 
+def test_complex_weights_are_refused_and_not_cut_to_real_ones(tmp_path: Path) -> None:
+    save_file({"model.conv1.weight": torch.ones(2, 3, 1, 1, dtype=torch.complex64)}, tmp_path / "m.safetensors")
+    with pytest.raises(ModelFileError, match=r"In m\.safetensors, model\.conv1\.weight is complex; give the weights"):
+        lpn.load(tmp_path / "m.safetensors")
+
+
 def test_equal_networks_give_equal_files(tmp_path: Path) -> None:
     network = small_worlds.make_network()
     files = [tmp_path / f"{copy}.safetensors" for copy in range(6)]

@@ -251,3 +251,11 @@ def test_the_commands_pass_the_option_on(
     FakeGpu(monkeypatch)
     assert main.main([*describe, "auto"]) == 0
     assert "Computed on cuda." in capsys.readouterr().out
+
+
+def test_a_name_of_no_provider_is_refused_with_those_there_are(
+    model_file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    FakeGpu(monkeypatch)
+    with pytest.raises(InputError, match=f"has no gpu, but {TENSORRT}, {CUDA}, {CPU}; install the one that has it"):
+        lpn.load(model_file, "gpu")

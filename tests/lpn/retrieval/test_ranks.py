@@ -102,6 +102,27 @@ def test_doubles_that_single_precision_cannot_tell_apart_are_ranked() -> None:
     same(metrics.retrieve(queries, None, tiles, None, truth), plainly(queries, tiles, truth))
 
 
+@pytest.mark.parametrize("apart", [0.0, 1e-7, 1e-3])
+@pytest.mark.parametrize("most", [0, 20])
+def test_a_network_that_has_collapsed_is_ranked_as_in_double_precision(
+    apart: float, most: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pairs: list[int] = []
+    exact = ranks.Scores.exact
+    monkeypatch.setattr(
+        ranks.Scores, "exact", lambda self, of, tiles: pairs.append(len(tiles)) or exact(self, of, tiles)
+    )
+    monkeypatch.setattr(ranks, "_MOST_CLOSE", most)
+    rng = np.random.default_rng(4)
+    tile = rng.standard_normal(40)
+    tiles = (tile + apart * rng.standard_normal((60, 40))).astype(np.float32)
+    queries = (tile + 0.1 * rng.standard_normal((25, 40))).astype(np.float32)
+    truth = truths(rng, 25, 60, 5)
+    same(metrics.retrieve(queries, None, tiles, None, truth), plainly(queries, tiles, truth))
+    # A crowded query is compared with each tile once; another one has few close tiles for each of its true ones.
+    assert sum(pairs) <= 25 * (60 + 2 * most + 5)
+
+
 def test_weighted_queries_are_ranked_by_what_they_are_weighted_to() -> None:
     rng = np.random.default_rng(3)
     queries, tiles = alike(rng, 25, 40, 32)

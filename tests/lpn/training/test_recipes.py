@@ -10,7 +10,7 @@ from lpn.cli import main
 from lpn.cli.train import TrainCommand
 from lpn.core.errors import InputError
 from lpn.training.recipe import Recipe
-from lpn.training.recipes import METRIC_LOSSES, OF_BASELINE, RECIPES, difference, find, source
+from lpn.training.recipes import METHODS, METRIC_LOSSES, OF_BASELINE, RECIPES, difference, find, method, source
 
 PAPERS = {"paper": "released", "cvusa-paper": "cvusa-released"}
 PUBLISHED = [*PAPERS, *PAPERS.values(), "cvact-released", "metric-released", "safa-released"]
@@ -184,3 +184,30 @@ def test_the_command_prints_the_difference(capsys: pytest.CaptureFixture[str]) -
     ):
         assert main.main(["train", *given]) == 2
         assert said in " ".join(capsys.readouterr().err.split())
+
+
+@pytest.mark.parametrize(
+    "recipe", [name for name, recipe in RECIPES.items() if not recipe.windows and not recipe.compares_drones]
+)
+def test_a_method_is_the_same_network_and_loss_in_every_recipe(recipe: str) -> None:
+    baseline, safa = ("average", "university", False, 1), ("safa", "university", True)
+    summed = {"safa": (8, False), "safa-lpn": (1, True)}
+    expected: dict[str, tuple[tuple[object, ...], tuple[float, str]]] = {
+        "lpn": (("average", "university", False, RECIPES[recipe].n_parts), (1.0, "none")),
+        "instance": (baseline, (1.0, "none")),
+        "contrastive": (baseline, (0.0, "contrastive")),
+        "triplet-0.3": (baseline, (0.0, "triplet")),
+        "triplet-0.5": (baseline, (0.0, "triplet")),
+        "soft-margin": (baseline, (0.0, "soft_margin")),
+        "lpn-sequential": (("average", "strips", False, 4), (1.0, "none")),
+        "lpn-cvusa": (("average", "cvusa", False, 8), (1.0, "none")),
+        "lpn-strips": (("average", "strips", True, 8), (1.0, "none")),
+        "safa": ((*safa, 1), (0.0, "soft_margin")),
+        "safa-lpn": ((*safa, 8), (0.0, "soft_margin")),
+    }
+    assert set(expected) == set(METHODS)
+    for name, (network, loss) in expected.items():
+        made = method(name, RECIPES[recipe])
+        assert (made.pooling, made.layout, made.polar, made.n_parts) == network, name
+        assert (made.instance, made.metric, made.infonce) == (*loss, 0.0), name
+        assert (made.maps, made.metric_per_part) == summed.get(name, (8, False)), name

@@ -271,12 +271,13 @@ def test_broken_lists_are_refused(tmp_path: Path) -> None:
 def test_what_is_no_map_is_refused(tmp_path: Path) -> None:
     refused(tmp_path / "missing.tif", "There is no file")
     for data, words in (
-        (b"no picture", "as it begins with 'no picture' ("),
-        (b"", "as it is empty ("),
-        (b"PK\x03\x04", "'PK"),
+        (b"no picture", "begins with 'no picture' and cannot be read as a map ("),
+        (b"", "is empty and cannot be read as a map ("),
+        (b"version https://git-lfs\noid sha256:1", "begins with 'version https://git-lfs oid sha256:1' and cannot"),
+        (b"PK\x03\x04", "text.tif cannot be read as a map ("),
     ):
         (tmp_path / "text.tif").write_bytes(data)
-        refused(tmp_path / "text.tif", "cannot be read as a map", words, "convert or unpack it")
+        refused(tmp_path / "text.tif", "cannot be read as a map", words, "convert, unpack, or copy it again")
     for rows, columns in ((1, 1), (1, 64), (64, 1), (15, 400)):
         few = write_geotiff(tmp_path / "few.tif", smooth(64, 400)[:rows, :columns])
         refused(few, f"The map few has {columns} x {rows} pixels; expected at least 16 on each side")

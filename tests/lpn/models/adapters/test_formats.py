@@ -309,7 +309,7 @@ def test_wrong_shapes_and_options_are_told_in_one_sentence(tmp_path: Path) -> No
         ({"model_1.transformer.norm.weight": torch.full((16,), torch.nan)}, "not finite"),
         (
             {"model_1.transformer.norm.weight": torch.ones(16, dtype=torch.complex64)},
-            r"norm\.weight holds complex numbers; expected real ones",
+            r"norm\.weight is no plain tensor but quantised, sparse, complex, or without",
         ),
     ):
         with pytest.raises(ModelFileError, match=said) as caught:
