@@ -27,7 +27,7 @@ from lpn.sources import SourceOptions
 from tools.world.__main__ import Rendering
 
 ROOT = Path(__file__).parents[1]
-PAGES = [*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md"), ROOT / "assets" / "README.md"]
+PAGES = [*ROOT.glob("*.md"), *ROOT.glob("docs/*.md"), ROOT / "assets/README.md", ROOT / "explorer/screen/glossary.md"]
 # Words of a page that stand for one of an option's words or numbers.
 STAND_INS = {"TASK": "drone-to-satellite", "K": "3", "N": "1"}
 # Options of every command, of a benchmark, and of the scripts that the authors released.

@@ -1,4 +1,4 @@
-"""A hook of MkDocs: pages of the project's root, and the commands with their options, become pages of the site.
+"""A hook of MkDocs: pages outside docs, and the commands with their options, become pages of the site.
 
 `make docs` builds the site, and fails where a link or an anchor leads nowhere.
 """
@@ -18,7 +18,8 @@ from lpn.cli import main
 
 _ROOT = Path(__file__).parents[1]
 # MkDocs would take a README for the first page, which is docs/index.md.
-_PAGES = {"overview.md": "README.md"} | {name: name for name in ("SECURITY.md", "CONTRIBUTING.md", "CHANGELOG.md")}
+_PAGES = {"overview.md": "README.md", "glossary.md": "explorer/screen/glossary.md"}
+_PAGES |= {name: name for name in ("SECURITY.md", "CONTRIBUTING.md", "CHANGELOG.md")}
 
 
 def on_files(files: Any, config: Any) -> Any:
@@ -30,8 +31,10 @@ def on_files(files: Any, config: Any) -> Any:
 
 
 def on_page_markdown(markdown: str, **_of: Any) -> str:
-    """Let links between docs and the root lead to the site's pages; a link to another file becomes its path as code."""
-    markdown = re.sub(r"\]\((?:docs|\.\.)/((?:[\w-]+\.(?:md|webp|jpg))(?:#[^)]*)?)\)", r"](\1)", markdown)
+    """Let links between docs and pages outside lead to the site's pages; a link to another file becomes its path as code."""
+    markdown = re.sub(
+        r"\]\((?:\.\./)*(?:docs/|explorer/screen/)?((?:[\w-]+\.(?:md|webp|jpg))(?:#[^)]*)?)\)", r"](\1)", markdown
+    )
     # A list right below a paragraph is one on the page of a repository, and for MkDocs none.
     markdown = re.sub(r"^(?![-|\s*\d])(.+)\n(- )", r"\1\n\n\2", markdown, flags=re.MULTILINE)
     return re.sub(r"\[[^\]]*\]\((?:\.\./)*((?!https?:)[^)#]*(?:\.py|\.toml|\.cff|LICENSE|\.txt))\)", r"`\1`", markdown)
