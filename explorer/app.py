@@ -152,9 +152,9 @@ def serve(
     """Open a workspace, print the address of the explorer, and serve it until KeyboardInterrupt.
 
     Args:
-            label: its display name beside `others`.
-            others: further workspaces that a page offers, by the keys that an address gives them.
-            stories: the file that keeps stories, see `App`.
+        label: its display name beside `others`.
+        others: further workspaces that a page offers, by the keys that an address gives them.
+        stories: the file that keeps stories, see `App`.
 
     Raises:
         LPNError: when the workspace cannot be opened, or the address cannot be used.

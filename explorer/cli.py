@@ -217,7 +217,7 @@ class Explore(ModelsBeside, ServeOptions, SourceOptions):
         """Return the functions that open the workspaces.
 
         Raises:
-                InputError: if an option does not fit the source, or lacks another one that it needs.
+            InputError: if an option does not fit the source, or lacks another one that it needs.
         """
         from explorer.opening import open_flight_over, open_source
 

@@ -33,7 +33,7 @@ class Feeds:
     """The feeds of a workspace's browsers, and the thumbnails of its tasks; thread-safe.
 
     Attributes:
-            address: the folder of all feeds, relative to the page; it differs after each start of the app.
+        address: the folder of all feeds, relative to the page; it differs after each start of the app.
     """
 
     def __init__(self, workspace: Workspace | None = None) -> None:
@@ -69,7 +69,7 @@ class Feeds:
         """Serve a list of `total` entries in pieces of `CHUNK` of them, as JSON.
 
         Args:
-                entries: returns the entries from a first position to an end.
+            entries: returns the entries from a first position to an end.
         """
 
         def piece(number: int) -> EncodedPicture | None:

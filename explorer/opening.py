@@ -61,14 +61,14 @@ def open_model(
     """Open a model on the tasks of a data set whose views it knows.
 
     Args:
-            model: a model, its file, or the options that load it.
-            query: name of the query of the first task that a new browser shows; by default the task's first query.
-            beside: other models to compare with on the same data. All are loaded, but only the first is opened; the others
-                describe their pictures when a browser asks for it.
-            baseline: the model of one part to offer for comparison without others; opened when a browser asks for it.
-            calibrate, csls: how the page ranks when it opens, see `lpn.open_task`. A browser may ask for the other scorings.
-            task: the only task to open; by default all.
-            beside_weathers: weathers in which to compare the model with itself; described when a browser asks for it.
+        model: a model, its file, or the options that load it.
+        query: name of the query of the first task that a new browser shows; by default the task's first query.
+        beside: other models to compare with on the same data. All are loaded, but only the first is opened; the others
+            describe their pictures when a browser asks for it.
+        baseline: the model of one part to offer for comparison without others; opened when a browser asks for it.
+        calibrate, csls: how the page ranks when it opens, see `lpn.open_task`. A browser may ask for the other scorings.
+        task: the only task to open; by default all.
+        beside_weathers: weathers in which to compare the model with itself; described when a browser asks for it.
 
     Raises:
         LPNError: when a model or the data set cannot be used, a model or a weather is given twice, or there is no such query.
@@ -265,15 +265,15 @@ def open_flight_over(
     background, unless its answers are cached.
 
     Args:
-            map_path: a map that `lpn.flight.maps.open_map` opens.
+        map_path: a map that `lpn.flight.maps.open_map` opens.
         flight_path: a folder of lpn flight, or one of photos.
-            query: name of the frame that a new browser shows first; by default the flight's first readable one.
-            beside: other models to compare with on the same flight. All are loaded, but only the first is opened; the others
-                describe windows and frames when a browser asks for it.
+        query: name of the frame that a new browser shows first; by default the flight's first readable one.
+        beside: other models to compare with on the same flight. All are loaded, but only the first is opened; the others
+            describe windows and frames when a browser asks for it.
         register: whether photos are laid over the map.
-            overlap: share of a window's side that its neighbour covers, in [0, 1).
+        overlap: share of a window's side that its neighbour covers, in [0, 1).
         shipped: a folder of answers of `model` that ship with the flight, see `lpn.flight.locate.shipped`.
-            map_error: 1-sigma error of the map's positions in metres, part of every radius, see `LocateOptions.map_error`.
+        map_error: 1-sigma error of the map's positions in metres, part of every radius, see `LocateOptions.map_error`.
 
     Raises:
         LPNError: when map, flight, or a model cannot be used, a model is given twice, or there is no such frame.

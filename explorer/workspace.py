@@ -72,10 +72,10 @@ class Workspace:
         model: None for saved descriptors, whose queries cannot be changed. All forward passes go through one queue;
             `RequestContext` gives each browser its own access.
         root: the data set's folder.
-            flight: its frames are the queries; None for a data set. Registration, which may take minutes, replaces it.
-            basemap: the map that windows are cut from; None without one.
-            own_photos: registers own pictures on the map; None without one.
-            weather: the weather of all queries.
+        flight: its frames are the queries; None for a data set. Registration, which may take minutes, replaces it.
+        basemap: the map that windows are cut from; None without one.
+        own_photos: registers own pictures on the map; None without one.
+        weather: the weather of all queries.
     """
 
     def __init__(
@@ -272,7 +272,7 @@ class Workspace:
         """Return a JPEG of a picture as its parts are drawn, at most 800 pixels a side.
 
         Args:
-                zoomed: draw the picture at its zoom, as a tile is shown; a query is zoomed by the page, which turns it.
+            zoomed: draw the picture at its zoom, as a tile is shown; a query is zoomed by the page, which turns it.
         """
         whole = picture.load_zoomed() if zoomed else images.crop(self.load_picture(picture), picture.box, picture.name)
         return images.jpeg(images.shrink(self.as_partitioned(whole, view), _SHOWN), 85)
@@ -349,7 +349,7 @@ class LazyWorkspace:
 
     Args:
         label: display name, such as "the baseline (n = 1)".
-            open_workspace: opens it; it may describe all pictures, whose progress is shown.
+        open_workspace: opens it; it may describe all pictures, whose progress is shown.
     """
 
     def __init__(self, label: str, open_workspace: Callable[[], Workspace]) -> None:
@@ -391,7 +391,7 @@ class WorkspaceAnalyser:
 
     Args:
         model: the browser's queued model; by default the workspace's.
-            cancellable: a newer question may supersede the query's forward pass, but not a tile's, which other browsers share.
+        cancellable: a newer question may supersede the query's forward pass, but not a tile's, which other browsers share.
     """
 
     def __init__(self, workspace: Workspace, model: QueuedModel | None = None, cancellable: bool = True) -> None:

@@ -132,7 +132,7 @@ def load(
 
     Raises:
         ModelFileError: if there is no such file or name, or the file is not a model, is truncated, or lacks entries.
-            InputError: if the named provider is missing or does not work.
+        InputError: if the named provider is missing or does not work.
         MissingPackageError: if torch is needed and not installed.
     """
     from lpn.models.registered import open_registered, timm_file
@@ -190,11 +190,11 @@ def evaluate(
     """Measure recall and AP of a model on a data set by the published protocol, as the command `lpn evaluate` does.
 
     Args:
-            model: a model, or an argument of `load`.
+        model: a model, or an argument of `load`.
         data: a data set, or its folder.
         task: such as "drone-to-satellite"; by default the first that data set and model offer.
-            change: a change of the queries, such as `Change(rotate=30)`.
-            parts: numbers from 1 of the compared parts; None for all.
+        change: a change of the queries, such as `Change(rotate=30)`.
+        parts: numbers from 1 of the compared parts; None for all.
         calibrate, csls: see `open_task`.
 
     Raises:
@@ -226,10 +226,10 @@ def open_task(
     Args:
         data: a data set, or its folder in any layout of docs/data.md.
         task: such as "drone-to-satellite"; by default the first that data set and model offer.
-            model: a model, or an argument of `load`.
-            calibrate: True calibrates the model on the pictures of all tasks, without labels, or uses the calibration that ships
-                with the data set; False does not; None does if one ships.
-            csls: number of nearest queries of each tile by which CSLS re-ranks, such as 3; 0 for none.
+        model: a model, or an argument of `load`.
+        calibrate: True calibrates the model on the pictures of all tasks, without labels, or uses the calibration that ships
+            with the data set; False does not; None does if one ships.
+        csls: number of nearest queries of each tile by which CSLS re-ranks, such as 3; 0 for none.
 
     Raises:
         LPNError: when an argument is wrong, model or data set cannot be used, or they do not offer the task.
@@ -283,7 +283,7 @@ def explore(
     The server ends with the page's `close()`, or with the process, such as the notebook's kernel.
 
     Args:
-            model: a model, an argument of `load`, or an opened task with its data and scoring; by default city-lpn, which ships.
+        model: a model, an argument of `load`, or an opened task with its data and scoring; by default city-lpn, which ships.
         data: a data set in any layout of docs/data.md; by default the demo's.
         host, port: the address to listen on; 0 is any free port.
         calibrate, csls: how the page ranks when it opens, see `open_task`.

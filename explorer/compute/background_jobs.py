@@ -38,7 +38,7 @@ class BackgroundJob(Generic[T]):
     Attributes:
         done, total: progress as last reported.
         value: the result, None until the work succeeds.
-            error: one sentence with the reason of a failure or a cancellation, else None.
+        error: one sentence with the reason of a failure or a cancellation, else None.
         cancelled: all clients left before the work ended.
     """
 

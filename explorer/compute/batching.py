@@ -30,7 +30,7 @@ class InferenceRequest:
 
     Attributes:
         images: (B, 3, H, W).
-            background: long work; interactive requests go first.
+        background: long work; interactive requests go first.
         cancellable: dropped when `context` supersedes it.
         enqueued: time at which it was made, in seconds.
         position: order among interactive requests; the smallest is first.

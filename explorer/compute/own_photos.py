@@ -109,8 +109,8 @@ class OwnPhotoJobs:
         """Return the job that registers the picture that a client shows; it has ended if another client has its answer.
 
         Args:
-                windows: the most similar windows, see `register_own_photo`.
-                client: must leave a job that it no longer needs; the last one to leave cancels it.
+            windows: the most similar windows, see `register_own_photo`.
+            client: must leave a job that it no longer needs; the last one to leave cancels it.
         """
         key = _key(picture)
         self._turns.show(client, key)

@@ -12,7 +12,7 @@ class Scorings:
     """Prepares the further scorings of a workspace.
 
     Args:
-            why_not: one sentence with the reason for which there are none; empty if there are, or can be.
+        why_not: one sentence with the reason for which there are none; empty if there are, or can be.
         prepare: ranks all tasks under the further scorings, and puts them into the workspace.
     """
 

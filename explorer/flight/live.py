@@ -50,9 +50,9 @@ class LiveSight:
     """The flight so far.
 
     Attributes:
-            seen: the located frames; None before the first.
-            addresses: folders of their pictures, see `FlightPicturesFeed`.
-            status: age of the last answer and dropped frames in words; before the first answer, the reason to wait.
+        seen: the located frames; None before the first.
+        addresses: folders of their pictures, see `FlightPicturesFeed`.
+        status: age of the last answer and dropped frames in words; before the first answer, the reason to wait.
     """
 
     seen: FlightSnapshot | None
@@ -64,12 +64,12 @@ class LiveRecord:
     """Collects the fixes and the sentences of a run; thread-safe. It stores photos as small files in its own folder.
 
     Args:
-            name: the flight's name.
-            basemap: the map below the flight.
+        name: the flight's name.
+        basemap: the map below the flight.
 
     Attributes:
-            feeds: serves the pictures.
-            watchers: called after each frame and each sentence.
+        feeds: serves the pictures.
+        watchers: called after each frame and each sentence.
     """
 
     def __init__(self, name: str, basemap: Map) -> None:
@@ -236,7 +236,7 @@ class LiveApp:
     """A running server of the page of a live flight.
 
     Args:
-            record: the flight's record.
+        record: the flight's record.
         authenticator: the access rules.
 
     Raises:

@@ -119,8 +119,8 @@ def chosen(
     """Return the data to draw of the shown photo.
 
     Args:
-            agreement: of details of the photo with the map where it is laid; None without a comparison.
-            saves: the number of corrections that this tab has saved; it tells the script when its own is in effect.
+        agreement: of details of the photo with the map where it is laid; None without a comparison.
+        saves: the number of corrections that this tab has saved; it tells the script when its own is in effect.
     """
     located = seen.flight.frames[frame]
     laid, ground = seen.homography(frame), ground_window(located, seen.beliefs[frame].stage)
@@ -196,7 +196,7 @@ def painting(seen: FlightSnapshot, ranking: Ranking, painted: str, part_names: S
     """Return the picture of all windows' scores for the shown photo; None for "off", or without windows.
 
     Args:
-            painted: "all" for all parts under the current weights, or a part's number, whose cosine is then painted.
+        painted: "all" for all parts under the current weights, or a part's number, whose cosine is then painted.
     """
     retrieval = seen.flight.retrieval
     if painted == "off" or retrieval is None:

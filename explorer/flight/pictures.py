@@ -68,8 +68,8 @@ class FlightPicturesFeed:
     """The pictures of a flight at addresses of the feeds, encoded once for all tabs; thread-safe.
 
     Attributes:
-            addresses: folders relative to the page. "tiles" of each level are numbered by row * 2^level + column; "photo",
-                its middle "square", and the map at its answer, "ground", by the frame's number.
+        addresses: folders relative to the page. "tiles" of each level are numbered by row * 2^level + column; "photo",
+            its middle "square", and the map at its answer, "ground", by the frame's number.
 
     Args:
         flight: returns the newest state of the flight.

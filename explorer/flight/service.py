@@ -39,9 +39,9 @@ class FlightSnapshot:
     """The located frames of a flight at one moment.
 
     Attributes:
-            verdicts: on its frames.
-            corrections: the user's, by the frame's name.
-            corrections_error: one sentence with the reason for which they cannot be used; empty if they can.
+        verdicts: on its frames.
+        corrections: the user's, by the frame's name.
+        corrections_error: one sentence with the reason for which they cannot be used; empty if they can.
         outlines: the ground that each frame shows; None where it is unknown.
     """
 
@@ -108,7 +108,7 @@ class SharedFlight:
     """The flight of a workspace; thread-safe.
 
     Attributes:
-            watchers: called after each correction.
+        watchers: called after each correction.
     """
 
     def __init__(self, workspace: Workspace) -> None:
@@ -146,8 +146,8 @@ class SharedFlight:
             corners: of the picture in metres of the map's frame, (4, 2).
 
         Raises:
-                LPNError: when the corners are not a picture's, another program has corrected the frame meanwhile, or the file
-                    cannot be written; then nothing has changed.
+            LPNError: when the corners are not a picture's, another program has corrected the frame meanwhile, or the file
+                cannot be written; then nothing has changed.
         """
         with self._lock:  # otherwise an older state of the file could be assigned last
             seen = self.snapshot()

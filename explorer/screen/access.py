@@ -20,8 +20,8 @@ class Opened:
     """A model's workspace with this tab's access to its network.
 
     Attributes:
-            requests: the context of the awaited answer.
-            background: the context of all background work.
+        requests: the context of the awaited answer.
+        background: the context of all background work.
     """
 
     workspace: Workspace

@@ -96,7 +96,7 @@ class Channel:
     """Serves the tabs of all browsers.
 
     Args:
-            screens: their shared state.
+        screens: their shared state.
     """
 
     def __init__(self, screens: Tabs) -> None:
@@ -126,7 +126,7 @@ class Channel:
         """Serve one tab until its connection ends.
 
         Args:
-                tab: the page's own name for itself; a page that connects again replaces its former session.
+            tab: the page's own name for itself; a page that connects again replaces its former session.
         """
         loop = asyncio.get_running_loop()
         outbox = Outbox(loop)

@@ -38,13 +38,13 @@ class Turning:
     """A photo whose curve is wanted.
 
     Attributes:
-            key: of the photo under its model, without angle and part weights.
-            source: the photo before it is turned, (H, W, 3) uint8.
-            change: other changes of the photo, see `Change.for_picture`.
-            index: position among the queries; None for an own photo.
-            weights: the part weights, (n,); None for equal ones.
-            model: describes the photo as the task's descriptors are, in the background.
-            keep: caches described queries, so that a turn to one of the curve's angles needs no forward pass.
+        key: of the photo under its model, without angle and part weights.
+        source: the photo before it is turned, (H, W, 3) uint8.
+        change: other changes of the photo, see `Change.for_picture`.
+        index: position among the queries; None for an own photo.
+        weights: the part weights, (n,); None for equal ones.
+        model: describes the photo as the task's descriptors are, in the background.
+        keep: caches described queries, so that a turn to one of the curve's angles needs no forward pass.
     """
 
     key: Hashable
@@ -77,7 +77,7 @@ class Curve:
 
     Args:
         send: hands a message to the page.
-            held: the cache of all browsers.
+        held: the cache of all browsers.
     """
 
     def __init__(self, send: Callable[[dict[str, Any]], None], held: Descriptors) -> None:
@@ -90,7 +90,7 @@ class Curve:
         """Draw the curve of a photo, unless it is being drawn already.
 
         Args:
-                sequence: names the page's photo and weights in the messages.
+            sequence: names the page's photo and weights in the messages.
         """
         before, self._followed = self._followed[0], (turning, sequence)
         if turning is not None and (before is None or (before.key, before.weights) != (turning.key, turning.weights)):

@@ -29,9 +29,9 @@ class Downloads:
         """Begin a file; if one is being made, cancel it instead.
 
         Args:
-                title: the file's kind in the notes, such as "Report".
-                feeds: serves the file.
-                owner: the owner of the feed.
+            title: the file's kind in the notes, such as "Report".
+            feeds: serves the file.
+            owner: the owner of the feed.
         """
         if self._making:
             self.close()

@@ -102,8 +102,8 @@ class PictureOf:
     """A position among the task's queries or tiles: a number, a name, or "~" and a number where the name is ambiguous.
 
     Attributes:
-            side: queries or tiles of the task.
-            optional: None, written as an empty text, is valid, too.
+        side: queries or tiles of the task.
+        optional: None, written as an empty text, is valid, too.
     """
 
     side: Literal["queries", "gallery"]
@@ -165,11 +165,11 @@ class PanelField(Generic[T]):
     """A row of the table that a panel adds: `state[FIELD]` is its value.
 
     Attributes:
-            name: of the field in messages, with the panel's name before it: `lab_order`.
-            kind: the type of its values.
-            default: the value of a page without an address; it is valid in every workspace.
-            key: its key in the address; empty for a field that no address has.
-            of_query: reset by another query.
+        name: of the field in messages, with the panel's name before it: `lab_order`.
+        kind: the type of its values.
+        default: the value of a page without an address; it is valid in every workspace.
+        key: its key in the address; empty for a field that no address has.
+        of_query: reset by another query.
     """
 
     name: str
@@ -193,16 +193,16 @@ class ScreenState:
         model: "0" for the workspace's model, else the number of the one beside it.
         scoring: how the gallery is ranked.
         query: position among the task's queries.
-            own: the key of the own photo shown in place of the query; empty for none.
+        own: the key of the own photo shown in place of the query; empty for none.
         angle: degrees counter-clockwise by which the photo is turned.
-            compare: gallery position of the tile that the user compares; None for the headline's.
+        compare: gallery position of the tile that the user compares; None for the headline's.
         weights: the part weights; empty for equal ones.
-            heat: the values of the cells: activation, evidence, or the loss of score by occlusion.
+        heat: the values of the cells: activation, evidence, or the loss of score by occlusion.
         filter: which queries the rail lists.
-            find: a text that the listed queries' names contain.
-            view: the scene's view.
+        find: a text that the listed queries' names contain.
+        view: the scene's view.
         theme: of the page.
-            panel: the open panel; empty for none.
+        panel: the open panel; empty for none.
         of_panels: values of the panels' fields by their names; a field that is missing has its default.
     """
 

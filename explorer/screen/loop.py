@@ -20,9 +20,9 @@ class Loop:
     """Answers the newest state on its own thread.
 
     Args:
-            answer: returns the result of a state; called on one thread.
-            send: hands a message to the page.
-            requests: returns the tab's request context of the newest state.
+        answer: returns the result of a state; called on one thread.
+        send: hands a message to the page.
+        requests: returns the tab's request context of the newest state.
         on_result: called after each result with its state.
     """
 

@@ -21,7 +21,7 @@ class Covering:
 
     Attributes:
         key: of photo, angle, and answer under their model, without the part weights.
-            number: the result's number, which the messages repeat.
+        number: the result's number, which the messages repeat.
         model: describes the photo as the task's descriptors are, in the background.
     """
 

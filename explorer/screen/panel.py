@@ -84,7 +84,7 @@ class PanelPart:
     """A panel's part of one tab while the panel is open.
 
     Attributes:
-            actions: functions by the names that `context.act` of the panel's module takes.
+        actions: functions by the names that `context.act` of the panel's module takes.
     """
 
     def __init__(self, tab: Tab) -> None:
@@ -111,10 +111,10 @@ class Command:
     """A user's action by the palette or a key, whether the panel is open or not.
 
     Attributes:
-            name: of the action, requested as `PANEL.NAME`; it takes precedence over an action of the panel's part.
-            title: in the palette.
-            act: acts on a tab within a moment; the message of an LPNError is shown in the headline's place.
-            key: its key in lower case; empty for none.
+        name: of the action, requested as `PANEL.NAME`; it takes precedence over an action of the panel's part.
+        title: in the palette.
+        act: acts on a tab within a moment; the message of an LPNError is shown in the headline's place.
+        key: its key in lower case; empty for none.
         offered: whether a workspace has it.
     """
 
@@ -130,16 +130,16 @@ class Panel:
     """A panel, which its folder's `__init__.py` calls `PANEL`.
 
     Attributes:
-            name: of the folder, of its style sheet `NAME.css`, of its module `NAME.js` if it has one, and in the address.
-            title: of its command, and of its heading.
-            part: makes its part of a tab; None for a panel of commands alone, which never opens.
-            key: opens and closes it, in lower case; empty for none.
-            place: "beside" the rings in the rail's place, a "page" over the rings until another photo, or the "full" window.
-            fields: its fields of the state; their names begin with the panel's and "_".
+        name: of the folder, of its style sheet `NAME.css`, of its module `NAME.js` if it has one, and in the address.
+        title: of its command, and of its heading.
+        part: makes its part of a tab; None for a panel of commands alone, which never opens.
+        key: opens and closes it, in lower case; empty for none.
+        place: "beside" the rings in the rail's place, a "page" over the rings until another photo, or the "full" window.
+        fields: its fields of the state; their names begin with the panel's and "_".
         offered: whether a workspace has it, and its commands.
-            commands: its commands in the palette and by keys.
-            mark: its remark on a query in the head of the tile, as a `sign` and a `text`; None for nothing.
-            lines: its lines for a query in the scene of the place, in metres about the gallery's origin.
+        commands: its commands in the palette and by keys.
+        mark: its remark on a query in the head of the tile, as a `sign` and a `text`; None for nothing.
+        lines: its lines for a query in the scene of the place, in metres about the gallery's origin.
     """
 
     name: str

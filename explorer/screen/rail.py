@@ -30,8 +30,8 @@ class Rail:
         """Return the list of a state as JSON.
 
         Args:
-                workspace: the model's workspace, whose ranking marks the queries.
-                feeds: serves the list, and the thumbnails.
+            workspace: the model's workspace, whose ranking marks the queries.
+            feeds: serves the list, and the thumbnails.
         """
         key = state.place, state.model, ranking.task.key, state.filter, state.find, ranking.result
         if key != self._key:

@@ -50,7 +50,7 @@ class ScreenResult:
     """An analysis with the tile that the user compares.
 
     Attributes:
-            question: the question to the task.
+        question: the question to the task.
         address: of the photo's picture, relative to the page.
     """
 

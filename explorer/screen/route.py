@@ -41,7 +41,7 @@ def respond(request: HttpRequest, zipped: bool) -> Response | None:
     """Return the page at a folder's address, or one of its files; None for a scene's address, and for other files.
 
     Args:
-            zipped: whether the browser reads gzip.
+        zipped: whether the browser reads gzip.
     """
     place = request.path.partition("?")[0]
     if place.endswith("/screen/terms.json"):

@@ -48,10 +48,10 @@ class Screens:
     """The state that all tabs share.
 
     Args:
-            services: returns the services of an open workspace, by its key.
-            home: key of the workspace of a page without an address.
-            places: labels of all workspaces by their keys.
-            opening: returns the job that opens a workspace by its key; None if it is open.
+        services: returns the services of an open workspace, by its key.
+        home: key of the workspace of a page without an address.
+        places: labels of all workspaces by their keys.
+        opening: returns the job that opens a workspace by its key; None if it is open.
     """
 
     def __init__(
@@ -75,7 +75,7 @@ class ScreenSession:
     """One tab. Messages, panels, and ended jobs change it one by one, under its lock.
 
     Attributes:
-            scene: the tab's scene.
+        scene: the tab's scene.
 
     Args:
         send: hands a message to the page, from any thread.

@@ -22,7 +22,7 @@ def term(name: str, text: str | None = None) -> Markup:
     """Return a term whose meaning appears under the mouse, the focus, or a finger; KeyError if the glossary lacks it.
 
     Args:
-            text: the words shown in its place; by default the term.
+        text: the words shown in its place; by default the term.
     """
     if name not in meanings():
         raise KeyError(name)

@@ -45,7 +45,7 @@ PageServer = Callable[[ServerConnection, WebsocketRequest], Response | None]
 
 # Bounds on connections without an answer yet, from one address and in total; each times out after 10 s.
 MAX_PENDING, MAX_ALL_PENDING = 64, 256
-# Characters of an address, which holds a page's state, and bytes of a request that are read. By itself, websockets reads 8,192 bytes
+# Characters of an address, which holds a page's state, and bytes of a request that are read. websockets itself reads 8,192 bytes
 # of a line, and closes the connection without an answer to a longer one, such as the cookies of a proxy with a login.
 MAX_ADDRESS, MAX_REQUEST_HEAD = 20_000, 1 << 16
 # Limits on control frames and small message fragments: tokens per second, and the size of the token bucket.
@@ -104,9 +104,9 @@ class Screen:
     """The served page, with viser's page in a frame.
 
     Attributes:
-            respond: returns the page or one of its files, zipped if the browser reads that; None for other addresses.
-            scene_of: returns the tab of a scene's path, or None.
-            serve: serves the channel of a tab.
+        respond: returns the page or one of its files, zipped if the browser reads that; None for other addresses.
+        scene_of: returns the tab of a scene's path, or None.
+        serve: serves the channel of a tab.
     """
 
     respond: Callable[[HttpRequest, bool], Response | None]
@@ -121,7 +121,7 @@ class Gateway:
         authenticator: decides which requests are let in.
         screen: the page.
         pictures: answers requests for pictures.
-            embedders: CSP sources of pages that may show this one in a frame, beside its own server.
+        embedders: CSP sources of pages that may show this one in a frame, beside its own server.
 
     Raises:
         MissingPackageError: when viser's private API is not that of the supported version.
@@ -289,7 +289,7 @@ class _RequestReader(StreamReader):
     use HEAD or OPTIONS. All are read as GET and HTTP/1.1.
 
     Attributes:
-            method: the request's own method.
+        method: the request's own method.
     """
 
     method = b"GET"

@@ -61,11 +61,11 @@ class LaidCity:
     """The shapes above the ground.
 
     Attributes:
-            lines, badges: by their names.
-            photo: the drone's camera; None if it is unknown.
-            metres: a text and its place, at the line from a wrong answer to the truth.
+        lines, badges: by their names.
+        photo: the drone's camera; None if it is unknown.
+        metres: a text and its place, at the line from a wrong answer to the truth.
         tiles: gallery position, middle, and half side of each frame, the last drawn first.
-            position, target, axes: of the view's camera.
+        position, target, axes: of the view's camera.
     """
 
     photo: PhotoCamera | None

@@ -27,8 +27,8 @@ class Scene:
     """Draws results in one tab's frame.
 
     Attributes:
-            client: viser's client, whose page is in the frame.
-            nodes: the handles of the newest result's nodes, by their names.
+        client: viser's client, whose page is in the frame.
+        nodes: the handles of the newest result's nodes, by their names.
     """
 
     def __init__(self, client: viser.ClientHandle) -> None:

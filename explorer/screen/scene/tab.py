@@ -23,12 +23,12 @@ class TabScene:
     """Draws on a thread of its own, and finds what the pointer is over.
 
     Attributes:
-            client: viser's client of the tab's frame; None without a frame.
-            drawn: the scene of the frame; None until something is drawn.
+        client: viser's client of the tab's frame; None without a frame.
+        drawn: the scene of the frame; None until something is drawn.
 
     Args:
         send: hands a message to the page.
-            lines: returns the panels' lines for the scene of a result.
+        lines: returns the panels' lines for the scene of a result.
     """
 
     def __init__(

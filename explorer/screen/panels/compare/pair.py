@@ -29,9 +29,9 @@ class TilePair:
     """The comparison of the true tile with another one, or of the answer with the next tile if the truth is unknown.
 
     Attributes:
-            comparison: None without another tile.
-            usable: weights of two digits that put the truth first; none if it is first already, or no weights do.
-            effect: of these weights on all photos; None until it is computed.
+        comparison: None without another tile.
+        usable: weights of two digits that put the truth first; none if it is first already, or no weights do.
+        effect: of these weights on all photos; None until it is computed.
     """
 
     result: ScreenResult
@@ -49,7 +49,7 @@ class TilePair:
         """Return the comparison as JSON.
 
         Args:
-                trying: whether the effect on all photos is being computed.
+            trying: whether the effect on all photos is being computed.
         """
         compared = self.comparison
         if compared is None:

@@ -76,8 +76,8 @@ class _Card:
     """A card while it is made: its lines stand for queries, and each has the filter that a click on it sets.
 
     Args:
-            conditions: of all lines that it may have; a condition in the filter does not narrow the card.
-            codes: of picked queries, which do not narrow it either.
+        conditions: of all lines that it may have; a condition in the filter does not narrow the card.
+        codes: of picked queries, which do not narrow it either.
 
     Attributes:
         rows: the selected queries of any outcome, without the card's own choices.

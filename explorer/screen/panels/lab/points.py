@@ -26,9 +26,9 @@ class PointColours:
 
     Attributes:
         codes: of each query, (Q,); `UNKNOWN` without a value.
-            palette: CSS colour of each code from 0 on.
-            labels: text of each code; empty for numbers.
-            ends: the least and the greatest number in words; None for texts.
+        palette: CSS colour of each code from 0 on.
+        labels: text of each code; empty for numbers.
+        ends: the least and the greatest number in words; None for texts.
     """
 
     codes: UInt8Array

@@ -117,7 +117,7 @@ class LabSelection:
 
     Attributes:
         where: the filter in force: the state's, or the last valid one.
-            error: the reason for which the state's filter is not in force; empty if it is.
+        error: the reason for which the state's filter is not in force; empty if it is.
     """
 
     findings: LabFindings

@@ -39,9 +39,9 @@ class OtherRanks:
     """A second model's ranks of the same queries.
 
     Attributes:
-            names: the table's own model A, and the second model B.
-            hits: the queries whose true match B ranks first, (Q,).
-            scorings: of A and of B; if they are equal, ranks differ by the models alone.
+        names: the table's own model A, and the second model B.
+        hits: the queries whose true match B ranks first, (Q,).
+        scorings: of A and of B; if they are equal, ranks differ by the models alone.
     """
 
     names: tuple[str, str]
@@ -54,12 +54,12 @@ class LabFindings:
     """The outcomes of all queries of a task, under equal part weights.
 
     Attributes:
-            outcomes: of the task; `graded` has the graded ones.
-            table: see `query_outcomes.table`, with the columns of `notes`, and with `compared_ranks` if there is a `second`.
+        outcomes: of the task; `graded` has the graded ones.
+        table: see `query_outcomes.table`, with the columns of `notes`, and with `compared_ranks` if there is a `second`.
         part_names: the names of the parts that `outcomes` numbers.
-            notes_error: one sentence with the reason for which the notes cannot be used; empty if they can.
+        notes_error: one sentence with the reason for which the notes cannot be used; empty if they can.
         flight: the flight whose answers `table` has; None without one.
-            doubtful: the photos of a flight with a doubtful judge, (Q,); None without a flight.
+        doubtful: the photos of a flight with a doubtful judge, (Q,); None without a flight.
         second: the second model's ranks; None without one.
     """
 
@@ -103,10 +103,10 @@ class PlanePoints:
     """Queries and tiles on a plane.
 
     Attributes:
-            queries, tiles: (Q, 2) and (G, 2), y upwards; NaN for an unknown place. Places on the ground are in metres.
+        queries, tiles: (Q, 2) and (G, 2), y upwards; NaN for an unknown place. Places on the ground are in metres.
         axes: the axes in words; may be empty.
         ground: a picture of the ground, and its west, south, east, and north border; None for descriptors.
-            origin: the geographic origin of the metres; None for descriptors, and for a rendered place.
+        origin: the geographic origin of the metres; None for descriptors, and for a rendered place.
     """
 
     queries: Float64Array
@@ -173,7 +173,7 @@ class Lab:
         """Store the tags and the note of a query on disk.
 
         Raises:
-                LPNError: as for `notes.set_note`; then nothing has changed.
+            LPNError: as for `notes.set_note`; then nothing has changed.
         """
         try:
             self._show_notes(notes.set_note(self._notes, path, tags, text, before))

@@ -19,7 +19,7 @@ def save_story(tab: Tab, story: Story) -> None:
     """Have the browser save a story; its notes are left out.
 
     Raises:
-            InputError: when the story has no step, or a step shows something that no longer exists.
+        InputError: when the story has no step, or a step shows something that no longer exists.
     """
     if not story.steps:
         raise InputError("The story has no step yet; S keeps what is shown as one.")

@@ -27,8 +27,8 @@ class Step(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     Attributes:
         shows: the state of the page as the query string of its address, without theme and story.
-            caption: for the audience.
-            notes: for the presenter.
+        caption: for the audience.
+        notes: for the presenter.
     """
 
     shows: Annotated[str, Meta(max_length=4000)]
@@ -48,8 +48,8 @@ class Stories:
     """All stories that the page offers.
 
     Attributes:
-            by_name: the shipped stories, then the user's, which replace shipped ones of equal names.
-            own: the names of the user's.
+        by_name: the shipped stories, then the user's, which replace shipped ones of equal names.
+        own: the names of the user's.
         error: one sentence about a file that cannot be used.
     """
 
@@ -62,7 +62,7 @@ def read_stories(file: Path) -> list[Story]:
     """Read a file of stories; empty if it does not exist.
 
     Raises:
-            DataError: when the file is damaged, or two of its stories have one name.
+        DataError: when the file is damaged, or two of its stories have one name.
     """
     return _FORMAT.read(file)
 
@@ -82,11 +82,11 @@ def change(file: Path, story: Story, edit: Callable[[Story], Story | None]) -> S
     """Change a story in a file, and return it.
 
     Args:
-            story: the story as the page has it; the file may have another state of it, or lack it.
+        story: the story as the page has it; the file may have another state of it, or lack it.
         edit: returns the story in its new state; None deletes it.
 
     Raises:
-            InputError: when the changed story is too large, or its name is taken.
+        InputError: when the changed story is too large, or its name is taken.
         DataError: when the existing file is damaged; it is not changed.
         OutputError: when the file cannot be written.
     """

@@ -33,10 +33,10 @@ class PhotoSweep:
     """The sweep of one result over one property.
 
     Attributes:
-            key: equal for results of equal sweeps.
-            total: number of points.
-            points: the computed ones.
-            follows: the name of the tile whose rank is drawn.
+        key: equal for results of equal sweeps.
+        total: number of points.
+        points: the computed ones.
+        follows: the name of the tile whose rank is drawn.
     """
 
     def __init__(self, over: SweptProperty, result: ScreenResult, model: Model) -> None:
