@@ -1,8 +1,8 @@
 """Parts of descriptors: a folder or a prefix of immutable files that many workers write. Needs the extra `cluster`.
 
-plan.json            format, model fingerprint, view, n and D, precision; after a run, a digest of the parts' names
-part-<digest>.zip    pictures with size, time, box, and position; their descriptors; pictures that could not be described
-broken.csv           pictures that could not be described, and why
+    plan.json            format, model fingerprint, view, n and D, precision; after a run, a digest of the parts' names
+    part-<digest>.zip    pictures with size, time, box, and position; their descriptors; pictures that could not be described
+    broken.csv           pictures that could not be described, and why
 
 The digest in a part's name covers its pictures, so that repeated work writes the same file. An archive has a
 CRC-32 of each of its two entries, which every reader checks.
