@@ -152,6 +152,8 @@ def serve(
     """Open a workspace, print the address of the explorer, and serve it until KeyboardInterrupt.
 
     Args:
+        open_workspace: one of the functions of `opening`; called once the port is known to be free.
+        authenticator: the access rules; by default those of `App`.
         label: its display name beside `others`.
         others: further workspaces that a page offers, by the keys that an address gives them.
         stories: the file that keeps stories, see `App`.

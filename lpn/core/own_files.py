@@ -38,11 +38,7 @@ class OwnFileFormat(Generic[_Contents]):
     max_bytes: int = 50_000_000
 
     def read(self, file: Path) -> _Contents:
-        """Return the file's contents.
-
-        Raises:
-            DataError: when it is damaged, too large, or unreadable.
-        """
+        """Return the file's contents; DataError when it is damaged, too large, or unreadable."""
         try:
             if not file.exists():
                 return self.empty()

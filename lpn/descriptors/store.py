@@ -225,11 +225,7 @@ class Store:
 
 
 def open_store(folder: str | Path) -> Store:
-    """Open a store.
-
-    Raises:
-        StoreError: if the folder is not a complete store, or its files do not match.
-    """
+    """Open a store; StoreError if the folder is not a complete store, or its files do not match."""
     folder = Path(folder)
     if not (folder / "manifest.json").is_file():
         unfinished = (
@@ -276,11 +272,7 @@ def encode(descriptors: Float32Array, precision: Precision) -> AnyArray:
 
 
 def row_of(file: Path, root: Path | None, box: CropBox | None) -> Row:
-    """Return the row of a picture file.
-
-    Raises:
-        PictureError: if the file cannot be read.
-    """
+    """Return the row of a picture file; PictureError if the file cannot be read."""
     try:
         stat = file.stat()
     except OSError as error:

@@ -32,6 +32,7 @@ class IndexQueries:
         name: of the task, such as "drone-to-satellite".
         data_name: to display.
         root: folder of the pictures; the user's notes are stored there.
+        pictures: the queries.
         descriptors: (Q, n, D).
         places: the place on each query; None if no position is known.
         listed: gallery pictures in the index, by their names in it, with their positions in the data set's gallery.

@@ -96,7 +96,6 @@ class Answer:
         tile: the compared tile, described; None until it is needed.
         positive: the nearest positive; None if the query has none, or its place is unknown.
         errors_m: metres from the query's place, or from the own picture's camera, to each tile, (G,); None without positions.
-            without positions.
         zoom: of the query's picture, see `Picture.zoom`, or the calibration's choice for an own picture.
         pair_evidence: of the compared tile; None if it was not requested, or there is no network.
         seconds: duration of the analysis.

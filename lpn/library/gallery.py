@@ -119,9 +119,8 @@ class Gallery:
             change: applied to the picture first; a number turns it by that many degrees counter-clockwise.
 
         Raises:
-            InputError: if the picture has another shape, the model lacks the view, the gallery is calibrated for another, there
-                InputError: if the picture has another shape, the model lacks the view, the gallery is calibrated for another
-                    view, the number of weights is wrong, or the change leaves nothing of the picture.
+            InputError: if the picture has another shape, the model lacks the view, the gallery is calibrated for another
+                view, the number of weights is wrong, or the change leaves nothing of the picture.
         """
         if not isinstance(picture, np.ndarray) or picture.dtype != np.uint8 or picture.shape[2:] != (3,):
             kind = f"{picture.dtype} {picture.shape}" if isinstance(picture, np.ndarray) else type(picture).__name__

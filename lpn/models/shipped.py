@@ -89,11 +89,7 @@ class ModelCard(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 @cache
 def model_cards() -> tuple[ModelCard, ...]:
-    """Return the cards of all shipped models, in order of their names.
-
-    Raises:
-        ModelFileError: if a card is damaged.
-    """
+    """Return the cards of all shipped models, in order of their names; ModelFileError if a card is damaged."""
     return tuple(_card(file) for file in sorted(CARDS.glob("*.json")))
 
 

@@ -178,11 +178,7 @@ class ModelSpec:
 
     @classmethod
     def from_json(cls, text: str) -> ModelSpec:
-        """Read the output of `to_json`.
-
-        Raises:
-            ModelFileError: if the text is not such a description.
-        """
+        """Read the output of `to_json`; ModelFileError if the text is not such a description."""
         try:
             values = msgspec.json.decode(text, type=dict[str, Any])
             if unknown := sorted(set(values) - {field.name for field in fields(cls)}):

@@ -50,11 +50,7 @@ class TokenPooling:
 
     @classmethod
     def parse(cls, text: str) -> TokenPooling:
-        """Parse a user's pooling, such as "rings:4".
-
-        Raises:
-            InputError: if it is none of `FORMS`.
-        """
+        """Parse a user's pooling, such as "rings:4"; InputError if it is none of `FORMS`."""
         match = _WRITTEN.fullmatch(text)
         if match is None:
             raise InputError(f"The pooling is {printable(text)[:40]!r}; expected {FORMS}, such as rings:4.")

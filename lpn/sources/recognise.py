@@ -103,11 +103,7 @@ def kind_of(options: SourceOptions) -> type[TaskSource]:
 
 
 def source_of(options: SourceOptions) -> TaskSource:
-    """Recognise a source.
-
-    Raises:
-        InputError: if no source is named, or an option does not fit its kind.
-    """
+    """Recognise a source; InputError if no source is named, or an option does not fit its kind."""
     known, kind = known_kinds(), kind_of(options)
     if kind is known[-1] and not options.path.is_dir():
         return kind(options)  # its `open` reports the fault

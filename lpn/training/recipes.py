@@ -69,11 +69,7 @@ OF_BASELINE = ("instance", *METRIC_LOSSES)
 
 
 def method(name: str, recipe: Recipe) -> Recipe:
-    """Apply a method of `METHODS` to a recipe.
-
-    Raises:
-        InputError: if there is no such method, or the recipe has none.
-    """
+    """Apply a method of `METHODS` to a recipe; InputError if there is no such method, or the recipe has none."""
     if name not in METHODS:
         raise InputError(f"There is no method {name!r}; choose one of {', '.join(METHODS)}.")
     if recipe.windows:
