@@ -352,7 +352,7 @@ class _Connection(ServerConnection):
             super().process_event(event)
 
     async def drain(self) -> None:
-        """Wait for the browser to read; on a timeout websockets aborts the connection. viser would wait for ever."""
+        """Wait for the browser to read; on a timeout websockets aborts the connection. Otherwise the wait would have no end."""
         async with asyncio.timeout(READ_TIMEOUT):
             await super().drain()
 

@@ -11,7 +11,7 @@ from lpn.core.errors import LPNError
 _Record = TypeVar("_Record")
 
 
-# The format of world.json; data sets read it, and `tools.world` writes it.
+# The format of world.json in a rendered data set.
 WORLD = "lpn-world/1"
 UPGRADE = "install the newer version of lpn-explorer"
 

@@ -53,7 +53,7 @@ _UNFINISHED = re.compile(re.escape(MANIFEST) + r"\.\d+-\d+\.part")
 _PART, _CODES = re.compile(r"\d{7,}"), re.compile(r"\d{7,}\.faiss")
 _ATTEMPTS = 20
 _ROWS_PER_READ = 1024
-# Up to this share of a part, chosen rows are read one by one; above it, all rows are read.
+# Up to 1 / _FEW of a part's rows are read one by one; for more, all of its rows are read.
 _FEW = 4
 
 

@@ -99,8 +99,8 @@ class PublishedResult:
     def pictures(self, dataset: Dataset) -> tuple[tuple[View, View], list[Picture], list[Picture]]:
         """Find the pictures of the rows, and their views, in a data set's test split.
 
-        Pictures are matched by the last two parts of their paths (place and file). Without paths, they are matched by the order of
-        the rows if the labels agree.
+        Pictures are matched by the last two parts of their paths (place and file). Without paths, they are matched by the order
+        of the rows if the labels agree.
 
         Raises:
             DataError: when no task of the test split has all pictures.

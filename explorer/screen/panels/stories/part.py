@@ -134,7 +134,7 @@ def _text(given: Mapping[str, Any], name: str) -> str:
 
 
 def _stepped(story: Story, given: Mapping[str, Any]) -> Story:
-    """Return the story with a step's new texts and position; without texts, the step is removed."""
+    """Return the story with a step's new texts and position; without a position, the step is removed."""
     at, to, steps = given.get("at"), given.get("to"), list(story.steps)
     if not (isinstance(at, int) and 0 <= at < len(steps) and steps[at].shows == given.get("shows")):
         raise InputError("The story has changed meanwhile; look at its steps, and try again.")
