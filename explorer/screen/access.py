@@ -51,7 +51,7 @@ class Access:
         return self.services(state).workspace if beside is None or beside.workspace is None else beside.workspace
 
     def ranking(self, state: ScreenState) -> RankingJob:
-        """Return the ranking of the state's task, model, and scoring, with replacements of a task or scoring that the model lacks."""
+        """Return the ranking of the state's task, model, and scoring, or a replacement for a missing task or scoring."""
         workspace = self.workspace(state)
         name = state.task if state.task in workspace.tasks else next(iter(workspace.tasks))
         return workspace.ranking(name, state.scoring)
