@@ -83,7 +83,7 @@ class App:
         self._channel = Channel(Screens(self._services_of, DATA, self._places, self._opening))
         screen = Screen(route.respond, route.scene_of, self._channel.serve)
         self.server, self.gateway = open_server(host, port, self.authenticator, self._pictures, screen, embedders)
-        # The tabs whose scenes viser's clients are.
+        # The tab of each scene, by the id of viser's client.
         self._scenes: dict[int, str] = {}
         self.server.on_client_connect(self._connect)
         self.server.on_client_disconnect(self._disconnected)
@@ -114,7 +114,6 @@ class App:
             self._channel.detach(tab, client)
 
     def _add(self, key: str, workspace: Workspace) -> WorkspaceServices:
-        """Return the services of a workspace, made once."""
         if key not in self._services:
             workspace.key, workspace.choices, workspace.opened = key, self._places, self._open_workspaces
             workspace.stories = self._stories
@@ -122,12 +121,10 @@ class App:
         return self._services[key]
 
     def _opening(self, key: str) -> BackgroundJob[Workspace] | None:
-        """Return the job that opens a workspace; None if it is open."""
         other = self._others.get(key)
         return None if other is None or other.workspace is not None else other.open()
 
     def _services_of(self, key: str) -> WorkspaceServices:
-        """Return the services of a workspace that is open."""
         if key not in self._services:
             workspace = self._others[key].workspace
             assert workspace is not None, key
@@ -157,8 +154,8 @@ def serve(
     Args:
         open_workspace: one of the functions of `opening`; called once the port is known to be free.
         authenticator: the access rules; by default those of `App`.
-        others: workspaces that a page offers beside it, by the keys that an address gives them.
-        label: of the workspace beside them.
+        label: its display name beside `others`.
+        others: further workspaces that a page offers, by the keys that an address gives them.
         stories: the file that keeps stories, see `App`.
 
     Raises:
@@ -172,7 +169,7 @@ def serve(
     print(f"LPN Explorer is ready: {app.link}  (stop with Ctrl-C)", flush=True)
     try:
         while True:
-            time.sleep(0.5)  # a thread at work may take the signal that stops this one, which sees it when it wakes
+            time.sleep(0.5)  # the signal may reach another thread; this one sees it when it wakes
     finally:
         app.close()
 
@@ -195,7 +192,7 @@ def serve_in_background(
     """
     with no_cell_output():
         app = _start(open_workspace, host or "0.0.0.0", port, authenticator, others, label, _NOTEBOOKS)
-    # A browser sends no cookie, so no proof of a token, from a frame in another site's page.
+    # In a frame of another site's page, a browser sends no cookie, and so no proof of a token.
     return ServedPage(app.link, app.close, framed=app.authenticator.token is None)
 
 

@@ -35,10 +35,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Workspaces:
-    """The workspace that a page shows first, not opened yet, and further ones that it offers, by the keys of their addresses.
+    """The workspace that a page shows first, not opened yet, and further ones by the keys of their addresses.
 
     Attributes:
-        label: of the first.
+        label: display name of the first.
     """
 
     open_workspace: Callable[[], Workspace]
@@ -62,11 +62,7 @@ class ServeOptions:
     """A further host name of the page, such as that of a reverse proxy (docs/serving.md); once for each."""
 
     def authenticator(self) -> Authenticator:
-        """Return what lets browsers in.
-
-        Raises:
-            InputError: if the token is too short, or a host name is none.
-        """
+        """Return the access rules; InputError if the token is too short, or a host name is malformed."""
         from explorer.server.auth import make_authenticator
 
         return make_authenticator(self.host or "0.0.0.0", self.token, self.ask_token, self.allow_host)
@@ -186,10 +182,10 @@ class Explore(ModelsBeside, ServeOptions, SourceOptions):
         return serve_in_background(opening.open_workspace, host, port, authenticator, opening.others, opening.label)
 
     def opens_data(self) -> Callable[[], Workspace]:
-        """Return what opens the data set, by default the demo's city, under the model.
+        """Return a function that opens the data set, by default the demo's city, under the model.
 
         Raises:
-            InputError: if an option lacks the one that it needs, or the demo's files are missing.
+            InputError: if an option lacks another one that it needs, or the demo's files are missing.
         """
         from explorer.opening import open_model
 
@@ -221,7 +217,7 @@ class Explore(ModelsBeside, ServeOptions, SourceOptions):
         """Return the functions that open the workspaces.
 
         Raises:
-            InputError: if an option does not fit the source, or lacks the one that it needs.
+            InputError: if an option does not fit the source, or lacks another one that it needs.
         """
         from explorer.opening import open_flight_over, open_source
 

@@ -18,13 +18,13 @@ from lpn.tasks.task import Task
 
 # Entries of a list in one piece.
 CHUNK = 100
-# Feeds of one owner and name that are served: a page may still ask for the pieces of the one before.
+# Feeds of one owner and name that are served. A page may still fetch pieces of an older one.
 _KEPT = 2
-# Keys that are remembered of feeds that are served no more.
+# Keys of ended feeds that are remembered.
 _ENDED = 1000
 _PIECE = re.compile(r"([0-9a-f]{16})/(\d{1,7})", re.ASCII)
 _THUMBNAIL = re.compile(r"(thumb|picture)/(\d{1,3})/(query|tile)/(\d{1,10})", re.ASCII)
-# Returns a piece of a feed by its number, None if there is no such piece.
+# Returns a piece of a feed by its number; None for an unknown number.
 Piece = Callable[[int], EncodedPicture | None]
 Side = Literal["query", "tile"]
 
@@ -33,7 +33,7 @@ class Feeds:
     """The feeds of a workspace's browsers, and the thumbnails of its tasks; thread-safe.
 
     Attributes:
-        address: the folder of all of them, relative to the page; it is another one each time that the app starts.
+        address: the folder of all feeds, relative to the page; it differs after each start of the app.
     """
 
     def __init__(self, workspace: Workspace | None = None) -> None:
@@ -43,19 +43,19 @@ class Feeds:
         self._feeds: dict[str, Piece] = {}
         self._owned: dict[tuple[object, str], OrderedDict[str, None]] = {}
         self._left: WeakSet[Any] = WeakSet()
-        # Keys of feeds that are served no more; a page may still ask for their pieces.
+        # Keys of ended feeds; a page may still fetch their pieces.
         self._ended: deque[str] = deque(maxlen=_ENDED)
         self._tasks = {name: number for number, name in enumerate(workspace.tasks if workspace else ())}
 
     def publish(self, owner: object, name: str, piece: Piece) -> str:
-        """Serve a feed until the owner publishes two others of this name, or leaves; nothing for one that has left.
+        """Serve a feed until the owner publishes two others of this name, or leaves. An owner that has left publishes nothing.
 
         Returns:
             The folder of its pieces below `address`.
         """
         key = secrets.token_hex(8)
         with self._lock:
-            if owner in self._left:  # its thread still ran
+            if owner in self._left:  # the owner's thread may still run
                 self._ended.append(key)
                 return f"{key}/"
             owned = self._owned.setdefault((owner, name), OrderedDict())
@@ -69,7 +69,7 @@ class Feeds:
         """Serve a list of `total` entries in pieces of `CHUNK` of them, as JSON.
 
         Args:
-            entries: returns those from a position to another.
+            entries: returns the entries from a first position to an end.
         """
 
         def piece(number: int) -> EncodedPicture | None:
@@ -105,13 +105,13 @@ class Feeds:
         return f"{self.address}thumb/{self._tasks[task.name]}/{side}/"
 
     def pictures(self, task: Task, side: Side) -> str:
-        """Return the folder of the pictures of a task's queries or tiles as the parts are drawn on them, relative to the page."""
+        """Return the folder of a task's query or tile pictures, on which parts are drawn, relative to the page."""
         return f"{self.address}picture/{self._tasks[task.name]}/{side}/"
 
     def find(self, path: str) -> Callable[[], EncodedPicture] | None:
-        """Return what computes the piece or the thumbnail of a path; None if there is none. The path is untrusted.
+        """Return a function that computes the piece or thumbnail at an untrusted path; None if there is none.
 
-        A piece of a feed that is served no more is empty.
+        An ended feed's piece is empty.
         """
         name, _, rest = path.partition("/")
         if name != self._name:
@@ -147,12 +147,12 @@ _NOTHING = EncodedPicture(b"[]", "application/json")
 
 
 def as_json(value: Any) -> EncodedPicture:
-    """Return a value as JSON, without control characters in its texts."""
+    """Encode a value as JSON, without control characters in its texts."""
     return EncodedPicture(json.dumps(shown_json(value), separators=(",", ":")).encode("ascii"), "application/json")
 
 
 def shown_json(value: object) -> object:
-    """Return a value of JSON whose texts hold no control characters."""
+    """Return a JSON value without control characters in its texts."""
     match value:
         case Mapping():
             return {key: shown_json(entry) for key, entry in value.items()}

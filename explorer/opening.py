@@ -41,9 +41,9 @@ from lpn.tasks.opening import (
 )
 from lpn.tasks.task import Scoring, Task
 
-# Seconds that the start waits for registration; answers from the cache take less.
+# Seconds for which the start waits for registration; cached answers take less.
 REGISTRATION_WAIT = 3.0
-# Overlap of the windows under an offered flight, a quarter as many as `lpn locate` describes: somebody waits for them.
+# Overlap of the windows below an offered flight: a quarter as many as `lpn locate` describes, because a user waits for them.
 OFFERED_OVERLAP = 0.5
 
 
@@ -58,17 +58,17 @@ def open_model(
     task: str | None = None,
     beside_weathers: Sequence[WeatherName] = (),
 ) -> Workspace:
-    """Open a model and the tasks of a data set whose views it knows.
+    """Open a model on the tasks of a data set whose views it knows.
 
     Args:
-        model: a model, how it is loaded, or the file of one.
+        model: a model, its file, or the options that load it.
         query: name of the query of the first task that a new browser shows; by default the task's first query.
-        beside: other models to compare with on the same data. All are loaded, and the first is opened; the others describe their
-            pictures when a browser asks for it.
-        baseline: the model of one part to offer for comparison without others; it is opened when a browser asks for it.
+        beside: other models to compare with on the same data. All are loaded, but only the first is opened; the others
+            describe their pictures when a browser asks for it.
+        baseline: the model of one part to offer for comparison without others; opened when a browser asks for it.
         calibrate, csls: how the page ranks when it opens, see `lpn.open_task`. A browser may ask for the other scorings.
-        task: the one to open, in place of all.
-        beside_weathers: in which to compare the model with itself; its queries are described in one when a browser asks for it.
+        task: the only task to open; by default all.
+        beside_weathers: weathers in which to compare the model with itself; described when a browser asks for it.
 
     Raises:
         LPNError: when a model or the data set cannot be used, a model or a weather is given twice, or there is no such query.
@@ -104,13 +104,12 @@ def open_model(
 def _opens(
     data: Path, model: ModelOptions | Model, name: str, scoring: tuple[str | None, bool | None, int]
 ) -> Callable[[], Workspace]:
-    """Return what opens a model on a data set, see `_open_one`."""
     return lambda: _open_one(data, model, name, scoring)[0]
 
 
 def _in_weather(workspace: Workspace, model: Model, weather: Weather, label: str) -> Workspace:
-    """Open the tasks of a workspace whose queries are no tiles again, with all queries in a weather."""
-    yield_cores()  # it describes all queries, and answers must not wait for it
+    """Open the tasks of a workspace whose queries are no tiles once more, with all queries in a weather."""
+    yield_cores()  # the work describes all queries, and answers must not wait for it
     tasks = [task for task in workspace.tasks.values() if task.query_view != "satellite"]
     if not tasks:
         raise InputError("All queries are satellite tiles, which have no weather; leave --beside-weather out.")
@@ -126,7 +125,7 @@ def _check_weathers(weathers: Sequence[WeatherName]) -> None:
 
 
 def _put_beside(workspace: Workspace, names: Sequence[str], opens: Sequence[Callable[[], Workspace]]) -> None:
-    """Put models beside that of a workspace: open the first, and the others when a browser asks for them."""
+    """Put models beside a workspace's own: open the first now, and the others when a browser asks for them."""
     for name, open_workspace in zip(names, opens, strict=True):
         workspace.beside.append(LazyWorkspace(name, _naming_files([], open_workspace)))
     if opens:
@@ -136,7 +135,7 @@ def _put_beside(workspace: Workspace, names: Sequence[str], opens: Sequence[Call
 
 
 def _names(models: Sequence[ModelOptions]) -> list[str]:
-    """Return names of models to display; a file that is given twice with its kind and pooling has nothing to compare."""
+    """Return the models' display names; InputError for two equal choices of file, kind, and pooling."""
     given = [(one.file.absolute(), one.kind, one.pooling) for one in models]
     for i, one in enumerate(models):
         if given[i] in given[:i]:
@@ -150,7 +149,7 @@ def _open_one(
     model_name: str,
     scoring: tuple[str | None, bool | None, int],
 ) -> tuple[Workspace, Dataset]:
-    """Open one model on a data set, see `open_model`; `scoring` is its task, calibrate, and csls."""
+    """Open one model on a data set, see `open_model`; `scoring` holds its `task`, `calibrate`, and `csls`."""
     data_name = printable(data.resolve().name)
     with _status(f"Opening {model_name} and {data_name}"):
         opened = model if isinstance(model, Model) else model.load()
@@ -169,11 +168,7 @@ def _offer_scorings(
     calibrate: bool | None,
     csls: int,
 ) -> None:
-    """Let a workspace be ranked calibrated and by CSLS: at once by a calibration that ships or is asked for, else when asked for.
-
-    Args:
-        calibrate, csls: see `open_model`.
-    """
+    """Offer calibrated and CSLS scorings: at once if a calibration ships or is asked for, else on request; see `open_model`."""
     tasks = list(workspace.tasks.values())
     if csls:
         check_neighbours(csls, max(len(task.queries) for task in tasks))
@@ -205,7 +200,7 @@ def _offer_scorings(
 
 
 def _naming_files(files: Sequence[Path], open_workspace: Callable[[], Workspace]) -> Callable[[], Workspace]:
-    """Return a function whose errors are sentences that name files without their folders, because a browser shows them."""
+    """Return a function whose error messages name files without their folders, because a browser shows them."""
 
     def opened() -> Workspace:
         try:
@@ -240,7 +235,7 @@ def open_source(options: SourceOptions, query: str | None = None) -> Workspace:
 
 
 def open_tasks(tasks: Sequence[Task], query: str | None = None) -> Workspace:
-    """Open tasks that are open already, of one model on one data set.
+    """Open tasks of one model on one data set that are open already.
 
     Args:
         query: name of the query of the first task that a new browser shows first.
@@ -264,21 +259,21 @@ def open_flight_over(
     shipped: Path | None = None,
     map_error: float | None = None,
 ) -> Workspace:
-    """Open a flight over a map: frames are the queries, windows of the map the gallery, see `lpn.flight.locate.task`.
+    """Open a flight over a map: its frames are the queries, the map's windows the gallery, see `lpn.flight.locate.task`.
 
-    Retrieval and sequence are computed before the app starts, from the user's cache where they were computed before.
-    Registration goes on in the background, unless its answers are in the cache.
+    Retrieval and sequence are computed before the app starts, or read from the user's cache. Registration goes on in the
+    background, unless its answers are cached.
 
     Args:
-        map_path: what `lpn.flight.maps.open_map` opens.
+        map_path: a map that `lpn.flight.maps.open_map` opens.
         flight_path: a folder of lpn flight, or one of photos.
-        query: name of the frame that a new browser shows first; by default the flight's first that can be read.
-        beside: other models to compare with on the same flight. All are loaded, and the first is opened; the others describe
-            windows and frames when a browser asks for it.
+        query: name of the frame that a new browser shows first; by default the flight's first readable one.
+        beside: other models to compare with on the same flight. All are loaded, but only the first is opened; the others
+            describe windows and frames when a browser asks for it.
         register: whether photos are laid over the map.
-        overlap: share of a window's side that its neighbour covers, too.
+        overlap: share of a window's side that its neighbour covers, in [0, 1).
         shipped: a folder of answers of `model` that ship with the flight, see `lpn.flight.locate.shipped`.
-        map_error: 1-sigma error of the map's places in metres, which radii hold, see `LocateOptions.map_error`.
+        map_error: 1-sigma error of the map's positions in metres, part of every radius, see `LocateOptions.map_error`.
 
     Raises:
         LPNError: when map, flight, or a model cannot be used, a model is given twice, or there is no such frame.
@@ -290,14 +285,14 @@ def open_flight_over(
     workspace, located, network = _flight_workspace(opened, map_error), opened.located, opened.network
     assert located is not None
     assert network is not None
-    if shipped is None:  # the flight panel shows them, too
+    if shipped is None:  # otherwise, the flight panel shows them
         _print_notes(opened)
     broken = () if located.retrieval is None else located.retrieval.broken
     readable = (frame.frame.name for i, frame in enumerate(located.frames) if i not in broken)
     workspace.choose_first_query(next(readable, None) if query is None else query)
     opens = []
     for options, other_name in zip(beside, names, strict=True):
-        loaded = options.load()  # one that cannot be loaded ends the start
+        loaded = options.load()  # a model that cannot be loaded ends the start
         other = FlightSource(_over(map_path, flight_path, options))
         opens.append(_opens_flown(other, other_name, overlap, loaded))
     _put_beside(workspace, names, opens)
@@ -312,7 +307,6 @@ def _over(map_path: Path, flight_path: Path, model: ModelOptions) -> SourceOptio
 
 
 def _opens_flown(source: FlightSource, name: str, overlap: float, loaded: Model) -> Callable[[], Workspace]:
-    """Return what opens a flight under another model, see `_open_flown`."""
     return lambda: _flight_workspace(_open_flown(source, name, overlap, loaded=loaded))
 
 
@@ -325,11 +319,11 @@ def _flight_workspace(opened: OpenedFlight, map_error: float | None = None) -> W
 
 
 def offered(label: str, files: Sequence[Path], open_workspace: Callable[[], Workspace]) -> LazyWorkspace:
-    """Return a workspace whose answers ship, which is opened when a browser asks for it.
+    """Return a workspace with shipped answers, which is opened when a browser asks for it.
 
     Args:
         label: its name on the page.
-        files: those whose names without folders stand in its errors.
+        files: its files; its error messages name them without folders.
     """
     return LazyWorkspace(label, _naming_files(files, open_workspace))
 
@@ -341,13 +335,13 @@ def _open_flown(
     shipped: Path | None = None,
     loaded: Model | None = None,
 ) -> OpenedFlight:
-    """Open a flight without registration, under a name of its model."""
+    """Open a flight without registration, under a display name of its model."""
     with _status(f"Opening {source.title}"):
         return source.locate(overlap, shipped=shipped, loaded=loaded).named(name)
 
 
 def _workspace(source: OpenedSource, map_error: float | None = None, weather: Weather = CLEAR) -> Workspace:
-    """Return a workspace of tasks on the same data, whose galleries begin to be ranked."""
+    """Return a workspace of tasks on the same data, and begin to rank their galleries."""
     first, model = source.task, source.model
     flown = source if isinstance(source, OpenedFlight) else None
     return Workspace(
@@ -375,7 +369,7 @@ def _say(text: str) -> None:
 
 
 def _begin_registration(workspace: Workspace, located: LocatedFlight, model: Model, options: LocateOptions) -> None:
-    """Register in the background, and wait as long as answers come from the cache."""
+    """Register in the background, and wait for the cached answers."""
 
     def publish(partial: LocatedFlight) -> None:
         workspace.flight = partial

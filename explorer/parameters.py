@@ -1,13 +1,13 @@
-"""Values of an address: how they are written there, and read back; its texts are untrusted."""
+"""Values of an address: how they are written and read; its texts are untrusted."""
 
 from __future__ import annotations
 
 import re
 
 _NUMBER = re.compile(r"-?\d{1,9}(\.\d{1,12})?(e-\d{1,2})?")
-# Key of the workspace that addresses without `show` mean.
+# Key of the workspace of addresses without `show`.
 DATA = "data"
-# Characters of a text that an address holds.
+# Maximum of characters of a text in an address.
 LONGEST_TEXT = 200
 
 

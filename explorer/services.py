@@ -1,4 +1,4 @@
-"""A workspace, and what is derived from it once for all browsers."""
+"""A workspace with its feeds and pictures, made once for all browsers."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from explorer.workspace import Workspace
 
 @dataclass(frozen=True, eq=False)
 class WorkspaceServices:
-    """A workspace, and what is derived from it once for all browsers.
+    """A workspace, and everything that is derived from it once for all browsers.
 
     Attributes:
         feeds: serves the lists that pages scroll through, and pictures.
@@ -23,9 +23,9 @@ class WorkspaceServices:
 
     @classmethod
     def of(cls, workspace: Workspace) -> WorkspaceServices:
-        """Derive them from a workspace."""
+        """Derive the services of a workspace."""
         return cls(workspace, Feeds(workspace))
 
     def find_picture(self, path: str) -> Callable[[], EncodedPicture] | None:
-        """Return what computes the picture of a path below `PREFIX`, see `PictureSource`."""
+        """Return a function that computes the picture of a path below `PREFIX`, see `PictureSource`."""
         return self.feeds.find(path)

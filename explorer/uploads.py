@@ -15,13 +15,13 @@ from lpn.flight.files.photo_file import PhotoFile
 
 # Bytes of a photo.
 MAX_UPLOAD = 30_000_000
-# Kinds of files that visitors may send: fewer decoders than a data set's own pictures go through.
+# Kinds of files that visitors may send: fewer decoders than for a data set's own pictures.
 KINDS = "JPEG, PNG, or WebP"
 # Uploads are shrunk to this many pixels a side, so that rotating them stays quick. Those of 6,400 pixels a side and more are
-# decoded at a part of their size; smaller ones, such as photos of 20 megapixels, pixel by pixel.
+# decoded at a fraction of their size; smaller ones, such as photos of 20 megapixels, at full size.
 MAX_SIDE = 1600
 _MAX_NAME = 80
-# Scans of a progressive JPEG; usual are 1 and 10. A scan needs few bytes but the time of a whole picture.
+# Maximum of scans of a progressive JPEG; 1 and 10 are usual. A scan needs few bytes but the time of a whole picture.
 _MAX_SCANS = 100
 
 # Limits the memory of decoding for all browsers: the largest JPEG takes 140 MB, the largest PNG or
@@ -62,6 +62,6 @@ def read(name: str, content: bytes) -> CameraPicture:
 
 
 def decode(name: str, content: bytes) -> UInt8Array:
-    """Return the pixels of a picture's file, `MAX_SIDE` a side at most; PictureError if it cannot be read."""
+    """Return the pixels of a picture's file, (H, W, 3), at most `MAX_SIDE` a side; PictureError if it is unreadable."""
     with _READING:
         return images.shrink(images.decode_picture(content, name, KINDS, MAX_SIDE), MAX_SIDE)

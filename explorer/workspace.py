@@ -1,4 +1,4 @@
-"""The workspace that all browsers share: a model, a data set, and its tasks; and the answers to one browser's questions."""
+"""The workspace that all browsers share, with a model, a data set, and its tasks; and answers to one browser's questions."""
 
 from __future__ import annotations
 
@@ -47,17 +47,17 @@ log = logging.getLogger(__name__)
 
 # Number of described tiles in the cache; with the feature map of a large network, each takes 4 MB.
 TILES = 48
-# A model with a map for each part, such as SDPL, takes up to 42 MB a tile, so that few of its tiles are kept.
+# Bytes of the cached tiles. A model with a map for each part, such as SDPL, takes up to 42 MB a tile, so few fit.
 TILE_BYTES = 400_000_000
-# Described queries in the cache, each turned as often as its curve has points, and their bytes.
+# Described queries in the cache, counted for each angle of their curves, and their bytes.
 QUERIES, QUERY_BYTES = 1000, 150_000_000
 # Side of a thumbnail in pixels.
 _THUMBNAIL = 64
 # Longer side in pixels of a picture on the screen.
 _SHOWN = 800
-# The grey that stands for a picture that cannot be read.
+# Grey level of a picture that cannot be read.
 _UNREADABLE = 60
-# The outcomes of up to so many queries are computed at once, when an answer is explained.
+# Up to this many queries, an explanation computes all outcomes at once.
 _QUICK_OUTCOMES = 20_000
 
 
@@ -72,10 +72,10 @@ class Workspace:
         model: None for saved descriptors, whose queries cannot be changed. All forward passes go through one queue;
             `RequestContext` gives each browser its own access.
         root: the data set's folder.
-        flight: whose frames are the queries; None for a data set. Registration, which may take minutes, replaces it.
+        flight: its frames are the queries; None for a data set. Registration, which may take minutes, replaces it.
         basemap: the map that windows are cut from; None without one.
         own_photos: registers own pictures on the map; None without one.
-        weather: of all queries.
+        weather: the weather of all queries.
     """
 
     def __init__(
@@ -95,10 +95,10 @@ class Workspace:
         self.root, self.weather = root, weather
         self.flight, self.basemap, self.own_photos = flight, basemap, own_photos
         self.model_name, self.data_name = model_name, data_name
-        # By the keys of their tasks: as the tasks were opened, and, once they are calibrated, under the further scorings.
+        # By the keys of their tasks: as the tasks were opened, and, after calibration, under the further scorings.
         self.rankings = {ranking.task.key: ranking for ranking in rankings}
         self.tasks = {ranking.task.name: ranking.task for ranking in rankings}
-        # The scorings that a page opens with, the first that a task has; set at the start, and never by a measured figure.
+        # The scorings that a page opens with; a task takes its first. Set at the start, and never by a measured figure.
         self.opens_with: tuple[Scoring, ...] = ()
         self.scorings: Scorings = Scorings(
             "Saved descriptors and indexes are ranked as they are; calibration takes pictures."
@@ -111,14 +111,14 @@ class Workspace:
             f"saved descriptors, n = {contract.n_parts}, no network" if model is None else model.describe()
         )
         self.first_query = 0
-        # Other models on the same data; a state says which one is shown.
+        # Other models on the same data, from which a state selects one.
         self.beside: list[LazyWorkspace] = []
-        # The labels of all workspaces of the app by their keys, if there are several, and the key of this one.
+        # The labels of all workspaces of the app by their keys if there are several, and this one's key.
         self.choices: Mapping[str, str] = {}
         self.key = ""
         # The app's workspaces that are open, by their keys.
         self.opened: Callable[[], Mapping[str, Workspace]] = dict
-        # The file that keeps stories; None for that beside the data.
+        # The file that keeps stories; None for the default beside the data.
         self.stories: Path | None = None
         self.registration: BackgroundJob[None] | None = None
         self.part_names = self._part_names()
@@ -130,7 +130,7 @@ class Workspace:
         )
         self._thumbnail = lru_cache(maxsize=4096)(self._make_thumbnail)
         self._outcomes = lru_cache(maxsize=8)(self._make_outcomes)
-        # The verdicts on the newest flight, and the photos that cannot be graded under each ranking of it.
+        # The verdicts on the newest flight, and the ungraded photos under each of its rankings.
         self._verdicts: SingleFlightCache[LocatedFlight, FlightVerdicts] = SingleFlightCache(1)
         self._doubtful: SingleFlightCache[tuple[LocatedFlight, TaskRanking], BoolArray] = SingleFlightCache(4)
         self._answer_distances = lru_cache(maxsize=8)(self._measure_answer_distances)
@@ -165,31 +165,31 @@ class Workspace:
         return self._queries.get(key, lambda: described)
 
     def scored_model(self, model: Model, task: Task) -> Model:
-        """Return the model that describes pictures as a task's descriptors are: calibrated where the task is."""
+        """Return the model that describes pictures as for a task's descriptors: calibrated if the task is."""
         as_opened = self.tasks[task.name].calibration is task.calibration
         return model if as_opened or task.calibration is None else task.calibration.applied(model)
 
     def default_scoring(self, name: str) -> Scoring:
-        """Return the scoring that a task opens with: the first of `opens_with` that it has, or the one it was opened under."""
+        """Return the scoring that a task opens with: its first of `opens_with`, or the one it was opened under."""
         ready = (scoring for scoring in self.opens_with if scored_key(name, scoring) in self.rankings)
         return next(ready, self.tasks[name].scoring)
 
     def ranking(self, name: str, scoring: str) -> RankingJob:
-        """Return the ranking of a task under a scoring, or as it was opened where that one is not ready."""
+        """Return the ranking of a task under a scoring, or as it was opened if that one is not ready."""
         return self.rankings.get(scored_key(name, cast("Scoring", scoring)), self.rankings[self.tasks[name].key])
 
     def shared_task(self, task: Task, others: Iterable[Workspace]) -> Task:
-        """Return a task under its scoring if all others rank it so, else as it was opened: models are compared alike."""
+        """Return a task under its scoring if all others have it, else as it was opened, so that models are compared alike."""
         alike = all(task.key in other.rankings for other in others if task.name in other.tasks)
         return task if alike else self.tasks[task.name]
 
     def ranked_as(self, task: Task) -> RankingJob | None:
-        """Return the ranking of the task of another workspace: under its scoring, else as opened; None if there is none."""
+        """Return the ranking of another workspace's task: under its scoring, else as opened; None if there is none."""
         own = self.tasks.get(task.name)
         return None if own is None else self.rankings.get(task.key, self.rankings[own.key])
 
     def outcomes(self, task: Task) -> tuple[Outcomes, Table] | None:
-        """Return the outcomes of all queries and their table; None until they are ranked, and where they take long.
+        """Return the outcomes of all queries and their table; None until they are ranked, and for large tasks.
 
         The truth of a query that is not `graded` counts as not known.
         """
@@ -205,7 +205,7 @@ class Workspace:
         return self._verdicts.get(flight, lambda: FlightVerdicts.of(flight))
 
     def doubtful(self, ranking: RankingJob) -> BoolArray | None:
-        """Return the photos that `lpn.flight.locate.grades.doubtful_photos` finds; None without a flight or ranks."""
+        """Return the mask of photos with a doubtful judge, see `grades.doubtful_photos`, (Q,); None without a flight or ranks."""
         flight, result = self.flight, ranking.result
         if flight is None or result is None:
             return None
@@ -216,7 +216,7 @@ class Workspace:
         )
 
     def graded(self, ranking: RankingJob) -> BoolArray:
-        """Return the queries that count as right or wrong, (Q,): ranked, of a known place, and by no judge that is in doubt."""
+        """Return the graded queries, (Q,): ranked, of a known place, and without a doubtful judge."""
         known, doubtful = ranking.task.known, self.doubtful(ranking)
         graded = np.full(len(ranking.task.queries), ranking.result is not None)
         if known is not None:
@@ -224,7 +224,7 @@ class Workspace:
         return graded if doubtful is None else graded & ~doubtful
 
     def judged(self, answer: Answer) -> Answer:
-        """Return an answer without grades if the judge of its photo is in doubt, see `lpn.flight.locate.grades`."""
+        """Return an answer without grades if its photo's judge is doubtful, see `lpn.flight.locate.grades`."""
         flight, first = self.flight, answer.matches[0]
         if flight is None or answer.index is None or first.true is None:
             return answer
@@ -234,17 +234,17 @@ class Workspace:
         return answer if sure else answer.ungraded()
 
     def counts(self, ranking: RankingJob) -> tuple[int, int]:
-        """Return how many queries are right, and how many are graded; none before they are ranked."""
+        """Return the numbers of right and of graded queries; zeros before they are ranked."""
         graded = self.graded(ranking)
         return (int((graded & ~ranking.failed).sum()) if graded.any() else 0), int(graded.sum())
 
     def results(self, ranking: RankingJob) -> dict[str, float] | None:
-        """Return what was measured over the graded queries, see `TaskRanking.measured`; None before they are ranked."""
+        """Return the figures of the graded queries, see `TaskRanking.measured`; None before they are ranked."""
         result = ranking.result
         return None if result is None else result.measured(self.graded(ranking))
 
     def answer_distances(self, task: Task) -> AnswerDistances | None:
-        """Return how far the answers of a task are; None until it is ranked, without descriptors, and where it takes long."""
+        """Return the distances of a task's answers; None until it is ranked, without descriptors, and for large tasks."""
         ranked = self.rankings[task.key].result is not None
         quick = len(task.queries) <= _QUICK_OUTCOMES
         return self._answer_distances(task.key) if ranked and quick else None
@@ -255,10 +255,10 @@ class Workspace:
         return self.flight is not None
 
     def register_flight(self, register: Callable[[ReportProgress], LocatedFlight]) -> BackgroundJob[None]:
-        """Start the registration of the flight in the background; `flight` is replaced as it goes on, and when it is done."""
+        """Start the registration of the flight in the background; it replaces `flight` several times."""
 
         def work(report: ReportProgress) -> None:
-            yield_cores()  # it takes minutes, and answers must not wait for it
+            yield_cores()  # registration takes minutes, and answers must not wait for it
             self.flight = register(report)
 
         self.registration = BackgroundJob(work, self)
@@ -272,7 +272,7 @@ class Workspace:
         """Return a JPEG of a picture as its parts are drawn, at most 800 pixels a side.
 
         Args:
-            zoomed: draw it at its zoom, as a tile is shown; a query is zoomed by the page, which turns it.
+            zoomed: draw the picture at its zoom, as a tile is shown; a query is zoomed by the page, which turns it.
         """
         whole = picture.load_zoomed() if zoomed else images.crop(self.load_picture(picture), picture.box, picture.name)
         return images.jpeg(images.shrink(self.as_partitioned(whole, view), _SHOWN), 85)
@@ -292,7 +292,7 @@ class Workspace:
 
     @property
     def without_cells(self) -> str:
-        """One sentence that says why there is neither evidence nor a heatmap; empty if there are both."""
+        """One sentence with the reason for which there is neither evidence nor a heatmap; empty if there are both."""
         if self.model is None:
             return "Evidence and heatmaps need the network: open the data set with a model."
         return "" if self.contract.has_cells else verdicts.no_cells(self.contract)
@@ -324,7 +324,7 @@ class Workspace:
         try:
             outcomes = task.outcomes_of(job.result.ranking)
             return outcomes, task.tabulate(outcomes, self.part_names)
-        except LPNError:  # damaged metadata, which the failure laboratory tells
+        except LPNError:  # damaged metadata, which the failure laboratory reports
             return None
 
     def _measure_answer_distances(self, name: str) -> AnswerDistances:
@@ -335,7 +335,7 @@ class Workspace:
     def _make_thumbnail(self, picture: Picture) -> bytes:
         try:
             square = overlays.square(picture.load(), _THUMBNAIL)
-        except PictureError:  # a flight may have frames that cannot be read
+        except PictureError:  # a flight may have unreadable frames
             square = np.full((_THUMBNAIL, _THUMBNAIL, 3), _UNREADABLE, np.uint8)
         return images.jpeg(square, 80)
 
@@ -349,7 +349,7 @@ class LazyWorkspace:
 
     Args:
         label: display name, such as "the baseline (n = 1)".
-        open_workspace: opens it; that may take as long as the description of all pictures, whose progress is shown.
+        open_workspace: opens it; it may describe all pictures, whose progress is shown.
     """
 
     def __init__(self, label: str, open_workspace: Callable[[], Workspace]) -> None:
@@ -365,17 +365,17 @@ class LazyWorkspace:
 
     @property
     def error(self) -> str:
-        """One sentence if it could not be opened, else empty."""
+        """One sentence with the reason of a failed opening, else empty."""
         return "" if self._job is None else self._job.error or ""
 
     @property
     def progress(self) -> tuple[int, int]:
-        """The numbers of described and of all pictures while it is being opened; (0, 0) until they are known."""
+        """The numbers of described and of all pictures during the opening; (0, 0) until they are known."""
         return (0, 0) if self._job is None else (self._job.done, self._job.total)
 
     @property
     def asked(self) -> bool:
-        """It was opened, or its opening began."""
+        """Whether it was opened, or its opening has begun."""
         return self._job is not None
 
     def open(self) -> BackgroundJob[Workspace]:
@@ -391,7 +391,7 @@ class WorkspaceAnalyser:
 
     Args:
         model: the browser's queued model; by default the workspace's.
-        cancellable: a newer question may supersede the query's forward pass, but no tile's: other browsers share it.
+        cancellable: a newer question may supersede the query's forward pass, but not a tile's, which other browsers share.
     """
 
     def __init__(self, workspace: Workspace, model: QueuedModel | None = None, cancellable: bool = True) -> None:

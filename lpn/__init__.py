@@ -23,9 +23,9 @@ A task has the outcome of each query, and `explore` shows it, or a model on a da
     >>> task.evaluate().queries
     14
 
-`Contract`, `ForwardPass`, `Heads`, and `Partition` make any part-based network a `Model`. Every error that a user can correct
-derives from `LPNError`. docs/library.md has a line for each name. Nothing here knows a browser. Names are imported on first use,
-so `import lpn` needs neither NumPy nor torch.
+`Contract`, `ForwardPass`, `Heads`, and `Partition` turn any part-based network into a `Model`. Every error that a user can
+correct derives from `LPNError`. docs/library.md has a line for each name. Nothing here knows a browser. Names are imported on
+first use, so `import lpn` needs neither NumPy nor torch.
 """
 
 from __future__ import annotations
@@ -118,10 +118,10 @@ def load(
     """Open a trained model: a shipped one by its name, an `.onnx`, our `.safetensors`, a published state dict, or a package's.
 
     `lpn models` lists the names of shipped models; a file of that name in the working folder comes first. An `.onnx` is an
-    exported model, or any graph with a contract in its metadata, and needs no torch. Other files need the extra `train`, and
-    other methods than LPN and SDPL the extra `models`. "NAME" or "NAME:FILE" also opens what a package registers in the entry
-    points `lpn.models` (docs/contract.md), which comes before a shipped model. "timm:NAME:FILE" is a network of timm and a file
-    of its weights, and a folder that transformers wrote is its network; nothing is downloaded.
+    exported model, or any graph with a contract in its metadata, and needs no torch. Other files need the extra `train`;
+    methods other than LPN and SDPL need the extra `models`. "NAME" or "NAME:FILE" also opens a model that a package registers in
+    the entry points `lpn.models` (docs/contract.md); it comes before a shipped model. "timm:NAME:FILE" is a network of timm with
+    a file of its weights. A folder that transformers wrote is its network. Nothing is downloaded.
 
     Args:
         provider: "auto" (LPN_PROVIDER if that is set, else a GPU if one works, else the CPU), "cpu", "cuda", or, for an
@@ -132,7 +132,7 @@ def load(
 
     Raises:
         ModelFileError: if there is no such file or name, or the file is not a model, is truncated, or lacks entries.
-        InputError: if the provider that is named is missing or does not work.
+        InputError: if the named provider is missing or does not work.
         MissingPackageError: if torch is needed and not installed.
     """
     from lpn.models.registered import open_registered, timm_file
@@ -190,11 +190,11 @@ def evaluate(
     """Measure recall and AP of a model on a data set by the published protocol, as the command `lpn evaluate` does.
 
     Args:
-        model: a model, or what `load` opens.
+        model: a model, or an argument of `load`.
         data: a data set, or its folder.
         task: such as "drone-to-satellite"; by default the first that data set and model offer.
-        change: of the queries, such as `Change(rotate=30)`.
-        parts: numbers from 1 of the parts that are compared; None for all.
+        change: a change of the queries, such as `Change(rotate=30)`.
+        parts: numbers from 1 of the compared parts; None for all.
         calibrate, csls: see `open_task`.
 
     Raises:
@@ -226,10 +226,10 @@ def open_task(
     Args:
         data: a data set, or its folder in any layout of docs/data.md.
         task: such as "drone-to-satellite"; by default the first that data set and model offer.
-        model: a model, or what `load` opens.
-        calibrate: True calibrates the model on the pictures of all tasks, without labels, or takes the calibration that ships
-            with the data set; False does not; None does where one ships.
-        csls: re-rank by CSLS over this many nearest queries of each tile, such as 3; 0 does not.
+        model: a model, or an argument of `load`.
+        calibrate: True calibrates the model on the pictures of all tasks, without labels, or uses the calibration that ships
+            with the data set; False does not; None does if one ships.
+        csls: number of nearest queries of each tile by which CSLS re-ranks, such as 3; 0 for none.
 
     Raises:
         LPNError: when an argument is wrong, model or data set cannot be used, or they do not offer the task.
@@ -283,7 +283,7 @@ def explore(
     The server ends with the page's `close()`, or with the process, such as the notebook's kernel.
 
     Args:
-        model: a model, what `load` opens, or an opened task, which has its data and scoring; by default city-lpn, which ships.
+        model: a model, an argument of `load`, or an opened task with its data and scoring; by default city-lpn, which ships.
         data: a data set in any layout of docs/data.md; by default the demo's.
         host, port: the address to listen on; 0 is any free port.
         calibrate, csls: how the page ranks when it opens, see `open_task`.

@@ -19,7 +19,7 @@ def run() -> None:
 
 
 def run_explorer() -> None:
-    """Run `lpn explore` with the options given, or the command of `lpn` that is given first; `uvx lpn-explorer` runs this."""
+    """Run `lpn explore` with the given options, or the `lpn` command that comes first; `uvx lpn-explorer` runs this."""
     first = sys.argv[1] if len(sys.argv) > 1 else "-"
     if first.startswith("-") and first not in ("-h", "--help", "--version"):
         sys.argv.insert(1, "explore")

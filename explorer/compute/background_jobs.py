@@ -30,7 +30,7 @@ class WorkCancelledError(Exception):
 
 
 class BackgroundJob(Generic[T]):
-    """Work that starts at once on its own thread; what it reports (`lpn.core.progress`) is the progress of the job.
+    """Work that starts at once on its own thread; its reports (`lpn.core.progress`) are the job's progress.
 
     Args:
         on_abandoned: called with the job when its last client has left.
@@ -38,7 +38,7 @@ class BackgroundJob(Generic[T]):
     Attributes:
         done, total: progress as last reported.
         value: the result, None until the work succeeds.
-        error: one sentence that tells why the work failed or was cancelled, else None.
+        error: one sentence with the reason of a failure or a cancellation, else None.
         cancelled: all clients left before the work ended.
     """
 
@@ -128,7 +128,7 @@ class BackgroundJobs:
 
     def _forget(self, key: Hashable, job: BackgroundJob[Any]) -> None:
         with self._lock:
-            if self._jobs.get(key) is job:  # a job that was cancelled leaves alone the one that took its place
+            if self._jobs.get(key) is job:  # a cancelled job must not remove its successor
                 del self._jobs[key]
 
     def forget_failed(self, key: Hashable) -> None:

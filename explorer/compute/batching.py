@@ -30,7 +30,7 @@ class InferenceRequest:
 
     Attributes:
         images: (B, 3, H, W).
-        background: long work, which lets interactive requests go first.
+        background: long work; interactive requests go first.
         cancellable: dropped when `context` supersedes it.
         enqueued: time at which it was made, in seconds.
         position: order among interactive requests; the smallest is first.
@@ -75,7 +75,7 @@ def compute(batch: list[InferenceRequest]) -> None:
         images = first.images if alone else np.concatenate([request.images for request in batch])
         result = first.model.run(images, first.view)
         results = [result] if alone else _split(result, [len(request.images) for request in batch])
-    except BaseException as error:  # every waiting thread must be woken
+    except BaseException as error:  # wake every waiting thread
         if alone:
             first.fail(error)
         else:

@@ -86,7 +86,7 @@ class InferenceScheduler:
         return self._heads.get((model, view), lambda: model.heads(view))
 
     def bound(self, model: Model, query: View, gallery: View) -> Model:
-        """Return a model for a task, see `Model.for_task`: one for all browsers, as requests of one model share batches."""
+        """Return a model for a task, see `Model.for_task`. All browsers share it, as requests of one model share batches."""
         return self._bound.get((model, query, gallery), lambda: model.for_task(query, gallery))
 
     def run(
@@ -138,7 +138,7 @@ class InferenceScheduler:
             request.fail(WorkCancelledError())
 
     def release_position(self, context: RequestContext) -> None:
-        """Give up the position kept for a context's next request."""
+        """Give up the position that is reserved for a context's next request."""
         with self._changed:
             self._kept_positions.pop(context, None)
 
@@ -155,7 +155,7 @@ class InferenceScheduler:
         self._thread = thread
 
     def _admit(self, context: RequestContext) -> None:
-        """Raise BusyError if all free places are reserved for contexts that were refused earlier."""
+        """Raise BusyError if all free places are reserved for other contexts."""
         now = self._clock()
         self._refused = {other: until for other, until in self._refused.items() if until > now}
         waiting = list(self._refused)
@@ -222,7 +222,7 @@ _SCHEDULERS: WeakSet[InferenceScheduler] = WeakSet()
 
 @atexit.register
 def _end_all() -> None:
-    """Let no thread compute while the interpreter ends, which would end it inside C++ code; that aborts the process."""
+    """Stop all schedulers before the interpreter ends: it would end a thread inside C++ code, which aborts the process."""
     deadline = time.monotonic() + END_TIMEOUT
     for thread in [scheduler.end() for scheduler in list(_SCHEDULERS)]:
         if thread is not None:

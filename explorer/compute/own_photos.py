@@ -21,26 +21,26 @@ from lpn.flight.maps import Map, Window
 from lpn.library.analyser import OwnPicture
 from lpn.tasks.task import Task
 
-# Seconds between looks at whether a registration that waits for its turn is still wanted.
+# Seconds between two checks of whether a waiting registration is still wanted.
 _PATIENCE = 0.1
 
 
 @dataclass(frozen=True, eq=False)
 class CameraPicture(OwnPicture):
-    """An own picture with what its file tells of the camera; `frame` is None if it tells nothing."""
+    """An own picture with the camera's data from its file; `frame` is None if there is none."""
 
     frame: Frame | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class _Turn:
-    """A registration's place in the queue of a map; `key` is that of its job."""
+    """A registration's place in the queue of a map; `key` is its job's."""
 
     key: str
 
 
 class _Turns:
-    """One registration computes at a time: those of pictures that browsers show first, in the order in which they began."""
+    """Lets one registration compute at a time: first those of shown pictures, in the order in which they began."""
 
     def __init__(self) -> None:
         self._condition = threading.Condition()
@@ -50,14 +50,14 @@ class _Turns:
         self._shown: dict[int, str] = {}
 
     def show(self, client: object, key: str | None) -> None:
-        """Note the picture that a client shows; None for none."""
+        """Note the picture that a client shows, or None."""
         with self._condition:
             self._shown.pop(id(client), None)
             if key is not None:
                 self._shown[id(client)] = key
 
     def take(self, turn: _Turn, report: Callable[[], None]) -> None:
-        """Wait for a turn; what `report` raises while it waits is raised."""
+        """Wait for a turn; an exception of `report` ends the wait."""
         with self._condition:
             self._waiting.append(turn)
             try:
@@ -69,14 +69,13 @@ class _Turns:
                 self._waiting.remove(turn)
 
     def give_back(self, turn: _Turn) -> None:
-        """Let another registration compute, if this one does."""
         with self._condition:
             if self._holder is turn:
                 self._holder = None
                 self._condition.notify_all()
 
     def give_way(self, turn: _Turn, report: Callable[[], None]) -> None:
-        """Let registrations of shown pictures go before one of a picture that no browser shows."""
+        """Let registrations of shown pictures go first, unless a browser shows this one's picture."""
         with self._condition:
             shown = self._shown.values()
             if turn.key in shown or not any(other.key in shown for other in self._waiting):
@@ -93,8 +92,8 @@ class _Turns:
 class OwnPhotoJobs:
     """Registers own pictures on a map; thread-safe.
 
-    A picture's job is known by its key, else by its pixels and by what its file tells. It is computed once for all clients, and
-    forgotten with its answer when the last of them has left it.
+    A job's key is its picture's, or else a digest of pixels and camera data. Each job runs once for all clients, and is
+    forgotten with its answer when its last client has left.
 
     Args:
         map_error: 1-sigma error of the map's places in metres, see `lpn.flight.locate.options.LocateOptions`.
@@ -107,11 +106,11 @@ class OwnPhotoJobs:
         self._jobs = BackgroundJobs()
 
     def join(self, picture: OwnPicture, windows: Sequence[Window], client: object) -> BackgroundJob[OwnPhoto]:
-        """Return the job that registers a picture, which the client shows now; its answer is there at once if a client holds it.
+        """Return the job that registers the picture that a client shows; it has ended if another client has its answer.
 
         Args:
-            windows: the most similar ones, see `register_own_photo`.
-            client: leaves the job when it needs it no longer; the last one to leave cancels it.
+            windows: the most similar windows, see `register_own_photo`.
+            client: must leave a job that it no longer needs; the last one to leave cancels it.
         """
         key = _key(picture)
         self._turns.show(client, key)
@@ -131,7 +130,7 @@ class OwnPhotoJobs:
     def _register(
         self, turn: _Turn, picture: OwnPicture, windows: Sequence[Window], report: ReportProgress
     ) -> OwnPhoto:
-        yield_cores()  # it takes seconds, and answers must not wait for it
+        yield_cores()  # registration takes seconds, and answers must not wait for it
 
         def on_progress(done: int, total: int) -> None:
             report(done, total)
@@ -149,7 +148,7 @@ class OwnPhotoJobs:
 
 
 def likely_windows(task: Task, order: Sequence[int]) -> list[Window]:
-    """Return the most similar windows of a map, about which a photo is searched on a large one.
+    """Return the most similar windows of a map; on a large map, a photo is searched only there.
 
     Args:
         order: gallery positions, the nearest first.
@@ -158,7 +157,7 @@ def likely_windows(task: Task, order: Sequence[int]) -> list[Window]:
 
 
 def mark(job: BackgroundJob[OwnPhoto], task: Task, answer: int) -> tuple[bool | None, str, str]:
-    """Return what the check of a photo says of the nearest tile: a sign, a few words, and a sentence of the registration.
+    """Return the photo check's verdict on the nearest tile: a sign, a few words, and a sentence of the registration.
 
     Args:
         answer: gallery position of the nearest tile.
@@ -182,7 +181,7 @@ def _frame(picture: OwnPicture) -> Frame | None:
 
 
 def _key(picture: OwnPicture) -> str:
-    if picture.key:  # a picture that is opened again may have been packed meanwhile
+    if picture.key:  # a picture that is opened again may have been packed by now
         return picture.key
     digest = hashlib.sha256(picture.picture.tobytes())
     digest.update(repr((picture.picture.shape, _frame(picture))).encode("utf-8", "replace"))

@@ -94,10 +94,7 @@ class QueuedModel(Model):
         self.means, self.whitening = model.means, model.whitening
 
     def cancellable(self) -> QueuedModel:
-        """Return a copy of this model whose requests a newer state may supersede.
-
-        A superseded request raises SupersededError.
-        """
+        """Return a copy of this model whose requests a newer state may supersede; they then raise SupersededError."""
         return QueuedModel(self.model, self._scheduler, self._context, self._background, cancellable=True)
 
     def for_task(self, query: View, gallery: View) -> QueuedModel:
@@ -126,7 +123,7 @@ class QueuedModel(Model):
         )
 
     def heads(self, view: View) -> Heads:
-        """Return what is the same for all pictures of a view, see `Model.heads`."""
+        """Return the heads of a view, which are equal for all pictures, see `Model.heads`."""
         return self._scheduler.heads(self.model, view)
 
     def map_size(self, view: View) -> tuple[int, int]:

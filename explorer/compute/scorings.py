@@ -1,4 +1,4 @@
-"""The further scorings of a workspace, calibrated and by CSLS, which are prepared once for all browsers."""
+"""The calibrated and CSLS scorings of a workspace, which are prepared once for all browsers."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ class Scorings:
     """Prepares the further scorings of a workspace.
 
     Args:
-        why_not: one sentence that says why there are no further ones; empty if there are, or can be.
+        why_not: one sentence with the reason for which there are none; empty if there are, or can be.
         prepare: ranks all tasks under the further scorings, and puts them into the workspace.
     """
 
@@ -26,10 +26,10 @@ class Scorings:
         return self._prepare is not None
 
     def prepare(self, client: object) -> BackgroundJob[None] | None:
-        """Start or join the preparation, which may describe all pictures; None where there is nothing to prepare.
+        """Start or join the preparation, which may describe all pictures; None if there is nothing to prepare.
 
         Args:
-            client: waits for it; the last one that leaves the job cancels it.
+            client: waits for the job; the last client that leaves cancels it.
         """
         with self._lock:
             if self._prepare is None:

@@ -19,7 +19,7 @@ class Watchers:
             self._calls.append(on_change)
 
     def unwatch(self, on_change: Callable[[], None]) -> None:
-        """Call a function of `watch` no longer."""
+        """Stop calling a function."""
         with self._lock:
             if on_change in self._calls:
                 self._calls.remove(on_change)

@@ -1,4 +1,4 @@
-"""The flight's screen: photos over their map, with the answers of all stages; and a flight that goes on.
+"""The flight's screen: photos over their map, with the answers of all stages; and live flights.
 
 The rest of the page finds it by the entry point `lpn.panels`, and imports nothing of it.
 """

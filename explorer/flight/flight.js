@@ -5,7 +5,7 @@ import { FlightMap } from "./map.js";
 import { LaidPhoto } from "./photo.js";
 import { makeTimeline } from "./timeline.js";
 
-const ASK = 150; // ms between two photos that a drag over the timeline asks for
+const ASK = 150; // ms between two requests of a drag over the timeline
 const PICTURES = 5000; // ms after which a photo is shown without its pictures
 const INK = { right: "right", contradicted: "wrong", unknown: "soft" };
 const OPENING = "Opening the flight";
@@ -19,23 +19,23 @@ export const open = async (box, context) => {
   box.innerHTML = await (await fetch("screen/panels/flight/flight.html")).text();
   const root = find(".flight", box);
   root.classList.toggle("live", Boolean(context.view.page?.live));
-  if (context.view.page?.live) find(".swipe", root).value = 0; // all of the photo is laid
+  if (context.view.page?.live) find(".swipe", root).value = 0; // show the whole photo
   const select = find(".paint", root);
 
-  let wanted = null; // the photo that was asked for and has not come yet
+  let wanted = null; // the requested photo, until it arrives
   let asked = 0;
   let [newest, arrived] = [0, 0]; // numbers of the server's messages about a photo
   let drawn = [];
   let scores = null;
-  let progress = ""; // of a registration that goes on
+  let progress = ""; // progress of a running registration, in words
   const state = () => context.view.state;
 
-  // What all parts of the panel share.
+  // The state that all parts of the panel share.
   const flight = {
     data: null,
-    photo: null, // the photo that is shown, with its card
-    answered: null, // the middle and the side of the window that retrieval answers, in metres
-    spotted: null, // a spot of the map, and the photos that show it
+    photo: null, // the shown photo with its card
+    answered: null, // middle and side of retrieval's window, in metres
+    spotted: null, // a spot of the map with the photos that show it
     get chosen() {
       return flight.photo?.frame ?? -1;
     },
@@ -48,11 +48,11 @@ export const open = async (box, context) => {
     get view() {
       return state().flight_view;
     },
-    /** The photo is compared with the map below it, which marks of other photos would hide. */
+    /** Whether the photo is compared with the map below it, which other photos' marks would hide. */
     get compares() {
       return flight.over === "swipe" && !flight.data.live && Boolean(flight.photo?.homography);
     },
-    /** The tracks that are switched on, with their names. */
+    /** The visible tracks with their names. */
     shown: () => Object.entries(flight.data.tracks).filter(([name]) => on().includes(name)),
     step: (by) => choose((wanted ?? flight.chosen) + by),
   };
@@ -61,7 +61,7 @@ export const open = async (box, context) => {
     return chosen ? chosen.split(".") : Object.keys(flight.data.tracks).filter((name) => ["tag", "corrected", flight.data.main].includes(name));
   };
 
-  // A drag over the timeline asks for few of the photos on its way.
+  // A drag over the timeline requests only some of the photos on its way.
   const choose = (frame) => {
     const total = flight.data?.names.length ?? 0;
     frame = Math.min(Math.max(frame, 0), total - 1);
@@ -109,7 +109,7 @@ export const open = async (box, context) => {
       redraw();
     },
     photo: async (told) => {
-      // Shown when its pictures are there, so that no words stand beside the pictures of another photo; the first one at once.
+      // Wait for the pictures, so that no words stand beside another photo's pictures; show the first photo at once.
       const number = ++newest;
       const sources = [told.square, told.ground, flight.over !== "off" && told.homography ? told.photo : ""].filter(Boolean);
       if (flight.photo) await Promise.race([new Promise((done) => setTimeout(done, PICTURES)), Promise.all(sources.map(loaded))]);

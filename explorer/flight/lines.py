@@ -25,7 +25,7 @@ _LEGEND = (
 
 
 def scene_lines(workspace: Workspace, query: int) -> list[SceneLines]:
-    """Return the cameras of the registered photos, the way along them, and the ground that the chosen one shows."""
+    """Return the cameras of the registered photos, the path along them, and the outline of the chosen photo on the ground."""
     flight = workspace.flight
     if flight is None or flight.retrieval is None:
         return []
@@ -54,7 +54,7 @@ def scene_lines(workspace: Workspace, query: int) -> list[SceneLines]:
 
 
 def _pyramid(pose: CameraPose, height: float, aspect: float) -> Float64Array:
-    """Return the edges of a camera's pyramid, (8, 2, 3) metres east, north, and above the ground."""
+    """Return the edges of a camera's pyramid, (8, 2, 3), in metres east, north, and above the ground."""
     up, right, forward = (rotation(pose.heading, pose.pitch, pose.roll)[[1, 0, 2]] * [[1], [1], [-1]]).T
     across, depth = math.tan(math.radians(pose.fov) / 2), _DEPTH * height
     eye = np.array([pose.east, pose.north, height])
@@ -64,7 +64,7 @@ def _pyramid(pose: CameraPose, height: float, aspect: float) -> Float64Array:
 
 
 def mark(workspace: Workspace, query: int) -> dict[str, Any] | None:
-    """Return the state of a flight's photo in a word, with its sign; None without a flight."""
+    """Return a one-word state of a flight's photo with its sign; None without a flight."""
     flight = workspace.flight
     if flight is None or query >= len(flight.frames):
         return None

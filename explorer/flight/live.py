@@ -1,4 +1,4 @@
-"""A flight that goes on, in the flight panel: what was located so far, its tabs, and the server of its page."""
+"""A live flight in the flight panel: its frames so far, its tabs, and the server of its page."""
 
 from __future__ import annotations
 
@@ -36,12 +36,12 @@ from lpn.flight.maps import Map
 
 log = logging.getLogger(__name__)
 
-# When there are this many frames, the older half is forgotten: the page gets all frames again at each change.
+# Above this many frames, the older half is forgotten: each change sends all frames to the page.
 MOST = 400
-# Longer side and quality of the photos that are kept, and the sentences that are.
+# Longer side and JPEG quality of stored photos, and the number of stored sentences.
 _PHOTO, _QUALITY, _SENTENCES = 1280, 82, 20
 _WAITING = "No frame has come yet"
-# What a tab of a live flight may set, beside the photo.
+# The fields that a tab of a live flight may set, beside the photo.
 _FIELDS = {row.name: row for row in FIELDS if row.name != "flight_paint"}
 
 
@@ -50,9 +50,9 @@ class LiveSight:
     """The flight so far.
 
     Attributes:
-        seen: its frames; None before the first.
+        seen: the located frames; None before the first.
         addresses: folders of their pictures, see `FlightPicturesFeed`.
-        status: age of the last answer and dropped frames in words; before the first answer, what is waited for.
+        status: age of the last answer and dropped frames in words; before the first answer, the reason to wait.
     """
 
     seen: FlightSnapshot | None
@@ -61,15 +61,15 @@ class LiveSight:
 
 
 class LiveRecord:
-    """Takes the fixes of a run and its sentences; thread-safe. Photos are kept as small files in a folder of its own.
+    """Collects the fixes and the sentences of a run; thread-safe. It stores photos as small files in its own folder.
 
     Args:
-        name: of the flight.
-        basemap: that it flies over.
+        name: the flight's name.
+        basemap: the map below the flight.
 
     Attributes:
-        feeds: serve the pictures.
-        watchers: are told of each frame and sentence.
+        feeds: serves the pictures.
+        watchers: called after each frame and each sentence.
     """
 
     def __init__(self, name: str, basemap: Map) -> None:
@@ -82,7 +82,7 @@ class LiveRecord:
         self.feeds, self.watchers = Feeds(), Watchers()
         self._status = _WAITING
         self._pictures = self._serve()
-        # None after a change.
+        # Reset to None by each change.
         self._sight: LiveSight | None = None
 
     def send(self, fix: LiveFix) -> None:
@@ -99,17 +99,17 @@ class LiveRecord:
                 for old in self._frames[: MOST // 2]:
                     old.frame.file.unlink(missing_ok=True)
                 del self._frames[: MOST // 2]
-                # Frames have other numbers now, and a browser keeps pictures by their addresses.
+                # Frames have new numbers now, and a browser caches pictures by their addresses.
                 self._pictures = self._serve()
         dropped = f", {fix.dropped} frames dropped" if fix.dropped else ""
         self._change(f"Answered in {fix.age:.2f} s{dropped}")
 
     def count_windows(self, done: int, total: int) -> None:
-        """Take the number of the map's windows that are described, before the first frame is located."""
+        """Take the number of described windows of the map, before the first frame is located."""
         self._change(f"{done:,} of {total:,} windows of the map are described")
 
     def note(self, sentence: str) -> None:
-        """Add a sentence; the last twenty are kept."""
+        """Add a sentence; the last twenty are stored."""
         with self._lock:
             self._sentences = [*self._sentences, sentence][-_SENTENCES:]
         self._change(self._status)
@@ -124,7 +124,7 @@ class LiveRecord:
 
     @property
     def sight(self) -> LiveSight:
-        """The flight so far; it is derived when a tab asks, and not for each frame."""
+        """The flight so far; computed when a tab asks, not for each frame."""
         with self._lock:
             if self._sight is None:
                 flight = self._flight()
@@ -138,7 +138,7 @@ class LiveRecord:
         self.watchers.tell()
 
     def _serve(self) -> FlightPicturesFeed:
-        """Return the pictures of the frames so far, whose list grows until another one takes its place."""
+        """Publish the pictures of the frames so far; later frames join them until `_serve` is called again."""
         self._frames = list(self._frames)
         frames = self._frames
         return FlightPicturesFeed(self.feeds, lambda: self._flight(frames))
@@ -150,12 +150,12 @@ class LiveRecord:
 
 
 class LiveSession:
-    """One tab: the flight panel alone, which follows the newest frame until a person chooses another."""
+    """One tab: the flight panel alone, which follows the newest frame until the user chooses another."""
 
     def __init__(self, record: LiveRecord, send: Callable[[ScreenMessage], None]) -> None:
         self._record, self._send = record, send
         self._state = ScreenState(place="live", panel="flight", of_panels={"flight_over": "swipe"})
-        # The photo's file that a person chose; None follows the newest.
+        # The file of the photo that the user chose; None follows the newest.
         self._chosen: str | None = None
         self._seen: FlightSnapshot | None = None
         self.client: Any = None
@@ -190,7 +190,7 @@ class LiveSession:
         """Draw no scene."""
 
     def leave(self) -> None:
-        """Stop working for a tab that left."""
+        """Stop the work for a tab that left."""
         self._record.watchers.unwatch(self._worker.wake)
         self._worker.stop()
 
@@ -233,10 +233,10 @@ class LiveSession:
 
 
 class LiveApp:
-    """A running server of the page of a flight that goes on.
+    """A running server of the page of a live flight.
 
     Args:
-        record: of the flight.
+        record: the flight's record.
         authenticator: the access rules.
 
     Raises:

@@ -2,7 +2,7 @@
 
 import { find, make } from "../../page/dom.js";
 
-const LEAFLET = "../../vendor/leaflet.js"; // which has no types; flight.css has its style sheet, which must follow the page's own
+const LEAFLET = "../../vendor/leaflet.js"; // it has no types; its style sheet, in flight.css, must follow the page's own
 await import(LEAFLET);
 const L = /** @type {any} */ (globalThis).L;
 const AROUND = 500; // metres around the map within which a photo counts as near
@@ -14,12 +14,12 @@ const DARK = { color: "#000", opacity: 0.55, interactive: false };
 const clamp = (value, low, high) => Math.min(Math.max(value, low), high);
 const place = (track, i) => (track.x[i] === null || track.y[i] === null ? null : [track.x[i], track.y[i]]);
 const at = ([x, y]) => [y, x];
-const said = (text) => () => make("span", { text }); // Leaflet takes a string for HTML
+const said = (text) => () => make("span", { text }); // Leaflet would parse a string as HTML
 
 export class FlightMap {
   /**
    * @param {any} box the map's element
-   * @param {any} flight what all parts of the panel share, see flight.js
+   * @param {any} flight the state that all parts of the panel share, see flight.js
    * @param {{choose: (frame: number) => void, spot: (at: number[]) => void, moved: () => void, drawn: () => void}} on
    */
   constructor(box, flight, on) {
@@ -31,10 +31,10 @@ export class FlightMap {
     this.bounds = [0, 0, 0, 0];
     this.scale = 1;
     this.base = this.heat = this.marks = this.shown = null;
-    this.asking = false; // the next click on the map asks which photos show the spot
-    this.moved = false; // a person has moved the map since it was fitted
+    this.asking = false; // whether the next click on the map requests the photos of a spot
+    this.moved = false; // whether the user has moved the map since it was fitted
     this.fitting = false;
-    this.seen = ""; // the frame of a flight that goes on which was last looked for
+    this.seen = ""; // the live flight's frame that was last brought into view
     new ResizeObserver(() => {
       this.map?.invalidateSize({ animate: false });
       if (this.map && !this.moved) this.fit();
@@ -42,7 +42,7 @@ export class FlightMap {
     }).observe(box);
   }
 
-  /** Lay the tiles of a flight's map; the same map stays as it is. */
+  /** Show the tiles of a flight's map; an unchanged map is kept. */
   show(data) {
     const key = JSON.stringify([data.bounds, data.addresses.tiles]);
     if (key === this.key) return;
@@ -148,13 +148,13 @@ export class FlightMap {
     this.fitting = false;
     this.on.drawn();
   }
-  /** Show some points, so that they fill a share of the map. */
+  /** Fit the view so that some points fill a share of the map. */
   frame(points, share, least = 10) {
     const [[west, east], [south, north]] = [0, 1].map((axis) => [Math.min(...points.map((one) => one[axis])), Math.max(...points.map((one) => one[axis]))]);
     const [width, height] = this.size;
     this.set([(west + east) / 2, (south + north) / 2], share * Math.min(width / Math.max(east - west, least), height / Math.max(north - south, least)));
   }
-  /** Show the flight, or the whole map if nothing of it lies there. */
+  /** Show the flight, or the whole map if no part of the flight lies on it. */
   fit() {
     if (!this.map || !this.box.clientWidth) return;
     this.moved = false;
@@ -167,7 +167,7 @@ export class FlightMap {
     if (near.length > 1) this.frame(near, 0.72, 40);
     else this.frame([[west, south], [east, north]], 0.9);
   }
-  /** The corners of the newest photo of a flight that goes on. */
+  /** The corners of a live flight's newest photo. */
   newest() {
     const { data, chosen } = this.flight;
     return (data.live && data.outlines[chosen]?.slice(0, 4)) || [];
@@ -176,7 +176,7 @@ export class FlightMap {
     const [width, height] = this.size;
     return points.map((one) => this.toPixels(one)).every(([left, top]) => left > -beyond * width && left < (1 + beyond) * width && top > -beyond * height && top < (1 + beyond) * height);
   }
-  /** Look at a photo's corners, unless they are in sight and large enough; return whether the map moves. */
+  /** Bring a photo's corners into view, unless they are visible and large enough; return whether the map moves. */
   approach(points, large = true) {
     const across = [0, 1].map((axis) => Math.max(...points.map((one) => one[axis])) - Math.min(...points.map((one) => one[axis])));
     const [width, height] = this.size;
@@ -216,7 +216,7 @@ export class FlightMap {
   drawTrack(name, track) {
     const { data } = this.flight;
     const tag = name === "tag";
-    // A line joins neighbours that were not refused; nothing has verified the retrieval, so it has no line.
+    // A line joins neighbours that were not refused. Retrieval is unverified, so it has no line.
     let run = [];
     const end = () => run.length > 1 && this.line(run.splice(0), data.colours[name], tag ? 1 : 2, tag ? "5 4" : "");
     data.names.forEach((file, i) => {
@@ -234,7 +234,7 @@ export class FlightMap {
     });
     end();
   }
-  /** Outline, details, and places of the chosen photo, which may be a person's own. */
+  /** Draw outline, details, and places of the chosen photo, which may be the user's own. */
   drawChosen() {
     const { data, photo, own, answered, chosen, compares } = this.flight;
     const { colours } = data;

@@ -1,4 +1,4 @@
-"""A person's own photo over the map of a flight: as a photo of the flight, with a card of the same kind."""
+"""A user's own photo over the map of a flight, drawn like a photo of the flight and with a card of the same kind."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ from lpn.library.analyser import OwnPicture
 def own_photo(
     seen: FlightSnapshot, picture: OwnPicture, job: BackgroundJob[OwnPhoto] | None, addresses: Mapping[str, Any]
 ) -> dict[str, Any]:
-    """Return what is drawn of an own photo, as `page.chosen` does of a frame, which is -1.
+    """Return the data to draw of an own photo, as `page.chosen` does for a frame; its frame number is -1.
 
     Args:
-        job: registers it; None without one.
+        job: registers the photo; None without a registration.
     """
     flight = seen.flight
     basemap, own = flight.basemap, None if job is None else job.value
@@ -69,7 +69,7 @@ def own_photo(
 
 
 def _waiting(picture: OwnPicture, job: BackgroundJob[OwnPhoto] | None, tagged: str) -> dict[str, Any]:
-    """Return the card of a photo whose registration goes on, or failed."""
+    """Return the card of a photo that is not registered yet, or whose registration failed."""
     headline = "Not compared with the map"
     lines = [tagged]
     if job is not None and job.error is not None:

@@ -21,14 +21,14 @@ from lpn.flight.locate.coverage import seen_by
 from lpn.flight.locate.located import LocatedFrame
 from lpn.retrieval import Ranking
 
-# Length of the list of photos.
+# The longest list of photos.
 _MOST = 200
 _COLOURS = ("tag", "retrieval", "sequence", "registration", "right", "contradicted", "unknown", "accent")
 _STATES = {"accepted": 0, "not verified": 1, "refused": 2}
 
 
 def data(seen: FlightSnapshot, addresses: Mapping[str, Any]) -> dict[str, Any]:
-    """Return all that is drawn of a flight.
+    """Return the data to draw of a flight.
 
     Args:
         addresses: folders of the pictures, see `FlightPicturesFeed`.
@@ -87,10 +87,7 @@ def data(seen: FlightSnapshot, addresses: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _track(seen: FlightSnapshot, name: str) -> dict[str, Any]:
-    """Return a track: x, y, state, and radius of each frame, None where unknown.
-
-    The state is -1 while the stage has no answer; a tag counts as accepted.
-    """
+    """Return x, y, state, and radius of each frame; the state is -1 before the stage has an answer, and a tag is accepted."""
     x, y, states, radii = list[float | None](), list[float | None](), list[int](), list[float | None]()
     for i, located in enumerate(seen.flight.frames):
         answer = located.stages.get(name)
@@ -119,11 +116,11 @@ def spot(seen: FlightSnapshot, point: tuple[float, float]) -> dict[str, Any]:
 def chosen(
     seen: FlightSnapshot, frame: int, addresses: Mapping[str, Any], agreement: MapAgreement | None, saves: int = 0
 ) -> dict[str, Any]:
-    """Return what is drawn of the photo that is shown.
+    """Return the data to draw of the shown photo.
 
     Args:
-        agreement: of places of the photo with the map where it is laid; None where they were not compared.
-        saves: how many corrections this tab has saved, so that the script knows when its own is in effect.
+        agreement: of details of the photo with the map where it is laid; None without a comparison.
+        saves: the number of corrections that this tab has saved; it tells the script when its own is in effect.
     """
     located = seen.flight.frames[frame]
     laid, ground = seen.homography(frame), ground_window(located, seen.beliefs[frame].stage)
@@ -131,7 +128,7 @@ def chosen(
         "frame": frame,
         "photo": f"{addresses['photo']}{frame}",
         "square": f"{addresses['square']}{frame}",
-        # The address changes with what it shows, as the browser keeps the picture.
+        # The browser caches the picture, so its address changes with its content.
         "ground": ""
         if ground is None
         else f"{addresses['ground']}{frame}?{ground.x:.0f}_{ground.y:.0f}_{ground.size:.0f}",
@@ -145,7 +142,7 @@ def chosen(
 
 
 def card(seen: FlightSnapshot, frame: int, agreement: MapAgreement | None) -> dict[str, Any]:
-    """Return a photo's verdict and its grounds, a line each."""
+    """Return a photo's verdict and its grounds, one a line."""
     flight, located, verdict = seen.flight, seen.flight.frames[frame], seen.beliefs[frame]
     stage = verdict.stage
     answer = None if stage is None else located.stages[stage]
@@ -177,7 +174,7 @@ def card(seen: FlightSnapshot, frame: int, agreement: MapAgreement | None) -> di
 
 
 def pins(laid: Float64Array, located: LocatedFrame) -> list[list[float]]:
-    """Return where a laid photo has its matched details, and from there to where the map has them, in metres."""
+    """Return the positions of a laid photo's matched details, and from there those of the map's details, in metres."""
     answer = located.stages.get("registration")
     if answer is None or not answer.accepted or answer.details is None or answer.homography is None:
         return []
@@ -196,16 +193,16 @@ def answer_window(seen: FlightSnapshot, tile: int) -> list[float] | None:
 
 
 def painting(seen: FlightSnapshot, ranking: Ranking, painted: str, part_names: Sequence[str]) -> dict[str, Any] | None:
-    """Return the picture of all windows' scores for the photo that is shown; None for "off", or without windows.
+    """Return the picture of all windows' scores for the shown photo; None for "off", or without windows.
 
     Args:
-        painted: "all" parts under the current weights, or a part's number, whose score is its cosine.
+        painted: "all" for all parts under the current weights, or a part's number, whose cosine is then painted.
     """
     retrieval = seen.flight.retrieval
     if painted == "off" or retrieval is None:
         return None
     values: FloatingArray = ranking.scores if painted == "all" else ranking.cosines[:, int(painted)]
-    ranked = ranking.order  # without windows of other sizes, which the retrieval does not rank
+    ranked = ranking.order  # the retrieval does not rank windows of other sizes
     drawn = score_map.score_map(retrieval.places[ranked], retrieval.sizes[ranked], values[ranked].astype(np.float64))
     if drawn is None:
         return None

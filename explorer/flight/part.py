@@ -1,4 +1,4 @@
-"""The flight panel's part of one tab: what it sends, and what its script asks for."""
+"""The flight panel's part of one tab: its messages, and the requests of its script."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ from lpn.flight.locate.own_photo import OwnPhoto
 from lpn.library.analyser import OwnPicture
 
 _FARTHEST = 1e6
-# Seconds between two looks at a registration that goes on in the background.
+# Seconds between two checks of a background registration.
 _INTERVAL = 1.0
 _TRACKS = ("tag", "retrieval", "sequence", "registration", "corrected")
 
 
 @dataclass(frozen=True)
 class MetresOf:
-    """So many numbers of metres, or none."""
+    """A fixed number of numbers in metres, or none."""
 
     count: int
 
@@ -50,7 +50,7 @@ class MetresOf:
 
 @dataclass(frozen=True)
 class Tracks:
-    """Names of tracks; empty for those that count most, "none" for none."""
+    """Names of tracks; empty for the tracks of the deciding stages, "none" for none."""
 
     def read(self, value: object, state: ScreenState, workspace: Workspace) -> str:  # noqa: ARG002
         if not isinstance(value, str) or not set(value.split(".")) <= {*_TRACKS, "", "none"}:
@@ -63,7 +63,7 @@ class Tracks:
 
 @dataclass(frozen=True)
 class PaintedPart:
-    """Whose scores are painted over the map: those of "all" parts, of one by its number from 0, or "off"."""
+    """The parts whose scores are painted over the map: "all", a part's number from 0, or "off"."""
 
     def read(self, value: object, state: ScreenState, workspace: Workspace) -> str:  # noqa: ARG002
         parts = [str(part) for part in range(workspace.contract.n_parts)]
@@ -88,7 +88,7 @@ FIELDS: tuple[PanelField[Any], ...] = (
 
 
 class FlightPart(PanelPart):
-    """Sends the flight when it has changed, and the photo that the tab shows, on a thread of its own."""
+    """Sends the changed flight and the tab's photo, on a thread of its own."""
 
     def __init__(self, tab: Tab) -> None:
         super().__init__(tab)
@@ -101,11 +101,11 @@ class FlightPart(PanelPart):
         self.actions = {"correct": self._correct, "forget": self._forget, "positions": self._positions}
 
     def show(self) -> None:
-        """Send what has changed."""
+        """Send the changes."""
         self._worker.wake()
 
     def close(self) -> None:
-        """End what goes on for the panel."""
+        """Stop the work for the panel."""
         self._of.shared.watchers.unwatch(self._worker.wake)
         self._worker.stop()
         if (jobs := self.tab.services.workspace.own_photos) is not None:
@@ -119,7 +119,7 @@ class FlightPart(PanelPart):
     def _work(self) -> float | None:
         state, result, workspace = self.tab.state, self.tab.result, self.tab.services.workspace
         job = workspace.registration
-        running = job is not None and not job.wait(0)  # asked before the flight, which the job replaces at its end
+        running = job is not None and not job.wait(0)  # read before the flight, which the job replaces at its end
         seen, addresses = self._of.shared.snapshot(), self._of.pictures.addresses
         if self._sent.get("flight") is not seen:
             self._sent["flight"] = seen
@@ -143,7 +143,7 @@ class FlightPart(PanelPart):
         return _INTERVAL if running else None
 
     def _register(self, own: OwnPicture, result: ScreenResult) -> BackgroundJob[OwnPhoto] | None:
-        """Return the job that registers an own photo, which the check behind its mark may have begun."""
+        """Return the job that registers an own photo; the check behind its mark may have begun it."""
         jobs, analysis = self.tab.services.workspace.own_photos, result.analysis
         if jobs is not None and (self._registering is None or self._registering[0] != own.key):
             windows = likely_windows(analysis.task, analysis.ranking.order.tolist())
@@ -156,13 +156,13 @@ class FlightPart(PanelPart):
             self.tab.append(kind, {kind: value})
 
     def _seen(self, arguments: Mapping[str, Any]) -> tuple[FlightSnapshot, int] | None:
-        """Return the flight, and the frame that a message names; None for no frame of it."""
+        """Return the flight, and the frame that a message names; None for an unknown frame."""
         seen, frame = self._of.shared.snapshot(), arguments.get("frame")
         named = isinstance(frame, int) and not isinstance(frame, bool) and 0 <= frame < len(seen.flight.frames)
         return (seen, frame) if named else None  # type: ignore[return-value]
 
     def _correct(self, arguments: Mapping[str, Any]) -> None:
-        """Keep the corners of a photo, in metres of the map's frame, as a person has placed them."""
+        """Store the corners of a photo as the user placed them, in metres of the map's frame."""
         corners = arguments.get("corners")
         numbers = (
             [value for corner in corners if isinstance(corner, list) for value in corner]
@@ -191,7 +191,7 @@ class FlightPart(PanelPart):
         self._worker.wake()
 
     def _positions(self, arguments: Mapping[str, Any]) -> None:
-        """Make a file of one position a photo, which the page then saves."""
+        """Make a file with one position for each photo, which the page then saves."""
         suffix = arguments.get("suffix")
         if suffix not in (".csv", ".geojson"):
             raise InputError("expected .csv or .geojson.")
@@ -203,7 +203,7 @@ class FlightPart(PanelPart):
 
 
 def _progress(job: BackgroundJob[Any] | None, frames: int) -> str:
-    """Return how far a registration of so many frames is, or why it failed; "" once it has ended well."""
+    """Return the progress of a registration of `frames` frames, or the reason of its failure; "" after success."""
     if job is None or job.wait(0):
         return f"Registration failed: {job.error}" if job is not None and job.error is not None else ""
     return f"Registering {job.done} of {job.total or frames} photos"

@@ -2,20 +2,20 @@
 
 import { find, findAll } from "../../page/dom.js";
 
-// The photo's corners, in shares of it, which a person drags to their places on the map.
+// The photo's corners, in shares of its sides; the user drags them to their places on the map.
 const CORNERS = [[0, 0], [1, 0], [1, 1], [0, 1]];
 const ARROWS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] };
 const HANDLE = 36; // pixels of the slider's handle, as in the style sheet
 const clamp = (value, low, high) => Math.min(Math.max(value, low), high);
 
-/** The point that a homography, 9 numbers by rows, maps a point to. */
+/** Map a point by a homography, 9 numbers by rows. */
 const through = (h, /** @type {any} */ [x, y]) => {
   const depth = h[6] * x + h[7] * y + h[8];
   return [(h[0] * x + h[1] * y + h[2]) / depth, (h[3] * x + h[4] * y + h[5]) / depth];
 };
 /** The homography that maps four points to four others; null if there is none. */
 export const homography = (from, to) => {
-  const [x0, y0] = to[0]; // the equations are about the first point, so that large coordinates cost no precision
+  const [x0, y0] = to[0]; // relative to the first point, so that large coordinates cost no precision
   const rows = from.flatMap(([x, y], i) => {
     const [u, v] = [to[i][0] - x0, to[i][1] - y0];
     return [[x, y, 1, 0, 0, 0, -u * x, -u * y, u], [0, 0, 0, x, y, 1, -v * x, -v * y, v]];
@@ -48,7 +48,7 @@ const transform = (h) => {
 export class LaidPhoto {
   /**
    * @param {any} root the panel's element
-   * @param {any} flight what all parts of the panel share, see flight.js
+   * @param {any} flight the state that all parts of the panel share, see flight.js
    * @param {any} map
    * @param {{use: (mode: string) => void, act: (name: string, args: any) => void, say: (text: string) => void}} on
    */
@@ -57,12 +57,12 @@ export class LaidPhoto {
     this.flight = flight;
     this.map = map;
     this.on = on;
-    this.ties = null; // frame, points in metres, and how many saves there were when they were sent
-    this.near = ""; // the photo and the mode that were brought near last
+    this.ties = null; // frame, points in metres, and the number of saves when they were sent
+    this.near = ""; // the photo and the mode that were last brought into view
     find(".swipe", root).addEventListener("input", () => this.lay());
     const box = find(".ties", root);
     for (const kind of ["pointerdown", "pointermove", "pointerup", "pointercancel", "keydown"]) box.addEventListener(kind, (event) => this.onTie(event));
-    // The map must not move with what lies on it.
+    // Dragging tie points or the slider must not move the map.
     for (const one of [box, find(".swipe", root)]) for (const kind of ["mousedown", "touchstart", "dblclick", "click", "pointerdown"]) one.addEventListener(kind, (event) => event.stopPropagation());
   }
 
@@ -84,7 +84,7 @@ export class LaidPhoto {
     let h = photo.homography;
     if (!h && outline) h = homography(this.corners, outline.slice(0, 4));
     if (!h) {
-      // Nothing tells where the photo lies: it starts in the middle of the view, north up.
+      // The photo has no known place: it starts in the middle of the view, north up.
       const [x, y, across] = this.map.view;
       const [half, tall] = [0.2 * across, (0.2 * across * photo.size[1]) / photo.size[0]];
       h = homography(this.corners, [[-1, 1], [1, 1], [1, -1], [-1, -1]].map(([right, up]) => [x + right * half, y + up * tall]));
@@ -98,7 +98,7 @@ export class LaidPhoto {
   move(which, /** @type {any} */ [right, up]) {
     const { ties } = this;
     ties.points = ties.points.map(([x, y], i) => (which === "all" || which === String(i) ? [x + right, y + up] : [x, y]));
-    ties.sent = null; // what was sent are other points
+    ties.sent = null; // the sent points are outdated
     this.map.draw();
   }
   onTie(event) {
@@ -134,7 +134,7 @@ export class LaidPhoto {
     this.ties = null;
     this.on.use("off");
   }
-  /** Another photo, or another state of it, has come: a correction that is saved or forgotten ends the mode. */
+  /** Take another photo, or another state of it; a saved or removed correction ends the mode. */
   arrived() {
     const { ties, flight } = this;
     if (!ties || !flight.photo) return;
@@ -176,19 +176,19 @@ export class LaidPhoto {
     const { x, y, scale } = this.map.affine;
     const [width, height] = this.map.size;
     const { size } = flight.photo;
-    // From the edges of the served picture to the pixels of the photo, whose whole numbers are centres, to metres, to the view.
+    // From the served picture's edges to the photo's pixels (whole numbers are centres), to metres, to the view.
     const pixels = [size[0] / image.naturalWidth, 0, -0.5, 0, size[1] / image.naturalHeight, -0.5, 0, 0, 1];
     const look = [scale, 0, x, 0, -scale, y, 0, 0, 1];
     image.style.width = `${image.naturalWidth}px`;
     image.style.transform = transform(product(look, product(matrix, pixels)));
-    // The slider spans what is seen of the photo, so that it opens in the photo's middle.
+    // The slider spans the visible part of the photo, so that it starts in the middle of it.
     const [seen, whole] = [layer.getBoundingClientRect(), image.getBoundingClientRect()];
     const left = clamp(whole.left - seen.left, 0, width);
     const right = clamp(whole.right - seen.left, left, width);
     const top = clamp(whole.top - seen.top, 0, height);
     const foot = clamp(whole.bottom - seen.top, top, height);
     const border = left + ((right - left) * swipe.value) / 100;
-    // The handle's middle lies on the line; its own width would end it before the photo does.
+    // The handle's middle lies on the line; without this, its width would stop it before the photo's edge.
     Object.assign(swipe.style, { left: `${left - HANDLE / 2}px`, width: `${right - left + HANDLE}px`, top: `${(top + foot - HANDLE) / 2}px` });
     Object.assign(edge.style, { left: `${border}px`, top: `${top}px`, height: `${foot - top}px` });
     layer.style.clipPath = mode === "swipe" ? `inset(0 0 0 ${border}px)` : "none";

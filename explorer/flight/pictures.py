@@ -1,4 +1,4 @@
-"""The pictures of a flight, which the page loads by their addresses: tiles of its map, photos, and cuts of the map."""
+"""The pictures of a flight, which the page loads by their addresses: tiles and cuts of its map, and photos."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _TILES, _PHOTOS = 1000, 40
 # Longer side of a photo, and side of the pictures that compare a photo with the map, in pixels.
 LAID, _PAIR = 1280, 220
 _QUALITY = 82
-# The most levels: the number of a tile in its level has seven digits.
+# Maximum of levels: the number of a tile in its level has seven digits.
 _MOST_LEVELS = 11
 # The finest level whose tiles are cut from the map's overview. Without it, each coarse tile would read most pixels of a map.
 _COARSE = int(math.log2(OVERVIEW / TILE))
@@ -68,8 +68,8 @@ class FlightPicturesFeed:
     """The pictures of a flight at addresses of the feeds, encoded once for all tabs; thread-safe.
 
     Attributes:
-        addresses: folders relative to the page: "tiles" of each level by row * 2^level + column; by the frame's number
-            "photo", its middle "square", and the map where its answer is, "ground".
+        addresses: folders relative to the page. "tiles" of each level are numbered by row * 2^level + column; "photo",
+            its middle "square", and the map at its answer, "ground", by the frame's number.
 
     Args:
         flight: returns the newest state of the flight.
@@ -120,7 +120,7 @@ def tile(basemap: Map, pyramid: TilePyramid, level: int, column: int, row: int) 
     step = OVERVIEW >> level
     part = np.s_[row * step : (row + 1) * step, column * step : (column + 1) * step]
     picture, valid = (array[part] for array in overview)
-    # The overview ends where the map does.
+    # The overview ends at the map's border.
     missing = ((0, step - valid.shape[0]), (0, step - valid.shape[1]))
     shares = _reduced(np.pad(valid, missing).astype(np.float32))
     sums = _reduced(np.pad(picture, (*missing, (0, 0))).astype(np.float32))
@@ -133,7 +133,7 @@ def _reduced(array: Float32Array) -> Float32Array:
 
 
 def encoded(picture: UInt8Array, valid: BoolArray | None = None) -> EncodedPicture:
-    """Return a picture, (H, W, 3), as JPEG, or as WebP with transparency where a part of it is not valid, (H, W)."""
+    """Encode a picture, (H, W, 3), as JPEG, or as transparent WebP if some pixels are not `valid`, (H, W)."""
     if valid is None or valid.all():
         return EncodedPicture(images.jpeg(picture, _QUALITY), "image/jpeg")
     layers = np.dstack([picture[..., ::-1], np.where(valid, 255, 0).astype(np.uint8)])
@@ -142,9 +142,9 @@ def encoded(picture: UInt8Array, valid: BoolArray | None = None) -> EncodedPictu
 
 
 def ground_window(located: LocatedFrame, stage: str | None) -> Window | None:
-    """Return the square of the map that a frame's middle shows by a stage's answer, turned like the frame; None without one.
+    """Return the square of the map that a stage's answer assigns to a frame's middle, turned like the frame; None without one.
 
-    For stages other than the registration it is as large as the best window, and turned like it.
+    For stages other than the registration, it has the size and the turn of the best window.
     """
     frame, answer = located.frame, None if stage is None else located.stages.get(stage)
     if answer is None or answer.x is None or answer.y is None:
@@ -170,7 +170,7 @@ def _square(located: LocatedFrame) -> EncodedPicture:
 
 
 def middle_square(picture: UInt8Array) -> UInt8Array:
-    """Return the largest square in the middle of a picture, (H, W, 3), at the size in which it is compared with the map."""
+    """Return the largest square in the middle of a picture, (H, W, 3), at the size of the comparison with the map."""
     height, width = picture.shape[:2]
     side = min(height, width)
     top, left = (height - side) // 2, (width - side) // 2
@@ -178,7 +178,7 @@ def middle_square(picture: UInt8Array) -> UInt8Array:
 
 
 def ground(basemap: Map, located: LocatedFrame) -> EncodedPicture:
-    """Return the map where a frame's answer is, of one transparent pixel without an answer."""
+    """Return the map at a frame's answer; one transparent pixel without an answer."""
     window = ground_window(located, belief(located).stage)
     if window is None:
         return encoded(np.zeros((1, 1, 3), np.uint8), np.zeros((1, 1), bool))

@@ -1,4 +1,4 @@
-"""A flight with its verdicts, and a person's corrections of its frames, derived once for all tabs."""
+"""A flight with its verdicts and a user's corrections, derived once for all tabs."""
 
 from __future__ import annotations
 
@@ -36,12 +36,12 @@ _COMPARED, _COMPARISONS = 960, 100
 
 @dataclass(frozen=True, eq=False)
 class FlightSnapshot:
-    """A flight as it is located so far.
+    """The located frames of a flight at one moment.
 
     Attributes:
         verdicts: on its frames.
-        corrections: a person's, by the frame's name.
-        corrections_error: why they cannot be used, in one sentence; empty if they can.
+        corrections: the user's, by the frame's name.
+        corrections_error: one sentence with the reason for which they cannot be used; empty if they can.
         outlines: the ground that each frame shows; None where it is unknown.
     """
 
@@ -57,7 +57,7 @@ class FlightSnapshot:
 
     @property
     def contradictions(self) -> Sequence[Disagreement]:
-        """The answers that lie too far apart."""
+        """The pairs of answers that lie too far apart."""
         return self.verdicts.contradictions
 
     @cached_property
@@ -67,12 +67,12 @@ class FlightSnapshot:
 
     @cached_property
     def measured(self) -> LocatedFlight:
-        """The flight with the tags that errors are told by: without their lag, where they have one."""
+        """The flight with the tags that errors are measured against: corrected for their lag, if they have one."""
         return self.flight.without_lag()
 
     @property
     def lag(self) -> float | None:
-        """Seconds by which the tags of the flight are late; None where they are not."""
+        """Seconds by which the tags of the flight are late; None if they are not."""
         return None if self.flight.tags_without_lag is None or self.flight.audit is None else self.flight.audit.lag
 
     @cached_property
@@ -82,11 +82,11 @@ class FlightSnapshot:
 
     @cached_property
     def errors_as_told(self) -> Errors | None:
-        """The same against the tags in the photos' files."""
+        """The errors of the placed photos against the tags in their files; None if no placed photo has one."""
         return placed_errors(self.flight, self.beliefs)
 
     def corrected(self, frame: int) -> tuple[float, float] | None:
-        """Return where a person says that the middle of a frame's picture lies, in metres of the map's frame."""
+        """Return the user's position of the middle of a frame's picture, in metres of the map's frame; None without one."""
         correction = self.corrections.get(self.flight.frames[frame].frame.name)
         if correction is None:
             return None
@@ -108,7 +108,7 @@ class SharedFlight:
     """The flight of a workspace; thread-safe.
 
     Attributes:
-        watchers: are told of each correction.
+        watchers: called after each correction.
     """
 
     def __init__(self, workspace: Workspace) -> None:
@@ -125,11 +125,11 @@ class SharedFlight:
 
     @property
     def corrections_place(self) -> str:
-        """Where the corrections are, in words and without the server's folders."""
+        """The place of the corrections, in words and without the server's folders."""
         return own_file_place(self._workspace.root, corrections.NAME, "flight")
 
     def snapshot(self) -> FlightSnapshot:
-        """Return the frames located so far; it is the same object until the flight or a correction changes."""
+        """Return the frames located so far. It is one object until the flight or a correction changes."""
         flight = self._workspace.flight
         assert flight is not None
         with self._lock:
@@ -138,16 +138,16 @@ class SharedFlight:
             return self._snapshot
 
     def correct(self, frame: int, corners: Float64Array | None) -> None:
-        """Keep a frame's correction on disk, for all tabs; None removes it.
+        """Store a frame's correction on disk, for all tabs; None removes it.
 
-        Of two tabs of this server, the later one wins; what another program has written meanwhile is refused.
+        Of two tabs of this server, the later one wins; a newer correction by another program is not overwritten.
 
         Args:
             corners: of the picture in metres of the map's frame, (4, 2).
 
         Raises:
-            LPNError: when the corners are not those of a picture, another program has corrected the frame meanwhile, or the
-                file cannot be written; then nothing has changed.
+            LPNError: when the corners are not a picture's, another program has corrected the frame meanwhile, or the file
+                cannot be written; then nothing has changed.
         """
         with self._lock:  # otherwise an older state of the file could be assigned last
             seen = self.snapshot()
@@ -156,16 +156,16 @@ class SharedFlight:
             try:
                 kept = corrections.set_correction(self._file, name, correction, seen.corrections)
             except InputError:
-                self._snapshot = None  # the next one has what the other program wrote
+                self._snapshot = None  # the next one includes the other program's corrections
                 self.watchers.tell()
                 raise
             self._snapshot = replace(seen, corrections=kept, corrections_error="")
         self.watchers.tell()
 
     def agreement(self, frame: int) -> MapAgreement | None:
-        """Return how well places of a photo agree with the map where it is laid; a photo laid by hand is compared at once.
+        """Return how well details of a photo agree with the map where it is laid; None if it is not laid, or not comparable.
 
-        None where the photo is not laid, or could not be compared.
+        The comparison of a photo that was laid by hand is computed at once.
         """
         seen = self.snapshot()
         located = seen.flight.frames[frame]
@@ -177,13 +177,13 @@ class SharedFlight:
     def _compare(self, seen: FlightSnapshot, frame: int) -> MapAgreement | None:
         located, matrix = seen.flight.frames[frame].frame, seen.homography(frame)
         assert matrix is not None
-        with suppress(DataError, PictureError):  # it can be laid all the same
+        with suppress(DataError, PictureError):  # the photo can be laid without a comparison
             photo = located.undistorted(images.shrink(images.load_picture(located.file), _COMPARED))
             return map_agreement(seen.flight.basemap, photo, matrix, (located.width, located.height))
         return None
 
     def positions(self, suffix: str) -> bytes:
-        """Return one position a photo, of its correction or of the stage that counts, as a file with a suffix."""
+        """Return a file of the format `suffix` with one position for each photo: its correction, else the deciding stage's."""
         seen = self.snapshot()
         frames = [replace(located, by_hand=None) for located in seen.flight.frames]
         enter_corrections(seen.flight.basemap, frames, seen.corrections)
@@ -192,7 +192,7 @@ class SharedFlight:
     def _read(self) -> tuple[dict[str, Correction], str]:
         try:
             return corrections.read_corrections(self._file), ""
-        except LPNError as error:  # the panel is useful without them
+        except LPNError as error:  # the panel is useful without corrections
             return {}, str(error)
 
 
@@ -205,7 +205,7 @@ class FlightServices:
 
     @classmethod
     def of(cls, services: WorkspaceServices) -> FlightServices:
-        """Return those of a workspace with a flight, made once."""
+        """Return the services of a workspace with a flight, made once."""
         return _MADE.get(services, lambda: cls._make(services))
 
     @classmethod

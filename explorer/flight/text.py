@@ -24,24 +24,24 @@ TRACKS = {
     "registration": ("Registration", "Points of the photo matched on the map."),
     "corrected": ("By hand", "Places that a person has corrected."),
 }
-# Distances from which their 95th percentile is told, at least.
+# Fewest distances whose 95th percentile is shown.
 _FEWEST = 5
-# The states of a photo's place, by their colours.
+# The name of each state's colour, and its words.
 STATES = {"right": "placed", "contradicted": "in doubt", "unknown": "not placed"}
 
 
 def state(verdict: Belief) -> str:
-    """Return the name of the colour of a photo's state, see `STATES`; a guess by its neighbours places no photo."""
+    """Return the colour's name of a photo's state, see `STATES`; a guess by its neighbours places no photo."""
     return "right" if verdict.sign else "contradicted" if verdict.contradicted else "unknown"
 
 
 def mark(verdict: Belief) -> str:
-    """Return the sign of a photo's state; a place by its neighbours, or in doubt, has a question mark."""
+    """Return the sign of a photo's state: a question mark for a place by its neighbours, or one in doubt."""
     return "✓" if verdict.sign else "✗" if verdict.stage in (None, "retrieval") else "?"
 
 
 def counts(seen: FlightSnapshot) -> str:
-    """Say how many photos are placed, in doubt, and not placed."""
+    """Count the placed, doubtful, and unplaced photos in a sentence."""
     states = [state(verdict) for verdict in seen.beliefs]
     pieces = [f"{states.count(name):,} {word}" for name, word in STATES.items() if name == "right" or name in states]
     text = f"{len(states):,} photos: {', '.join(pieces)}."
@@ -51,7 +51,7 @@ def counts(seen: FlightSnapshot) -> str:
 
 
 def headline(verdict: Belief, located: LocatedFrame) -> str:
-    """Return the verdict on a photo in some words; a photo that is not checked elsewhere is placed by its middle alone."""
+    """Return the verdict on a photo in a few words. A photo that is checked nowhere else is placed by its middle alone."""
     middle = verdict.stage == "registration" and verdict.sign and is_unchecked(located)
     return f"{verdict.headline}, at least its middle" if middle else verdict.headline
 
@@ -62,7 +62,7 @@ def reason(verdict: Belief) -> str:
 
 
 def agreement(seen: FlightSnapshot, frame: int, measured: MapAgreement | None) -> str:
-    """Say how far places of a photo lie from where the map has them, or that too few of them tell; "" where none were sought."""
+    """Say how far details of a photo lie from the map's, or that too few of them are known; "" without a search for them."""
     if measured is None or measured.largest is None:
         unchecked = "" if measured is None else _first(measured.unchecked)
         return unchecked and f"Not checked: {unchecked[:1].lower()}{unchecked[1:]}"
@@ -77,12 +77,12 @@ def agreement(seen: FlightSnapshot, frame: int, measured: MapAgreement | None) -
 
 
 def _first(text: str) -> str:
-    """Return the first sentence of a text; a full stop within a name, such as IMG. 12.jpg, ends none."""
+    """Return the first sentence of a text; a full stop within a name, such as IMG. 12.jpg, does not end it."""
     return re.split(r"(?<=\.) (?=[A-Z])", text, maxsplit=1)[0]
 
 
 def _side(across: float, down: float) -> str:
-    """Return where in a picture a place lies, given as shares of its width and height."""
+    """Name the side of a picture at which a place lies, given as shares of its width and height."""
     row = "upper" if down < 1 / 3 else "lower" if down > 2 / 3 else ""
     column = "left" if across < 1 / 3 else "right" if across > 2 / 3 else ""
     if row and not column:
@@ -100,7 +100,7 @@ def place(flight: LocatedFlight, point: tuple[float, float]) -> tuple[str, str]:
 
 
 def drone(flight: LocatedFlight, located: LocatedFrame) -> str:
-    """Say where the drone was and how its camera was tilted, by the pose of a registered photo; "" without one."""
+    """Describe the drone's position and its camera's tilt by the pose of a registered photo; "" without one."""
     answer = located.stages.get("registration")
     pose = None if answer is None or not answer.accepted else answer.pose
     if answer is None or pose is None:
@@ -122,7 +122,7 @@ def drone(flight: LocatedFlight, located: LocatedFrame) -> str:
 
 
 def accuracy(seen: FlightSnapshot) -> list[tuple[str, str, str]]:
-    """Return three rows on the accuracy of the places: what, its figure, and its source; none without a placed photo."""
+    """Return three rows on the accuracy of the places: subject, figure, and source; none without a placed photo."""
     flight, radii = seen.flight, radii_on_map(seen.flight, seen.beliefs)
     if not radii:
         return []
@@ -152,7 +152,7 @@ def accuracy(seen: FlightSnapshot) -> list[tuple[str, str, str]]:
 
 
 def _unconfirmed(seen: FlightSnapshot) -> str:
-    """Return that radii do not hold against the GPS tags; "" if they hold, or no tag tells."""
+    """Return a warning that the radii do not hold against the GPS tags; "" if they hold, or there are too few tags."""
     errors = seen.measured.errors().get("registration")
     if errors is None or not errors.calibration or errors.calibration[3] >= CONFIRMED_SHARE:
         return ""

@@ -1,4 +1,4 @@
-// The timeline of a flight: how far each photo's answer lies from its tag, in the colour of its state.
+// The timeline of a flight: the distance from each photo's answer to its tag, in the colour of its state.
 
 import { make } from "../../page/dom.js";
 import { plot } from "../../page/plot.js";
@@ -8,7 +8,7 @@ const INK = { right: "--right", contradicted: "--wrong", unknown: "--soft" };
 
 /**
  * @param {any} box
- * @param {any} flight what all parts of the panel share, see flight.js
+ * @param {any} flight the state that all parts of the panel share, see flight.js
  * @param {(frame: number) => void} choose
  * @returns {() => void} draws it anew
  */
@@ -38,7 +38,7 @@ export const makeTimeline = (box, flight, choose) => {
   return draw;
 };
 
-/** Errors, or radii where no photo has a tag; a photo without a place lies on the ground line, as a guess may lie far away. */
+/** Draw errors, or radii if no photo has a tag. A photo without a place lies on the base line, as a guess may be far off. */
 const values = (data) => {
   const radii = data.stages.map((stage, i) => data.tracks[stage]?.radius[i] ?? null);
   return (data.errors.some((error) => error !== null) ? data.errors : radii).map((value, i) => (data.marks[i] === "✗" ? 0 : value));

@@ -1,4 +1,4 @@
-"""One tab's access to what its state names: the place's services, the model's workspace, the network, and the ranking."""
+"""One tab's access to the objects that its state names: services, the model's workspace, network, and ranking."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ class Opened:
     """A model's workspace with this tab's access to its network.
 
     Attributes:
-        requests: of the answer that a person waits for.
-        background: of all that goes on behind it.
+        requests: the context of the awaited answer.
+        background: the context of all background work.
     """
 
     workspace: Workspace
@@ -31,7 +31,7 @@ class Opened:
 
 
 class Access:
-    """Finds what states name.
+    """Finds the objects that states name.
 
     Args:
         services: opens a place by its key; LPNError if that fails.
@@ -42,16 +42,16 @@ class Access:
         self._opened: dict[Workspace, Opened] = {}
 
     def services(self, state: ScreenState) -> WorkspaceServices:
-        """Return what a state's place offers, which is open."""
+        """Return the services of a state's place, which must be open."""
         return self._services(state.place)
 
     def workspace(self, state: ScreenState) -> Workspace:
-        """Return the workspace of the state's model, or that of the place until it is open."""
+        """Return the workspace of the state's model, or the place's own until that is open."""
         beside = self._beside(state)
         return self.services(state).workspace if beside is None or beside.workspace is None else beside.workspace
 
     def ranking(self, state: ScreenState) -> RankingJob:
-        """Return the ranking of the state's task, model, and scoring; another one where the model has none of these."""
+        """Return the ranking of the state's task, model, and scoring, or a replacement for a missing task or scoring."""
         workspace = self.workspace(state)
         name = state.task if state.task in workspace.tasks else next(iter(workspace.tasks))
         return workspace.ranking(name, state.scoring)
@@ -67,7 +67,7 @@ class Access:
             return self._opened[workspace]
 
     def ranks_beside(self, state: ScreenState) -> list[tuple[str, int]]:
-        """Return the label of each other model that has ranked the state's query, and the rank of its truth there, upright."""
+        """Return label and upright rank of the truth for each other model that has ranked the state's query."""
         base = self.services(state).workspace
         opened = [(base.model_name, base), *((one.label, one.workspace) for one in base.beside)]
         ranks = []
@@ -84,7 +84,7 @@ class Access:
         return None if beside is None or beside.workspace is not None else beside.open()
 
     def close(self) -> None:
-        """Cancel what the tab has asked for."""
+        """Cancel the tab's requests."""
         with self._lock:
             for opened in self._opened.values():
                 opened.requests.close()

@@ -23,7 +23,7 @@ log = logging.getLogger(__name__)
 
 # Characters of a message; parts of a photo are bytes, which the gateway bounds.
 MAX_TEXT = 20_000
-# Threads that do what the messages of all tabs say.
+# Threads that handle the messages of all tabs.
 _THREADS = 32
 
 
@@ -36,7 +36,7 @@ class TabSession(Protocol):
         ...
 
     def receive(self, message: object) -> None:
-        """Do what a message says."""
+        """Handle a message."""
         ...
 
     def receive_bytes(self, part: bytes) -> None:
@@ -48,7 +48,7 @@ class TabSession(Protocol):
         ...
 
     def leave(self) -> None:
-        """Stop all that goes on for this tab: it has left."""
+        """Stop all work for this tab: it has left."""
         ...
 
 
@@ -61,10 +61,10 @@ class Tabs(Protocol):
 
 
 class Outbox:
-    """Messages that wait for one page: of each kind the newest, so that a slow page never has more to read.
+    """Messages that wait for one page: the newest of each kind, so that a slow page never falls further behind.
 
-    The keys of a message are its kinds, but `kind`, which tells messages of one kind apart. `put` may be called from any
-    thread.
+    A message's kinds are its keys, except for `kind` itself, which separates messages with equal keys. `put` may be called
+    from any thread.
     """
 
     def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
@@ -72,7 +72,7 @@ class Outbox:
         self._waiting: OrderedDict[tuple[frozenset[str], str], ScreenMessage] = OrderedDict()
 
     def put(self, message: ScreenMessage) -> None:
-        """Hand over a message; it replaces those that wait and have none but its kinds."""
+        """Queue a message; it replaces those that wait whose kinds are all among its own."""
         if not self._loop.is_closed():
             self._loop.call_soon_threadsafe(self._put, message)
 
@@ -96,7 +96,7 @@ class Channel:
     """Serves the tabs of all browsers.
 
     Args:
-        screens: what they share.
+        screens: their shared state.
     """
 
     def __init__(self, screens: Tabs) -> None:
@@ -111,7 +111,7 @@ class Channel:
         self._executor.shutdown(wait=False, cancel_futures=True)
 
     def attach(self, tab: str, client: viser.ClientHandle) -> None:
-        """Give a tab's session the client of its scene; a scene without a session shows nothing."""
+        """Give a tab's session the client of its scene; without a session, the scene shows nothing."""
         session = self.sessions.get(tab)
         if session is not None:
             session.attach(client)
@@ -126,7 +126,7 @@ class Channel:
         """Serve one tab until its connection ends.
 
         Args:
-            tab: the name that the page has given itself; a page that connects again takes its former session's place.
+            tab: the page's own name for itself; a page that connects again replaces its former session.
         """
         loop = asyncio.get_running_loop()
         outbox = Outbox(loop)
@@ -158,7 +158,7 @@ class Channel:
 
 
 def _end(session: TabSession) -> None:
-    """End a session, and collect what it held, pictures included: Python would take minutes to find them."""
+    """End a session, and collect its memory, pictures included, now; the garbage collector would take minutes."""
     session.leave()
     gc.collect()
     return_memory()
@@ -169,7 +169,7 @@ async def _write(outbox: Outbox, connection: ServerConnection) -> None:
         message = await outbox.take()
         try:
             text = json.dumps(shown_json(message), separators=(",", ":"), allow_nan=False)
-        except (TypeError, ValueError):  # the page goes on with the messages that follow
+        except (TypeError, ValueError):  # later messages are still handled
             log.exception("A message to a page is no JSON: %s", ", ".join(message))
             continue
         try:

@@ -19,7 +19,7 @@ from lpn.models.base import Model
 from lpn.retrieval import Ranking, scoring
 from lpn.tasks.task import Task
 
-# Degrees between two points, and descriptors that are held for all browsers: 24 for a photo, some 8 kB each.
+# Degrees between two points, and cached descriptors for all browsers: 24 for a photo, some 8 kB each.
 STEP = 15
 ANGLES = tuple(range(-180, 180, STEP))
 _HELD = 4000
@@ -40,11 +40,11 @@ class Turning:
     Attributes:
         key: of the photo under its model, without angle and part weights.
         source: the photo before it is turned, (H, W, 3) uint8.
-        change: what is done to it besides turning, see `Change.for_picture`.
-        index: of the query; None for an own photo.
-        weights: of the parts; None for equal ones.
-        model: describes it as the task's descriptors are, in the background.
-        keep: holds described queries, so that a turn to one of the curve's angles needs no forward pass.
+        change: other changes of the photo, see `Change.for_picture`.
+        index: position among the queries; None for an own photo.
+        weights: the part weights, (n,); None for equal ones.
+        model: describes the photo as the task's descriptors are, in the background.
+        keep: caches described queries, so that a turn to one of the curve's angles needs no forward pass.
     """
 
     key: Hashable
@@ -57,7 +57,7 @@ class Turning:
     keep: KeepDescribed
 
     def descriptor(self, angle: int) -> Float32Array:
-        """Describe the photo turned by some degrees, (n, D)."""
+        """Describe the photo turned counter-clockwise by `angle` degrees, (n, D)."""
         change, task = replace(self.change, rotate=float(angle)), self.task
         model = self.model.for_task(*task.views)
         describe = partial(retrieval.describe_picture, model, self.source, task.query_view, change)
@@ -65,7 +65,7 @@ class Turning:
         return described.descriptor
 
     def point(self, descriptor: Float32Array) -> tuple[int | None, float]:
-        """Return the truth's rank, None where it is not known, and the distance of the nearest tile."""
+        """Return the truth's rank, None if it is unknown, and the distance of the nearest tile."""
         weights = scoring.part_weights(self.task.contract.n_parts, self.weights)
         ranking: Ranking = self.task.start_search(self.index, descriptor)(weights)
         truth = ranking.positive()
@@ -77,34 +77,34 @@ class Curve:
 
     Args:
         send: hands a message to the page.
-        held: shared by all browsers.
+        held: the cache of all browsers.
     """
 
     def __init__(self, send: Callable[[dict[str, Any]], None], held: Descriptors) -> None:
         self._send, self._held = send, held
-        # What is drawn, and its sequence: set together, as another thread reads both.
+        # The photo and its sequence are assigned together, as another thread reads both.
         self._followed: tuple[Turning | None, str] = None, ""
         self._worker = Worker(self._work, lambda _: None)
 
     def follow(self, turning: Turning | None, sequence: str) -> None:
-        """Draw the curve of a photo, unless it is the one that is being drawn.
+        """Draw the curve of a photo, unless it is being drawn already.
 
         Args:
-            sequence: tells the page's photo and weights; the messages name it.
+            sequence: names the page's photo and weights in the messages.
         """
         before, self._followed = self._followed[0], (turning, sequence)
         if turning is not None and (before is None or (before.key, before.weights) != (turning.key, turning.weights)):
             self._worker.wake()
 
     def stop(self) -> None:
-        """End after the point that is being computed."""
+        """End after the current point."""
         self._followed = None, ""
         self._worker.stop()
 
     def _work(self) -> None:
         turning, sequence = self._followed
         points: dict[int, tuple[int | None, float]] = {}
-        # From the upright photo outwards, as a person turns it.
+        # From the upright photo outwards, as a user turns it.
         for angle in sorted(ANGLES, key=abs):
             newest = self._followed[0]
             if newest is None or turning is None or newest.key != turning.key:
@@ -112,7 +112,7 @@ class Curve:
             try:
                 descriptor = self._held.get((turning.key, angle), partial(turning.descriptor, angle))
                 points[angle] = turning.point(descriptor)
-            except (LPNError, WorkCancelledError):  # the answer itself says what is wrong with the photo
+            except (LPNError, WorkCancelledError):  # the answer itself reports a fault of the photo
                 return
             if len(points) in (len(ANGLES), len(ANGLES) // 2) or len(points) % 4 == 0:
                 self._send({"curve": {"sequence": sequence, "points": [[a, *points[a]] for a in sorted(points)]}})

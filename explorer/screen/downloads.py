@@ -1,4 +1,4 @@
-"""Files that take long to make: one at a time for each tab, with progress in the reason's place, then saved by the browser."""
+"""Slow files: each tab makes one at a time, with progress in the reason's place, and the browser then saves it."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ class Downloads:
         self._making = False
 
     def make(self, title: str, make: MakeFile, feeds: Feeds, owner: object) -> None:
-        """Begin a file; while one is being made, cancel that instead.
+        """Begin a file; if one is being made, cancel it instead.
 
         Args:
-            title: what is made, for the notes: "Report".
+            title: the file's kind in the notes, such as "Report".
             feeds: serves the file.
-            owner: of the feed.
+            owner: the owner of the feed.
         """
         if self._making:
             self.close()
@@ -40,7 +40,7 @@ class Downloads:
         self._job = BackgroundJob(lambda report: self._make(title, make, report, feeds, owner), self)
 
     def close(self) -> None:
-        """Cancel the file that is being made."""
+        """Cancel the current file."""
         if self._job is not None:
             self._job.leave(self)
 
@@ -57,7 +57,7 @@ class Downloads:
             text = f"{title}: it failed; the server's log has the details."
             if isinstance(error, (LPNError, WorkCancelledError)):
                 text = str(error) or f"{title}: cancelled."
-            self._making = False  # before the note, whose reader may begin another one
+            self._making = False  # before the note: its reader may begin another file
             self._send({"note": text})
             raise
         address = feeds.address + feeds.publish_bytes(owner, "file", lambda: content) + "0"

@@ -1,4 +1,4 @@
-"""The table of what a person may choose: one row gives the state, the address, and what is a valid value."""
+"""The table of the user's choices: one row gives the state's field, its key in the address, and its valid values."""
 
 from __future__ import annotations
 
@@ -15,21 +15,21 @@ from lpn.descriptors.transforms import Change
 from lpn.library.analyser import OwnPicture, QueryRequest
 from lpn.tasks.task import SCORINGS, scored_key
 
-# Characters and values of an address that are read.
+# Most characters and values of an address that are read.
 _MAX_SEARCH, _MAX_PARAMETERS = 4000, 100
-# The most that a part weighs, and the digits by which weights are written.
+# Maximum of a part's weight, and the digits of written weights.
 MAX_WEIGHT, _WEIGHT_DIGITS = 2.0, 2
 
 
 class FieldKind(Protocol):
-    """What a field holds."""
+    """The type of a field's values."""
 
     def read(self, value: object, state: ScreenState, workspace: Workspace) -> Any:
-        """Return the value that a text of an address or a value of JSON means; UnusableError for anything else."""
+        """Parse a text of an address or a JSON value; UnusableError if it is invalid."""
         ...
 
     def write(self, value: Any, state: ScreenState, workspace: Workspace) -> str:
-        """Return the value as the text of an address."""
+        """Format a value as text of an address."""
         ...
 
 
@@ -84,7 +84,7 @@ class OneOf:
 
 @dataclass(frozen=True)
 class Line:
-    """One line of text, of so many letters at most."""
+    """One line of text, with a maximum of letters."""
 
     longest: int = LONGEST_TEXT
 
@@ -102,8 +102,8 @@ class PictureOf:
     """A position among the task's queries or tiles: a number, a name, or "~" and a number where the name is ambiguous.
 
     Attributes:
-        side: of the task.
-        optional: None, written as an empty text, is a value, too.
+        side: queries or tiles of the task.
+        optional: None, written as an empty text, is valid, too.
     """
 
     side: Literal["queries", "gallery"]
@@ -165,11 +165,11 @@ class PanelField(Generic[T]):
     """A row of the table that a panel adds: `state[FIELD]` is its value.
 
     Attributes:
-        name: of the field in messages, with the panel's before it: `lab_order`.
-        kind: what it holds.
-        default: of a page without an address; every workspace can use it.
-        key: of the value in the address; empty for none.
-        of_query: another query resets it.
+        name: of the field in messages, with the panel's name before it: `lab_order`.
+        kind: the type of its values.
+        default: the value of a page without an address; it is valid in every workspace.
+        key: its key in the address; empty for a field that no address has.
+        of_query: reset by another query.
     """
 
     name: str
@@ -185,7 +185,7 @@ def _row(kind: FieldKind, default: Any, key: str = "", of_query: bool = False) -
 
 @dataclass(frozen=True)
 class ScreenState:
-    """What a person has chosen on one screen; each field is a row of the table.
+    """A user's choices on one screen; each field is a row of the table.
 
     Attributes:
         place: key of the workspace.
@@ -193,16 +193,16 @@ class ScreenState:
         model: "0" for the workspace's model, else the number of the one beside it.
         scoring: how the gallery is ranked.
         query: position among the task's queries.
-        own: the key of the own photo that is shown in place of the query; empty for none.
+        own: the key of the own photo shown in place of the query; empty for none.
         angle: degrees counter-clockwise by which the photo is turned.
-        compare: gallery position of the tile that a person compares; None for the headline's.
+        compare: gallery position of the tile that the user compares; None for the headline's.
         weights: the part weights; empty for equal ones.
-        heat: what the cells show: a picture's activation, the pair's evidence, or the loss of its score by occlusion.
+        heat: the values of the cells: activation, evidence, or the loss of score by occlusion.
         filter: which queries the rail lists.
-        find: a text that their names contain.
-        view: what the scene shows.
+        find: a text that the listed queries' names contain.
+        view: the scene's view.
         theme: of the page.
-        panel: the panel that is open; empty for none.
+        panel: the open panel; empty for none.
         of_panels: values of the panels' fields by their names; a field that is missing has its default.
     """
 
@@ -228,7 +228,7 @@ class ScreenState:
         return value
 
     def question(self, own: OwnPicture | None = None) -> QueryRequest:
-        """Return what is asked of the task: about the own photo, or about the query without one."""
+        """Return the question for the task: about the own photo, or without one about the query."""
         return QueryRequest(own or self.query, Change(self.angle), self.weights or None, compare=self.compare)
 
     def value(self, name: str) -> Any:
@@ -249,21 +249,21 @@ class ScreenState:
         return {name: self.value(name) for name in FIELDS}
 
 
-# The rows by their names, task before query, as it tells the query's names; panels add theirs.
+# The rows by their names. The task comes before the query, whose names depend on it; panels add theirs.
 FIELDS: dict[str, PanelField[Any]] = {
     row.name: PanelField(row.name, row.metadata["row"][0], row.default, *row.metadata["row"][1:])
     for row in fields(ScreenState)
     if row.metadata
 }
 _OF_PANELS: set[str] = set()
-# By the names of all panels that open, whether a workspace has them.
+# For each panel that opens: whether a workspace has it.
 PANELS: dict[str, Callable[[Workspace], bool]] = {}
 # Fields whose change needs no new answer, beside those of panels.
 _OF_PAGE = ("filter", "find", "view", "theme", "panel", "of_panels")
 
 
 def add_panel(name: str, rows: Sequence[PanelField[Any]], offered: Callable[[Workspace], bool] | None) -> None:
-    """Add a panel's name and rows to the table; `offered` tells whether a workspace has it, None for one that never opens."""
+    """Add a panel's name and rows to the table; `offered` tells whether a workspace has it, None if it never opens."""
     if offered is not None:
         PANELS[name] = offered
     for row in rows:
@@ -279,13 +279,13 @@ def same_page(one: ScreenState, other: ScreenState) -> bool:
 
 
 def _of_model(state: ScreenState, workspace: Workspace) -> Workspace:
-    """Return the workspace of the state's model, or that of the place until it is open."""
+    """Return the workspace of the state's model, or the place's own until that is open."""
     number = int(state.model)
     return (workspace.beside[number - 1].workspace if number else None) or workspace
 
 
 def _upright(state: ScreenState) -> ScreenState:
-    """Return the state with the fields that belong to a query as on a new page."""
+    """Return the state with the fields of a query reset."""
     for name, row in FIELDS.items():
         if row.of_query:
             state = state.with_value(name, row.default)
@@ -302,7 +302,7 @@ def opening(workspace: Workspace) -> ScreenState:
 def changed(state: ScreenState, values: Mapping[str, object], workspace: Workspace) -> tuple[ScreenState, list[str]]:
     """Return the state with some fields set, and a sentence for each value that cannot be used.
 
-    Another task, query, or own photo starts upright and without a compared tile, another model with equal weights.
+    Another task, query, or own photo resets angle and compared tile; another model resets the weights.
     """
     problems = []
     for name, row in FIELDS.items():
@@ -325,7 +325,7 @@ def changed(state: ScreenState, values: Mapping[str, object], workspace: Workspa
 
 
 def to_address(state: ScreenState, workspace: Workspace) -> str:
-    """Return the query string of a state, without "?": the fields that differ from an opened page's."""
+    """Return the query string of a state, without "?": the fields that differ from the workspace's first state."""
     plain = replace(opening(workspace), query=-1)
     pairs = [
         (row.key, row.kind.write(value, state, workspace))
@@ -336,13 +336,13 @@ def to_address(state: ScreenState, workspace: Workspace) -> str:
 
 
 def from_values(given: Mapping[str, str], workspace: Workspace) -> tuple[ScreenState, list[str]]:
-    """Return the state of an address's values by their keys, and a sentence for each that cannot be used; see `parsed`."""
+    """Return the state of an address's values by their keys, and a sentence for each invalid one; see `parsed`."""
     values = {name: given[row.key] for name, row in FIELDS.items() if row.key in given}
     return changed(opening(workspace), values, workspace)
 
 
 def parsed(search: str) -> dict[str, str]:
-    """Return the values of a query string by their keys; none for one that is malformed."""
+    """Return the values of a query string by their keys; none if it is malformed."""
     try:
         return dict(parse_qsl(search.lstrip("?")[:_MAX_SEARCH], keep_blank_values=True, max_num_fields=_MAX_PARAMETERS))
     except ValueError:

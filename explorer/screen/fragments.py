@@ -1,4 +1,4 @@
-"""HTML of panels, by the templates of their folders; `page/fragment.js` puts it in place, and does what its elements say."""
+"""HTML of panels, from the templates of their folders; `page/fragment.js` inserts it, and handles its elements."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ _TEMPLATES = environment("explorer.screen", "panels")
 
 
 def part_colour(part: int, count: int) -> str:
-    """Return the variable of a part's colour in the page's style sheet; one part has none of its own."""
+    """Return the CSS variable of a part's colour; a single part has no colour of its own."""
     return "--soft" if count == 1 else f"--part{part % 4}"
 
 

@@ -20,9 +20,9 @@ class Loop:
     """Answers the newest state on its own thread.
 
     Args:
-        answer: returns the result of a state; it runs on one thread.
+        answer: returns the result of a state; called on one thread.
         send: hands a message to the page.
-        requests: returns the tab's access to the network of the newest state.
+        requests: returns the tab's request context of the newest state.
         on_result: called after each result with its state.
     """
 
@@ -34,28 +34,28 @@ class Loop:
         on_result: Callable[[ScreenState], None],
     ) -> None:
         self._answer, self._send, self._requests, self._on_result = answer, send, requests, on_result
-        # The newest state, and the last one that was answered; each is an object of its own.
+        # The newest state, and the last answered one, compared by identity.
         self._asked: ScreenState
         self._answered: ScreenState | None = None
         self._worker = Worker(self._work, self._fail)
 
     def show(self, state: ScreenState) -> None:
-        """Answer a state as soon as the analysis in flight has ended; states in between are left out."""
+        """Answer a state as soon as the current analysis has ended; states in between are skipped."""
         self._asked = state
         self._requests().supersede()
         self._worker.wake()
 
     def stop(self) -> None:
-        """End after the analysis in flight."""
+        """End after the current analysis."""
         self._worker.stop()
 
     def _work(self) -> float | None:
-        if self._answered is self._asked:  # it came while the run before began
+        if self._answered is self._asked:  # the run before has answered it
             return None
         message: ScreenMessage | None = None
         try:
             with self._requests().answering():
-                while message is None:  # a state that a newer one supersedes in the queue is answered anew
+                while message is None:  # a newer state has superseded this one in the queue
                     state = self._asked
                     with suppress(SupersededError):
                         message = self._answer(state)

@@ -1,4 +1,4 @@
-"""Occlusion of one tab's photo: how much the score of the answer falls where a square is covered, measured in the background."""
+"""Occlusion of one tab's photo: the loss of the answer's score by each covered square, measured in the background."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class Covering:
 
     Attributes:
         key: of photo, angle, and answer under their model, without the part weights.
-        number: of the result; the messages name it.
+        number: the result's number, which the messages repeat.
         model: describes the photo as the task's descriptors are, in the background.
     """
 
@@ -32,7 +32,7 @@ class Covering:
 
 
 class Occlusion:
-    """Measures the newest result, and shows what is known after each batch of squares.
+    """Measures the newest result, and shows the losses so far after each batch of squares.
 
     Args:
         send: hands a message to the page.
@@ -41,18 +41,18 @@ class Occlusion:
     def __init__(self, send: Callable[[dict[str, Any]], None]) -> None:
         self._send = send
         self._covering: Covering | None = None
-        # The last that was measured to its end: another result of the same pair shows it at once.
+        # The last complete measurement: another result of the same pair shows it at once.
         self._measured: tuple[Hashable, Float32Array] | None = None
         self._worker = Worker(self._work, lambda _: None)
 
     def follow(self, covering: Covering | None) -> None:
-        """Measure a result from now on, or nothing."""
+        """Measure a result from now on; None measures nothing."""
         self._covering = covering
         if covering is not None:
             self._worker.wake()
 
     def stop(self) -> None:
-        """End after the batch that is being computed."""
+        """End after the current batch."""
         self._covering = None
         self._worker.stop()
 
@@ -71,7 +71,7 @@ class Occlusion:
                 if self._covering is not covering:
                     return
                 self._show(covering, losses, done)
-        except (LPNError, WorkCancelledError):  # the photo keeps its activation
+        except (LPNError, WorkCancelledError):  # the photo still shows its activation
             return
         self._measured = covering.key, losses
 

@@ -1,4 +1,4 @@
-"""A person's own photos in one tab: in memory alone, listed in the rail, and checked against a map behind their answers."""
+"""A user's own photos in one tab: in memory alone, listed in the rail, and checked against a map in the background."""
 
 from __future__ import annotations
 
@@ -24,15 +24,15 @@ from lpn.core.files import printable
 from lpn.library.analyser import OwnPicture
 from lpn.library.answer import Answer
 
-# Photos of one tab, and bytes of those of all tabs.
+# Maximum of photos of one tab, and of bytes of all tabs.
 MOST, MOST_BYTES = 200, 1_000_000_000
-# A photo is held as its own file if that is small, else as JPEG of this quality.
+# A photo is stored as its own file if that is small, else as JPEG of this quality.
 _SMALL, _QUALITY = 1_000_000, 95
 # Pixels of the picture in the page, and of the thumbnail.
 _SHOWN, _THUMBNAIL = 800, 108
-# Names of a batch's files that are left out, in the sentence that tells of them.
+# Names of skipped files of a batch in one sentence.
 _NAMED = 3
-# Seconds between looks at a check, and checks of one tab that go on at a time.
+# Seconds between two looks at a check, and concurrent checks of one tab.
 _INTERVAL, _MOST_CHECKS = 0.5, 8
 _NO_PIXELS = np.zeros((0, 0, 3), np.uint8)
 
@@ -54,14 +54,14 @@ class OwnPhotoBytes:
             self._total += size
 
     def remove(self, size: int) -> None:
-        """Count photos no longer."""
+        """Subtract the bytes of forgotten photos."""
         with self._lock:
             self._total -= size
 
 
 @dataclass(frozen=True, eq=False)
 class _Held:
-    """A photo in memory: its pixels are decoded when it is shown."""
+    """A photo in memory; its pixels are decoded when it is shown."""
 
     number: int
     picture: OwnPicture
@@ -82,7 +82,7 @@ class OwnPhotos:
         self._held: dict[str, _Held] = {}
         self._numbers = count()
         self._opened: OwnPicture | None = None
-        # The file that is being received, and those of its batch that are left out.
+        # The file that is being received; the skipped files of its batch follow.
         self._incoming: tuple[str, int, bytearray] | None = None
         self._left_out: list[tuple[str, str]] = []
         self._taken, self._shows_next = 0, True
@@ -110,7 +110,7 @@ class OwnPhotos:
             self._leave_out(shown, f"{shown} has {size / 1e6:.0f} MB; up to 30 MB are taken.")
 
     def receive(self, part: bytes) -> str | None:
-        """Take a part of the announced file; return the key of a photo that is to be shown, once its file is complete."""
+        """Take a part of the announced file; return the key of a photo to show, once its file is complete."""
         if self._incoming is None:
             return None
         name, size, content = self._incoming
@@ -128,13 +128,13 @@ class OwnPhotos:
         return key if shows else None
 
     def refuse(self, sentence: str) -> None:
-        """Refuse the file that is being received, and say why."""
+        """Refuse the incoming file with a sentence."""
         if self._incoming is not None:
             name, self._incoming = self._incoming[0], None
             self._leave_out(printable(name)[:80], sentence)
 
     def find(self, key: str) -> OwnPicture | None:
-        """Return a photo, decoded; None if it is not held."""
+        """Return a decoded photo; None for an unknown key."""
         with self._lock:
             held = self._held.get(key)
             if held is not None and (self._opened is None or self._opened.key != key):
@@ -142,7 +142,7 @@ class OwnPhotos:
             return None if held is None else self._opened
 
     def step(self, key: str, by: int) -> str:
-        """Return the photo before or after one in the list; empty beyond its ends."""
+        """Return the key of the photo some places further in the list; empty beyond its ends."""
         keys = list(self._held)
         place = keys.index(key) + by
         return keys[place] if 0 <= place < len(keys) else ""
@@ -153,7 +153,7 @@ class OwnPhotos:
         return "" if held is None else f"{self._published(feeds)[0]}{held.number}"
 
     def message(self, feeds: Feeds) -> ScreenMessage:
-        """Return the list for the rail, and how many files were taken or left out until now."""
+        """Return the list for the rail, and the counts of accepted and skipped files."""
         with self._lock:
             photos = [[one.number, key, one.picture.name] for key, one in self._held.items()]
         thumbnails = self._published(feeds)[1] if photos else ""
@@ -176,7 +176,7 @@ class OwnPhotos:
             feeds.leave(self)
 
     def check(self, jobs: OwnPhotoJobs | None, picture: OwnPicture | None, analysis: Answer) -> None:
-        """Compare the shown photo with a map, and send its mark as that goes on; checks of other photos go on behind it."""
+        """Compare the shown photo with a map, and send its mark as that goes on; checks of other photos go on, too."""
         with self._lock:
             self._checked = None if jobs is None or picture is None else (jobs, picture, analysis)
             if jobs is not None and self._checked is None and self._checks:
@@ -194,7 +194,7 @@ class OwnPhotos:
             going = [key for key, one in self._checks.items() if one is not job and not one.wait(0)]
             for key in going[: max(len(going) - _MOST_CHECKS, 0)]:
                 self._checks.pop(key).leave(self)
-        ended = job.wait(0)  # before its mark, which is then the last one
+        ended = job.wait(0)  # read before its mark, which is then the last one
         sign, text, why = mark(job, analysis.task, analysis.matches[0].index)
         marked = {"own": picture.key, "sign": sign, "text": text, "why": why}
         if marked != self._marked:
@@ -203,7 +203,7 @@ class OwnPhotos:
         return None if ended else _INTERVAL
 
     def _hold(self, name: str, content: bytes) -> str:
-        """Read a file, and hold its photo; LPNError says why not."""
+        """Read a file, and store its photo; LPNError gives the reason of a failure."""
         if len(self._held) >= MOST:
             raise PictureError(f"{printable(name)[:80]} is left out: {MOST} photos are held, which is the most.")
         read = uploads.read(name, content)
@@ -218,7 +218,7 @@ class OwnPhotos:
         return key
 
     def _leave_out(self, name: str, sentence: str) -> None:
-        """Say which of a batch's files are left out: in a sentence of its own one, by their names several."""
+        """Report the skipped files of a batch: a single one by a sentence of its own, several by their names."""
         self._taken += 1
         self._left_out.append((name, sentence))
         if len(self._left_out) > 1:

@@ -1,4 +1,4 @@
-"""Panels: what opens beside or over the rings. Each is a folder: Python, a style sheet, and perhaps a module."""
+"""Panels, which open beside or over the rings. Each is a folder: Python, a style sheet, and perhaps a module."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class Tab(Protocol):
 
     @property
     def result(self) -> ScreenResult | None:
-        """The newest result, perhaps of an older state; None before the first of the state's place, task, and model."""
+        """The newest result, perhaps of an older state; None before the first under the state's place, task, and model."""
         ...
 
     @property
@@ -52,7 +52,7 @@ class Tab(Protocol):
 
     @property
     def background(self) -> RequestContext:
-        """Access to the network behind what a person waits for."""
+        """The request context for background work."""
         ...
 
     def set(self, values: Mapping[str, object]) -> None:
@@ -60,14 +60,11 @@ class Tab(Protocol):
         ...
 
     def send(self, message: ScreenMessage) -> None:
-        """Send a message to the open panel's module; of several that wait, the page takes the newest.
-
-        For a message that must not replace another, see `append`.
-        """
+        """Send a message to the open panel's module; it replaces messages that wait, unlike `append`'s."""
         ...
 
     def append(self, kind: str, message: ScreenMessage) -> None:
-        """Send a message that replaces only one of its kind."""
+        """Send a message that replaces only a waiting one of its kind."""
         ...
 
     def say(self, text: str) -> None:
@@ -75,11 +72,11 @@ class Tab(Protocol):
         ...
 
     def note(self, text: str) -> None:
-        """Show a sentence for some seconds in place of the headline's reason; nothing else changes."""
+        """Show a sentence for some seconds in place of the headline's reason."""
         ...
 
     def download(self, title: str, make: MakeFile) -> None:
-        """Make a file on a thread of its own, with notes of its progress, and have the browser save it; see `Downloads`."""
+        """Make a file on a thread of its own, with notes of its progress; the browser saves it, see `Downloads`."""
         ...
 
 
@@ -87,7 +84,7 @@ class PanelPart:
     """A panel's part of one tab while the panel is open.
 
     Attributes:
-        actions: by the names that `context.act` of the panel's module takes.
+        actions: functions by the names that `context.act` of the panel's module takes.
     """
 
     def __init__(self, tab: Tab) -> None:
@@ -95,29 +92,29 @@ class PanelPart:
         self.actions: Mapping[str, Action] = {}
 
     def show(self) -> float | None:
-        """Send what the panel shows: after it opened, after each change of the state, and after each result.
+        """Send the panel's contents: after it opened, after each change of the state, and after each result.
 
-        The calls come one after the other from a thread of their own; several changes lead to one more call. A sentence of an
-        LPNError that this raises is shown in the headline's place.
+        One thread makes the calls one by one; several changes lead to one more call. The message of an LPNError is shown in the
+        headline's place.
 
         Returns:
-            Seconds until the next call, for a panel that waits for something or computes step by step; None to wait for a change.
+            Seconds until the next call, for a panel that waits or computes step by step; None to wait for a change.
         """
         return None
 
     def close(self) -> None:
-        """End what goes on for the panel."""
+        """Stop the work for the panel."""
 
 
 @dataclass(frozen=True)
 class Command:
-    """What a person can do by the palette or a key, whether the panel is open or not.
+    """A user's action by the palette or a key, whether the panel is open or not.
 
     Attributes:
-        name: of the action, which the page asks for as `PANEL.NAME`; it comes before an action of the panel's part.
+        name: of the action, requested as `PANEL.NAME`; it takes precedence over an action of the panel's part.
         title: in the palette.
-        act: does it for a tab, within a moment; the sentence of an LPNError that it raises is shown in the headline's place.
-        key: that does it, in lower case; empty for none.
+        act: acts on a tab within a moment; the message of an LPNError is shown in the headline's place.
+        key: its key in lower case; empty for none.
         offered: whether a workspace has it.
     """
 
@@ -135,14 +132,14 @@ class Panel:
     Attributes:
         name: of the folder, of its style sheet `NAME.css`, of its module `NAME.js` if it has one, and in the address.
         title: of its command, and of its heading.
-        part: makes its part of a tab; None where there are only commands, and nothing opens.
-        key: that opens and closes it, in lower case; empty for none.
-        place: "beside" the rings in place of the rail, a "page" over the rings, which another photo closes, or the "full" window.
-        fields: the choices that it adds to the state; their names begin with the panel's and "_".
+        part: makes its part of a tab; None for a panel of commands alone, which never opens.
+        key: opens and closes it, in lower case; empty for none.
+        place: "beside" the rings in the rail's place, a "page" over the rings until another photo, or the "full" window.
+        fields: its fields of the state; their names begin with the panel's and "_".
         offered: whether a workspace has it, and its commands.
-        commands: what it offers in the palette and by keys.
-        mark: what it says of a query in the head of the tile, as a `sign` and a `text`; None for nothing.
-        lines: what it adds for a query to the scene of the place, in metres about the gallery's origin.
+        commands: its commands in the palette and by keys.
+        mark: its remark on a query in the head of the tile, as a `sign` and a `text`; None for nothing.
+        lines: its lines for a query in the scene of the place, in metres about the gallery's origin.
     """
 
     name: str

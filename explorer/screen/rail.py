@@ -14,7 +14,7 @@ from explorer.workspace import Workspace
 from lpn.core.arrays import Int64Array
 
 _RANDOM = Random()
-# The filter, and the word of a search, that lists the missed queries alone.
+# Name of the filter for missed queries, and the word of a search for them.
 _MISSED = "missed"
 
 
@@ -27,10 +27,10 @@ class Rail:
         self._message: dict[str, Any] = {}
 
     def message(self, state: ScreenState, workspace: Workspace, ranking: RankingJob, feeds: Feeds) -> dict[str, Any]:
-        """Return the list of a state as JSON takes it.
+        """Return the list of a state as JSON.
 
         Args:
-            workspace: the model's, whose ranking marks the queries.
+            workspace: the model's workspace, whose ranking marks the queries.
             feeds: serves the list, and the thumbnails.
         """
         key = state.place, state.model, ranking.task.key, state.filter, state.find, ranking.result
@@ -56,7 +56,7 @@ class Rail:
         return self._message | {"chosen": -1 if state.own else self._position(state.query)}
 
     def step(self, query: int, by: int) -> int | None:
-        """Return the query that stands some places further in the list; None for an empty list."""
+        """Return the query some places further in the list; None for an empty list."""
         if not len(self._listed):
             return None
         at = self._position(query)
@@ -73,7 +73,7 @@ class Rail:
 
 
 def listed_queries(state: ScreenState, workspace: Workspace, ranking: RankingJob) -> Int64Array:
-    """Return the queries that a state lists; the missed ones stand worst first."""
+    """Return the listed queries of a state; missed ones stand worst first."""
     words = state.find.casefold().split()
     text = " ".join(word for word in words if word != _MISSED)
     named = np.array([i for i, name in enumerate(ranking.task.query_names) if text in name.casefold()], np.int64)
@@ -89,7 +89,7 @@ def _lists_missed(state: ScreenState) -> bool:
 
 
 def ranks_of(workspace: Workspace, ranking: RankingJob) -> Int64Array:
-    """Return the rank of each query's truth from 1, (Q,); 0 where it is not known or not ranked yet."""
+    """Return the rank of each query's truth from 1, (Q,); 0 if it is unknown or not ranked yet."""
     if ranking.result is None:
         return np.zeros(len(ranking.task.queries), np.int64)
     return np.where(workspace.graded(ranking) & (ranking.ranks >= 0), ranking.ranks + 1, 0)

@@ -1,4 +1,4 @@
-"""An analysis as one JSON message: everything that the screen shows of an answer, so that no two numbers can differ."""
+"""An analysis as one JSON message with everything that the screen shows of an answer, so that no two numbers can differ."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ from lpn.library.matching_turn import matching_turn
 from lpn.retrieval import DescribedPicture, Match, scoring
 from lpn.tasks.task import Task
 
-# Tiles of the strip; the truth takes the last place if it is not among the first.
+# Tiles of the strip; the truth takes the last place if it is farther away.
 STRIP = 6
-# Queries from which the scale of all bars is measured, numbers that this reads at most, and the percentage of bars that fit.
+# Queries that set the scale of all bars, numbers read for that at most, and the percentage of bars that fit.
 _SAMPLE, _MOST_NUMBERS, _FITS = 200, 2_000_000_000, 99
 # A gain below this is called even.
 _EVEN = 0.005
@@ -47,10 +47,10 @@ class BarScale:
 
 @dataclass(frozen=True, eq=False)
 class ScreenResult:
-    """An analysis with the tiles that a person compares.
+    """An analysis with the tile that the user compares.
 
     Attributes:
-        question: what was asked of the task.
+        question: the question to the task.
         address: of the photo's picture, relative to the page.
     """
 
@@ -84,19 +84,19 @@ class ScreenResult:
 
     @cached_property
     def compared(self) -> Match | None:
-        """The tile that a person chose to compare, else the headline's."""
+        """The tile that the user chose to compare, else the headline's."""
         chosen = self.state.compare
         return self.analysis.ranking.find(chosen) if chosen is not None and self.pinned else self.rival
 
     @cached_property
     def pinned(self) -> bool:
-        """Whether a person chose the compared tile."""
+        """Whether the user chose the compared tile."""
         chosen = self.state.compare
         return chosen is not None and chosen != self.first.index and self.analysis.ranking.holds(chosen)
 
     @cached_property
     def large(self) -> dict[int, Match]:
-        """The tiles that are shown with their cells by their positions: answer, compared tile, and truth."""
+        """The tiles shown with their cells, by their positions: answer, compared tile, and truth."""
         return {
             match.index: match for match in (self.first, self.compared, self.analysis.positive) if match is not None
         }
@@ -117,14 +117,14 @@ class ScreenResult:
 
     @property
     def headline(self) -> dict[str, Any]:
-        """What the headline says: whether the photo is found, its rank, and the reason."""
+        """The headline: whether the photo is found, its rank, and the reason."""
         verdict = self.analysis.verdict
-        # Without a known truth the headline tells nothing of this answer, and the lead is what there is.
+        # Without a known truth the headline cannot grade this answer, and its lead is shown.
         reason = f"{verdict.headline}." + (f" {verdict.sentence}" if verdict.sign is None else "")
         return {"found": verdict.sign, "title": self._title(self.analysis.positive), "reason": reason}
 
     def message(self) -> dict[str, Any]:
-        """Return the result as JSON takes it."""
+        """Return the result as JSON."""
         state, workspace = self.state, self.workspace
         compared, pinned, truth, shown = self.compared, self.pinned, self.analysis.positive, self.large
         strip = self._strip(compared if pinned else None)
@@ -149,7 +149,7 @@ class ScreenResult:
         }
 
     def _title(self, truth: Match | None) -> str:
-        """Return what follows "Found" or "Missed", or the nearest tile where the truth is not known."""
+        """Return the text after "Found" or "Missed", or the nearest tile if the truth is unknown."""
         total = f"{self.task.tiles:,}"
         if self.first.true is None:
             return f"Nearest of {total}: {self.task.gallery[self.first.index].title}"
@@ -160,7 +160,7 @@ class ScreenResult:
         return f"truth is {ordinal(truth.rank)} of {total}"
 
     def _strip(self, pinned: Match | None) -> list[Match]:
-        """Return the nearest tiles, and last the truth or the chosen tile that lies behind them."""
+        """Return the nearest tiles; the truth or the chosen tile comes last if it is farther away."""
         nearest = self.analysis.matches[:STRIP]
         there = {match.index for match in nearest}
         behind = (match for match in (self.analysis.positive, pinned) if match is not None and match.index not in there)
@@ -173,9 +173,9 @@ class ScreenResult:
         return "truth" if compared.true else "next"
 
     def rows(self, compared: Match | None) -> list[dict[str, Any]]:
-        """Return for each part how much nearer the answer is than the compared tile, and whether that is towards the truth.
+        """Return for each part how much nearer the answer is than the compared tile, and whether that favours the truth.
 
-        The gains are shown as the verdict shows them: rounded, they add up to the difference of the shown distances.
+        The gains are rounded as in the verdict: they add up to the difference of the shown distances.
         """
         if compared is None:
             return [{"gain": "", "minus": False, "prefers": None}] * self.workspace.contract.n_parts
@@ -225,22 +225,22 @@ class ScreenResult:
         aspect = width / height if max(width, height) >= 2 * min(width, height) else 1.0
         pair = self.evidence.get(match.index)
         cells = self._heat(known, self.task.gallery_view, quarter, None if pair is None else self._signed(pair.tile))
-        if self.state.heat == "occlusion":  # the photo alone is covered
+        if self.state.heat == "occlusion":  # occlusion covers the photo alone
             cells["heat"] = None
         return tile | {"aspect": aspect, **cells}
 
     def described(self, match: Match) -> DescribedPicture:
-        """Return a tile, described."""
+        """Return a described tile."""
         return self.analysis.described(match)
 
     def quarter(self, match: Match) -> int:
-        """Return the quarter turns, counter-clockwise, by which a tile lies most like the photo before it was turned."""
+        """Return a tile's quarter turns, counter-clockwise, that align it best with the photo before the photo was turned."""
         analysis = replace(self.analysis, chosen=match)
         turn = matching_turn(analysis, None if self.state.own else self.state.query, 0.0, None)
         if turn is None:
             return 0
         degrees = turn.degrees
-        if turn.source == "model":  # the maps are those of the turned photo and of the analysed tile
+        if turn.source == "model":  # the maps belong to the turned photo and the analysed tile
             degrees = float(wrap_degrees(degrees - self.state.angle))
         return round(degrees / 90) % 4
 
@@ -249,7 +249,7 @@ class ScreenResult:
     ) -> dict[str, Any]:
         """Return the parts of a picture and the values of its cells, turned by quarters, row by row as base64 of bytes.
 
-        Activation has bytes from 0 to 255. Values of `signed`, from -1 to 1, take its place; 0 has 128.
+        Activation has bytes from 0 to 255. `signed` values from -1 to 1 replace it; 0 has 128.
         """
         areas = self.workspace.areas(view, described)
         if areas is None:
@@ -275,26 +275,26 @@ class ScreenResult:
         return {"parts": parts, "heat": _bytes(cells), "strongest": strongest, "signed": signed is not None}
 
     def covered(self, losses: Float32Array) -> dict[str, Any]:
-        """Return the photo's parts and, in place of its activation, how much of the score it loses by each covered square.
+        """Return the photo's parts with each covered square's loss of score in place of its activation.
 
         Args:
-            losses: of each part's cosine, see `lpn.explain.occlusion.occlude`, (n, rows, columns); NaN where not measured yet.
+            losses: of each part's cosine, see `lpn.explain.occlusion.occlude`, (n, rows, columns); NaN if not measured yet.
         """
         return self.painted(np.tensordot(self.analysis.ranking.weights, np.nan_to_num(losses), 1))
 
     def painted(self, cells: FloatingArray) -> dict[str, Any]:
-        """Return the photo's parts and, in place of its activation, signed values of its cells, (h, w), on their own scale."""
+        """Return the photo's parts with signed values of its cells, (h, w), on their own scale in place of its activation."""
         return self._heat(self.analysis.query, self.task.query_view, 0, cells / overlays.evidence_limit(cells))
 
     def _signed(self, side: SideEvidence) -> Float64Array:
-        """Return each cell's share of the score of its pair, from -1 to 1 of the greatest of all pairs of the result."""
+        """Return each cell's share of its pair's score, scaled to -1 .. 1 by the greatest share of all pairs of the result."""
         weights = self.analysis.ranking.weights
         sides = [one for pair in self.evidence.values() for one in (pair.query, pair.tile)]
         return side.score_map(weights) / overlays.evidence_limit(*(one.score_map(weights) for one in sides))
 
 
 def measured_scale(task: Task) -> BarScale:
-    """Return the ends of all bars of a task: what 99 of 100 shares of answers and rivals of a sample of queries fit into."""
+    """Return the ends of all bars of a task, which 99 % of the shares of a sample's answers and rivals fit into."""
     n = task.contract.n_parts
     queries, gallery = task.sides()
     weights = scoring.part_weights(n)
@@ -316,7 +316,7 @@ def _rounded_up(value: float) -> float:
 
 
 def _turned(box: Sequence[float], quarter: int) -> list[float]:
-    """Return a box of a picture, in shares of its sides, after quarter turns counter-clockwise."""
+    """Turn a box, in shares of its picture's sides, by quarter turns counter-clockwise."""
     left, top, right, bottom = box
     return [left, top, right, bottom] if quarter == 0 else _turned((top, 1 - right, bottom, 1 - left), quarter - 1)
 

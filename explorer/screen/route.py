@@ -1,7 +1,7 @@
-"""The files of the page at `/`: one template, style sheets, and ES modules, as they lie in `page`, `vendor`, and the panels.
+"""The files of the page at `/`: one template, style sheets, and ES modules from `page`, `vendor`, and the panels.
 
-`screen/page/bundle.js` is all modules that the page begins with, as each file takes a connection; no two may have a name in
-common. The address of one of them, which panels import, exports all of the bundle. `screen/terms.json` has the meanings of terms.
+`screen/page/bundle.js` joins all modules of the first page, because each file takes a connection; their names must differ.
+The addresses of these modules, which panels import, export the whole bundle. `screen/terms.json` has the meanings of terms.
 """
 
 from __future__ import annotations
@@ -32,16 +32,16 @@ _SCENE: Final = re.compile(r".*/scene/([a-z0-9]{8,32})/?", re.ASCII)
 
 
 def scene_of(path: str) -> str | None:
-    """Return the tab whose scene a path without query is; None for another path."""
+    """Return the tab of a scene's path without query; None for another path."""
     match = _SCENE.fullmatch(path)
     return None if match is None else match[1]
 
 
 def respond(request: HttpRequest, zipped: bool) -> Response | None:
-    """Return the page at a folder's address, or one of its files; None for the address of a scene, and for other files.
+    """Return the page at a folder's address, or one of its files; None for a scene's address, and for other files.
 
     Args:
-        zipped: the browser reads gzip.
+        zipped: whether the browser reads gzip.
     """
     place = request.path.partition("?")[0]
     if place.endswith("/screen/terms.json"):
@@ -69,7 +69,7 @@ def respond(request: HttpRequest, zipped: bool) -> Response | None:
 
 @lru_cache(maxsize=64)
 def _read(file: Path, _: int, zipped: bool) -> tuple[bytes, str]:
-    """Return a file, perhaps compressed, and the tag of this state of it."""
+    """Return a file, perhaps compressed, and the tag of its state."""
     if file == _BUNDLE:
         content = bundle()[0].encode()
     elif file == terms.GLOSSARY:
@@ -82,7 +82,7 @@ def _read(file: Path, _: int, zipped: bool) -> tuple[bytes, str]:
 
 
 def bundle() -> tuple[str, set[str]]:
-    """Return the modules that the page begins with as one, and their names; each stands after those that it imports."""
+    """Return the modules of the first page as one, and their names; each follows those that it imports."""
     texts: list[str] = []
     added: set[str] = set()
 

@@ -1,4 +1,4 @@
-"""The session of one tab: its state, what a message changes, and what is sent back."""
+"""The session of one tab: its state, the changes by messages, and the messages sent back."""
 
 from __future__ import annotations
 
@@ -38,18 +38,18 @@ from lpn.descriptors.transforms import Change
 from lpn.library.answer import Answer
 from lpn.tasks.task import SCORINGS, scored_key
 
-# Seconds between two looks at a ranking that goes on.
+# Seconds between two looks at an unfinished ranking.
 _POLL = 0.5
-# The panels' commands by the actions that the page asks for, each with its panel.
+# The panels' commands by the names of their actions, each with its panel.
 _COMMANDS = {f"{panel.name}.{one.name}": (panel, one) for panel in PANELS.values() for one in panel.commands}
 
 
 class Screens:
-    """What all tabs share.
+    """The state that all tabs share.
 
     Args:
-        services: returns what an open workspace offers, by its key.
-        home: key of the workspace that a page without an address shows.
+        services: returns the services of an open workspace, by its key.
+        home: key of the workspace of a page without an address.
         places: labels of all workspaces by their keys.
         opening: returns the job that opens a workspace by its key; None if it is open.
     """
@@ -72,10 +72,10 @@ class Screens:
 
 
 class ScreenSession:
-    """One tab. Messages, panels, and jobs that end change it one after the other, under its lock.
+    """One tab. Messages, panels, and ended jobs change it one by one, under its lock.
 
     Attributes:
-        scene: of the tab.
+        scene: the tab's scene.
 
     Args:
         send: hands a message to the page, from any thread.
@@ -87,11 +87,11 @@ class ScreenSession:
         self._state: ScreenState | None = None
         self._result: ScreenResult | None = None
         self._number, self._left, self._lock = 0, False, threading.RLock()
-        # What has to end before the newest wish can be shown: its job, a sentence, and what follows by its success.
+        # The wait before the newest request can be shown: its job, a sentence, and its handlers of success and failure.
         self._awaited: tuple[BackgroundJob[Any], str, tuple[Callable[[], None], Callable[[], None]]] | None = None
         self._awaiting = Worker(self._await, lambda _: None)
         self._loop = Loop(self._answer, self._deliver, lambda: self._access.opened(self.state).requests, self._after)
-        # What goes on behind an answer.
+        # Work behind an answer.
         self._rail, self._listed, self._listing = Rail(), False, threading.Lock()
         self._ranked: RankingJob | None = None
         self._ranks = Worker(self._rank, lambda _: None)
@@ -102,7 +102,7 @@ class ScreenSession:
         self._panel: tuple[str, PanelPart] | None = None
         self._panels = Worker(self._show_panel, self._fail_panel)
         self._downloads = Downloads(send)
-        # Those that serve its files, of all places that it has shown.
+        # The feeds that serve its files, from all places that it has shown.
         self._feeds: set[Feeds] = set()
         self._actions: Mapping[str, Action] = {
             "open": self._open,
@@ -115,7 +115,7 @@ class ScreenSession:
             "pick": self.scene.pick,
         }
 
-    # What panels use, see `Tab`.
+    # The interface of panels, see `Tab`.
 
     @property
     def state(self) -> ScreenState:
@@ -146,7 +146,7 @@ class ScreenSession:
 
     @property
     def background(self) -> RequestContext:
-        """Access to the network behind what a person waits for."""
+        """The request context for background work."""
         return self._access.opened(self.state).background
 
     def set(self, values: Mapping[str, object]) -> None:
@@ -159,10 +159,10 @@ class ScreenSession:
                 return
             changed, problems = fields.changed(state, values, self.services.workspace)
             opening = self._access.opening(changed) if changed.model != state.model else None
-            if opening is not None:  # weights are those of an open model
+            if opening is not None:  # weights need an open model
                 self._once(opening, self._opening(changed), lambda: self.set(values))
                 return
-            if "place" in values or "model" in values:  # in place of one that is being opened
+            if "place" in values or "model" in values:  # it replaces one that is being opened
                 self._forgo()
             if changed.own and changed.own not in self._own:
                 changed = replace(changed, own="")
@@ -170,7 +170,7 @@ class ScreenSession:
             self._show(changed, problems)
 
     def _with_photo_of_list(self, before: ScreenState, state: ScreenState) -> ScreenState:
-        """Show the worst of the missed queries when they are listed, and end a page over the rings for another photo."""
+        """Show the worst missed query when the missed ones are listed; close a page over the rings for another photo."""
         if state.filter == "missed" != before.filter and not state.own:
             missed = listed_queries(state, self._access.workspace(state), self._access.ranking(state)).tolist()
             if missed and state.query not in missed:
@@ -203,10 +203,10 @@ class ScreenSession:
         self._feeds.add(feeds)
         self._downloads.make(title, make, feeds, self)
 
-    # What the channel uses.
+    # The interface of the channel.
 
     def receive(self, message: object) -> None:
-        """Do what a message says: `set` fields of the state, or `do` an action; anything else changes nothing."""
+        """Handle a message: `set` fields of the state, or `do` an action; anything else changes nothing."""
         if self._left:
             return
         match message:
@@ -218,7 +218,7 @@ class ScreenSession:
                     self._do(name, arguments if isinstance(arguments, dict) else None)
 
     def _do(self, name: str, arguments: Mapping[str, Any] | None) -> None:
-        """Do an action of the page or of the open panel, which take arguments, or a panel's command."""
+        """Run an action of the page or of the open panel, which take arguments, or a panel's command."""
         if name in self._actions and arguments is not None:
             if name == "open" or self._state is not None:
                 self._actions[name](arguments)
@@ -254,13 +254,13 @@ class ScreenSession:
         self.scene.attach(client)
 
     def leave(self) -> None:
-        """Stop all that goes on for this tab: it has left."""
+        """Stop all work for this tab: it has left."""
         self._left = True
         workers = self._loop, self._curve, self._occlusion, self.scene, self._panels, self._ranks, self._awaiting
         for one in workers:
             one.stop()
         self._access.close()
-        self._forgo()  # without the lock: a message that is still being done holds up no end
+        self._forgo()  # without the lock: a message in progress must not delay the end
         self._downloads.close()
         self._close_panel()
         self._own.leave()
@@ -271,10 +271,10 @@ class ScreenSession:
         if self._state is not None:
             self.services.feeds.leave(self._rail)
 
-    # What messages do.
+    # Messages.
 
     def _open(self, arguments: Mapping[str, Any]) -> None:
-        """Show the state of an address; a page that shows something keeps its place and theme where the address has none."""
+        """Show the state of an address; a page that shows something keeps place and theme unless the address has them."""
         search, before, screens = arguments.get("search"), self._state, self._screens
         given = fields.parsed(search) if isinstance(search, str) else {}
         place = given.get("show", "")
@@ -285,7 +285,7 @@ class ScreenSession:
         self._once(screens.opening(place), text, partial(self._open_at, place, given), failed)
 
     def _open_at(self, place: str, given: Mapping[str, str]) -> None:
-        """Show the state of an address's values at a place that is open, once its model is."""
+        """Show the state of an address's values at an open place, once its model is open."""
         workspace = self._screens.services(place).workspace
         if self._state is not None:
             given = {"theme": self._state.theme} | dict(given)
@@ -296,7 +296,7 @@ class ScreenSession:
 
     def _show_address(self, workspace: Workspace, given: Mapping[str, str]) -> None:
         state, problems = fields.from_values(given, workspace)
-        state = replace(state, place=workspace.key)  # not that of the address if it does not open
+        state = replace(state, place=workspace.key)  # the address's place may fail to open
         before = self._state
         moved = before is None or before.place != state.place
         if before is not None and moved:
@@ -304,13 +304,13 @@ class ScreenSession:
         self._show(state, problems, new_page=moved)
 
     def _go_to(self, place: str) -> None:
-        """Show another place, which is open; an own photo is shown on."""
+        """Show another place, which is open; an own photo stays shown."""
         state, workspace = self.state, self._screens.services(place).workspace
         self._leave_place()
         own = "" if workspace.model is None else state.own
         self._show(replace(fields.opening(workspace), theme=state.theme, view=state.view, own=own), [], new_page=True)
 
-    # What has to be opened before it is shown.
+    # Waits for opening.
 
     def _opening(self, state: ScreenState) -> str:
         base = self._access.services(state).workspace
@@ -323,11 +323,11 @@ class ScreenSession:
         done: Callable[[], None],
         failed: Callable[[], None] = lambda: None,
     ) -> None:
-        """Go on once a job has ended, or at once without one; the newest wish takes the place of one that waits.
+        """Go on once a job has ended, or at once without one; a newer request replaces one that waits.
 
         Args:
-            text: says what goes on.
-            done, failed: follow its success, and its failure, which is said.
+            text: names the work that goes on.
+            done, failed: run after success, and after a failure has been reported.
         """
         self._forgo(job)
         if job is None:
@@ -338,7 +338,7 @@ class ScreenSession:
         self._awaiting.wake()
 
     def _forgo(self, job: BackgroundJob[Any] | None = None) -> None:
-        """Give up what is waited for, but not a job that is waited for again."""
+        """Stop the current wait, unless it is for `job`."""
         awaited, self._awaited = self._awaited, None
         if awaited is not None and awaited[0] is not job:
             awaited[0].leave(self)
@@ -350,7 +350,7 @@ class ScreenSession:
         job, text, (done, failed) = awaited
         ended = job.wait(_POLL)
         with self._lock:
-            if self._awaited is not awaited:  # a newer wish has come
+            if self._awaited is not awaited:  # a newer request has come
                 return 0.0
             if not ended:
                 counted = f": {job.done:,} of {job.total:,} pictures" if job.total else ""
@@ -363,7 +363,7 @@ class ScreenSession:
         return None
 
     def _leave_place(self) -> None:
-        """Close what belongs to the place that is left, such as its panel: the next place may have one of the same name."""
+        """Close everything that belongs to the left place, such as its panel; the next place may have a panel of equal name."""
         self._close_panel()
         self.services.feeds.leave(self._rail)
         self._rail = Rail()
@@ -392,7 +392,7 @@ class ScreenSession:
         self._send(self._own.message(self.services.feeds))
 
     def _calibrate(self, _: Mapping[str, Any]) -> None:
-        """Prepare the further scorings of the state's model, which may describe all pictures, and show the calibrated one."""
+        """Prepare the further scorings of the state's model, and show the calibrated one."""
         job = self.workspace.scorings.prepare(self)
         if job is None:
             self.say(self.workspace.scorings.why_not)
@@ -422,7 +422,7 @@ class ScreenSession:
             panel[1].close()
 
     def _turn_to_panel(self, name: str) -> None:
-        """Make the state's panel the open one; it ends with its place."""
+        """Open the state's panel; it closes with its place."""
         if (self._panel[0] if self._panel else "") != name:
             self._close_panel()
             part = PANELS[name].part if name else None
@@ -437,10 +437,9 @@ class ScreenSession:
         if isinstance(error, LPNError):
             self.say(str(error))
 
-    # What is shown.
+    # Display.
 
     def _show(self, state: ScreenState, problems: list[str], new_page: bool = False) -> None:
-        """Make a state the newest one."""
         before, self._state = self._state, state
         message: ScreenMessage = {"state": self._choices(state)}
         if new_page or before is None or not fields.same_page(before, state):
@@ -462,7 +461,7 @@ class ScreenSession:
         self._panels.wake()
 
     def _choices(self, state: ScreenState) -> ScreenMessage:
-        """Return the state as the page takes it, with its address, and that of its photo's picture."""
+        """Return the state for the page, with its address and that of its photo's picture."""
         services = self._access.services(state)
         address = fields.to_address(state, services.workspace)
         if state.place != self._screens.home:
@@ -477,7 +476,7 @@ class ScreenSession:
         return self._own.address(feeds, state.own) if state.own else f"{feeds.pictures(task, 'query')}{state.query}"
 
     def _page(self, state: ScreenState) -> ScreenMessage:
-        """Return what stays while a person looks at one model's task."""
+        """Return the message that holds while the user looks at one model's task."""
         base, workspace = self._access.services(state).workspace, self._access.workspace(state)
         task = self._access.ranking(state).task
         scorings = [name for name in SCORINGS if scored_key(state.task, name) in workspace.rankings]
@@ -515,7 +514,7 @@ class ScreenSession:
                 self._send({"rail": self._rail.message(state, access.workspace(state), ranking, feeds)})
 
     def _rank(self) -> float | None:
-        """Wait for the ranking of the state's task, which goes on as long as a tab waits; then the rail shows its marks."""
+        """Wait for the ranking of the state's task, which goes on while a tab waits; then mark the rail."""
         ranking = self.ranking
         if self._ranked not in (None, ranking):
             self._ranked.leave(self)
@@ -530,7 +529,7 @@ class ScreenSession:
     # The analysis.
 
     def _deliver(self, message: ScreenMessage) -> None:
-        """Send what the loop has for the page; the first list comes after it, as thumbnails would delay a result."""
+        """Send a message of the loop. The first list follows the first result, which its thumbnails would delay."""
         self._send(message)
         if not self._listed:
             self._show_rail()
@@ -538,7 +537,7 @@ class ScreenSession:
     def _answer(self, state: ScreenState) -> ScreenMessage:
         services, workspace = self._access.services(state), self._access.workspace(state)
         own = self._own.find(state.own)
-        if own is None:  # it may have been forgotten
+        if own is None:  # the photo may have been forgotten
             state = replace(state, own="")
         question = state.question(own)
         analysis = self._access.opened(state).analyser.analyse(self._access.ranking(state).task, question, STRIP)
@@ -556,7 +555,7 @@ class ScreenSession:
         return message | {"state": state.values(), "curve": _digest(key, state)}
 
     def _after(self, _: ScreenState) -> None:
-        """Begin what goes on behind an answer."""
+        """Begin the work behind an answer."""
         result = self._result
         assert result is not None
         state = result.state
@@ -596,7 +595,7 @@ def _curve_key(state: ScreenState, analysis: Answer) -> tuple[object, ...]:
 
 
 def _digest(key: tuple[object, ...], state: ScreenState) -> str:
-    """Return a text that names a photo and the part weights, by which the page knows the curve of a result."""
+    """Return the name of a photo under part weights; the page matches a result to its curve by it."""
     return repr((key, state.weights))
 
 
@@ -605,6 +604,5 @@ def _noun(view: str, of_flight: bool) -> str:
 
 
 def _lines(result: ScreenResult) -> list[SceneLines]:
-    """Return what the panels add to the scene of a result."""
     state = result.state
     return [] if state.own else [of for one in PANELS.values() for of in one.lines(result.workspace, state.query)]

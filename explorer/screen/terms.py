@@ -1,4 +1,4 @@
-"""Terms of the glossary, which explain themselves where the page uses them."""
+"""Terms of the glossary, which show their meanings on the page."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ def meanings() -> dict[str, str]:
 
 
 def term(name: str, text: str | None = None) -> Markup:
-    """Return a term whose meaning appears under the mouse, the focus, or a finger; KeyError when the glossary lacks it.
+    """Return a term whose meaning appears under the mouse, the focus, or a finger; KeyError if the glossary lacks it.
 
     Args:
-        text: the words shown in its place.
+        text: the words shown in its place; by default the term.
     """
     if name not in meanings():
         raise KeyError(name)

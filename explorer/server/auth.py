@@ -21,7 +21,7 @@ from lpn.core.resources import is_loopback
 TOKEN_VARIABLE: Final = "LPN_TOKEN"
 MIN_TOKEN_LENGTH = 12  # characters of a token that a user chose; random ones have 43
 _LOOPBACK = frozenset({"localhost", "127.0.0.1", "[::1]"})
-# Addresses that stand for all of the machine's addresses, and its loopback address of the same kind.
+# Addresses that mean all of the machine's addresses, each with its loopback address.
 _WILDCARDS = {"0.0.0.0": "127.0.0.1", "::": "[::1]"}
 _HOST = re.compile(r"(\[[0-9a-f:.]+\]|[^\s:\[\]/@?#<>\"'&;,\\]+)(?::([0-9]{1,5}))?")
 _DEFAULT_PORTS = {"http": "80", "https": "443"}
@@ -60,7 +60,7 @@ class HttpRequest:
 
 @dataclass(frozen=True)
 class Refusal:
-    """The reason for which a request is refused, in plain text.
+    """The reason of a refused request, in plain text.
 
     Attributes:
         status: HTTP status.
@@ -244,10 +244,9 @@ def _ip_address(text: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | No
 
 
 def _foreign_source(query: str, host: str) -> str | None:
-    """Return what else the query makes viser's page connect to or play, None if nothing.
+    """Return the first foreign source that the query makes viser's page connect to or play; None without one.
 
-    The page runs scripts that this source sends. It also rewrites its address without escaping it, so the unescaped query is
-    checked, too.
+    The page runs scripts from this source. It rewrites its address without escaping it, so the unescaped query is checked, too.
     """
     query += "&" + "&".join("=".join(pair) for pair in parse_qsl(query, True))
     if _values(query, "playbackPath"):

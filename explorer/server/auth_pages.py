@@ -1,4 +1,4 @@
-"""The pages shown before a browser is let in: a refusal or a redirect. They load and run nothing."""
+"""The pages before a browser is let in: a refusal or a redirect. They load and run nothing."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Say on the terminal why a page cannot connect: a proxy in between that changes its websocket, or another name of the server."""
+"""Report on the terminal why a page cannot connect: a proxy changes its websocket, or the server's name is unknown."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ class ConnectionCheck:
     _lines: TokenBucket = field(default_factory=lambda: TokenBucket(_LOG_RATE, _LOG_BURST), init=False)
 
     def note(self, request: HttpRequest) -> None:
-        """Log what is wrong with a websocket of a browser, with or without its header Upgrade."""
+        """Log the fault of a browser's websocket request, with or without its header Upgrade."""
         origin, protocol = request.only("origin"), request.headers.get("sec-websocket-protocol", [])
-        if not origin:  # no browser's, such as a port scanner's
+        if not origin:  # a browser sends one, a port scanner does not
             return
         saw = []
         if origin == "null":
@@ -44,16 +44,16 @@ class ConnectionCheck:
             )
 
     def note_name(self, request: HttpRequest) -> None:
-        """Log that a page was asked for by a name that the server does not go by."""
+        """Log that a page was requested by an unknown name of the server."""
         name = printable(request.only("host"))[:_MAX_NAME] or "no name"
-        if "text/html" in request.only("accept"):  # a browser's, not a port scanner's
+        if "text/html" in request.only("accept"):  # a browser, not a port scanner
             self.log_once(
                 f"A page was asked for by the name {name} and refused: if its address has that name, start the server with "
                 "--allow-host; else its proxy must pass Host as the browser sent it (nginx: proxy_set_header Host $http_host;)."
             )
 
     def log_once(self, sentence: str) -> None:
-        """Log a sentence, unless it or too many others were logged."""
+        """Log a sentence, unless it was logged before, or too many others were."""
         if sentence in self._logged or self._lines.level() < 1:
             return
         self._lines.take()

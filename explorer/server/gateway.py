@@ -45,17 +45,17 @@ PageServer = Callable[[ServerConnection, WebsocketRequest], Response | None]
 
 # Bounds on connections without an answer yet, from one address and in total; each times out after 10 s.
 MAX_PENDING, MAX_ALL_PENDING = 64, 256
-# Characters of an address, which has the state of a page, and bytes of a request that are read. websockets reads 8,192 bytes of
-# each line, and closes the connection without an answer to a longer one, such as the cookies of a proxy with a login.
+# Characters of an address, which holds a page's state, and bytes of a request that are read. websockets itself reads 8,192 bytes
+# of a line, and closes the connection without an answer to a longer one, such as the cookies of a proxy with a login.
 MAX_ADDRESS, MAX_REQUEST_HEAD = 20_000, 1 << 16
 # Limits on control frames and small message fragments: tokens per second, and the size of the token bucket.
 # A browser sends hardly any.
 SMALL_FRAME_RATE, SMALL_FRAME_BURST = 20.0, 400.0
 SMALL_FRAME = 1024  # bytes
-# Seconds that a browser may take to read what is sent at once: 3 MB, of a city, at 25 kB/s.
+# Seconds that a browser may take to read one message: a city of 3 MB at 25 kB/s.
 READ_TIMEOUT = 120.0
 
-# Beginnings of connections that are no requests, and what the terminal says of them.
+# Beginnings of connections that are no requests, each with the terminal's message.
 _FOREIGN = {
     b"\x16\x03": "Something speaks TLS to this port, as for https://; it answers http:// only, so let a proxy add the TLS.",
     b"PROXY ": "A proxy sends the PROXY protocol, which is not read here; switch it off (HAProxy: no send-proxy).",
@@ -67,7 +67,7 @@ _WEB_LOG = logging.getLogger(f"{__name__}.web")
 _WEB_LOG.setLevel(logging.WARNING)  # at debug level, websockets logs requests, and thus tokens
 # websockets logs a traceback for each malformed request.
 _WEB_LOG.addFilter(lambda record: record.getMessage() != "opening handshake failed")
-# websockets fails to answer a page that has aborted its request, as one does that scrolls on.
+# websockets raises AssertionError when a page aborts its request, as one does while the user scrolls.
 _WEB_LOG.addFilter(lambda record: record.exc_info is None or not isinstance(record.exc_info[1], AssertionError))
 _TOO_MANY = "Too many wrong tokens came from your address. Wait some seconds."
 _BLOCKED = Refusal(429, "Too many wrong tokens", _TOO_MANY, ask_token=True)
@@ -91,21 +91,21 @@ _NO_PROTOCOL = Refusal(
 )
 
 
-# What viser's page needs of scripts.
+# Script sources that viser's page needs.
 _VISER_SCRIPTS = "'self' 'unsafe-inline' 'unsafe-eval' blob:"
 # The subprotocol of the screen's channel, whose messages are JSON.
 CHANNEL: Final = "lpn-json"
-# The tab whose scene a websocket of viser is, in the tasks that viser runs for it.
+# In the tasks that viser runs for a websocket: the tab whose scene it is.
 SCENE_TAB: ContextVar[str] = ContextVar("scene_tab")
 
 
 @dataclass(frozen=True)
 class Screen:
-    """The page that is served; viser's lies in a frame of it.
+    """The served page, with viser's page in a frame.
 
     Attributes:
-        respond: returns the page or one of its files, zipped for a browser that reads that; None for other addresses.
-        scene_of: returns the tab whose scene a path is, or None.
+        respond: returns the page or one of its files, zipped if the browser reads that; None for other addresses.
+        scene_of: returns the tab of a scene's path, or None.
         serve: serves the channel of a tab.
     """
 
@@ -121,7 +121,7 @@ class Gateway:
         authenticator: decides which requests are let in.
         screen: the page.
         pictures: answers requests for pictures.
-        embedders: sources of pages that may show this one in a frame, beside its own server, as CSP writes them.
+        embedders: CSP sources of pages that may show this one in a frame, beside its own server.
 
     Raises:
         MissingPackageError: when viser's private API is not that of the supported version.
@@ -180,7 +180,7 @@ class Gateway:
     def _respond(
         self, page: PageServer, connection: ServerConnection, request: WebsocketRequest
     ) -> Response | Awaitable[Response] | None:
-        """Return the response to a request, at once or later, or None if it may open a websocket."""
+        """Return the response to a request, at once or later; None lets it open a websocket."""
         try:
             return self._authenticate_and_respond(page, connection, request)
         except Exception as error:  # for example a path that the file system rejects, or a repeated header
@@ -190,7 +190,7 @@ class Gateway:
     def _authenticate_and_respond(
         self, page: PageServer, connection: ServerConnection, raw: WebsocketRequest
     ) -> Response | Awaitable[Response] | None:
-        if _method(connection) == b"OPTIONS":  # a proxy that asks whether the server is up, without a name or a token
+        if _method(connection) == b"OPTIONS":  # a proxy asks whether the server is up, without a name or a token
             return Response(HTTPStatus.NO_CONTENT, "No Content", Headers({"Allow": "GET, HEAD, OPTIONS"}))
         if len(raw.path) > MAX_ADDRESS:
             return refusal_page(_LONG)
@@ -211,9 +211,9 @@ class Gateway:
                 log.warning("A wrong token came from %s", request.address)
                 self._rate_limiter.wrong_token(request.address)
             return refusal_page(verdict)
-        # viser would take "Upgrade: WebSocket", as Apache writes it, for a request of its page.
+        # viser would take "Upgrade: WebSocket", Apache's spelling, for a request of its page.
         if request.upgrade:
-            # A program that checks the server sends neither; a browser sends both.
+            # A program that checks the server sends neither header; a browser sends both.
             dropped = request.only("origin") and not request.headers.get("sec-websocket-protocol")
             return refusal_page(_NO_PROTOCOL) if dropped else None
         if is_websocket(request):
@@ -235,7 +235,7 @@ class Gateway:
         return self._secured(await self._pictures.respond(path, request.address), request)
 
     def _secured(self, response: Response, request: HttpRequest, scripts: str = _VISER_SCRIPTS) -> Response:
-        """Let the page load resources only from its own server, and only the embedders show it in a frame."""
+        """Let the page load resources only from its own server, and let only the embedders show it in a frame."""
         host, frames = request.only("host"), " ".join(("'self'", *self._embedders))
         own = f"'self' ws://{host} wss://{host}"  # some browsers do not apply 'self' to websockets
         response.headers["Content-Security-Policy"] = (
@@ -248,7 +248,7 @@ class Gateway:
         return response
 
     async def _handle(self, handler: Handler, connection: ServerConnection) -> None:
-        """Run the screen's handler or, for a tab's scene, viser's; an error closes this connection alone, and is logged."""
+        """Run the screen's handler or, for a tab's scene, viser's. An error is logged, and closes this connection alone."""
         asyncio.get_running_loop().set_exception_handler(_log_failed_task)
         path = "" if connection.request is None else connection.request.path.partition("?")[0]
         of_channel = connection.subprotocol == CHANNEL
@@ -283,20 +283,20 @@ class Gateway:
 
 
 class _RequestReader(StreamReader):
-    """Reads the lines of a request, which are longer than websockets allows where a page has its state or many cookies.
+    """Reads the lines of a request, which may exceed websockets' limits because of a page's state or many cookies.
 
-    websockets reads GET and HTTP/1.1 only. A proxy may ask by HTTP/1.0, as nginx does unless it is told otherwise, and programs
-    that watch a server ask by HEAD or OPTIONS; all are read as if they were GET and HTTP/1.1.
+    websockets reads GET and HTTP/1.1 only. A proxy may use HTTP/1.0, as nginx does by default, and programs that watch a server
+    use HEAD or OPTIONS. All are read as GET and HTTP/1.1.
 
     Attributes:
-        method: the one of the request.
+        method: the request's own method.
     """
 
     method = b"GET"
     _remaining = MAX_REQUEST_HEAD
 
     def read_line(self, m: int) -> Generator[None, None, bytearray]:  # noqa: ARG002
-        """Read a line, whatever `m` is, while all have `MAX_REQUEST_HEAD` bytes at most; see the base class for the errors."""
+        """Read a line, whatever `m` is; all lines together have `MAX_REQUEST_HEAD` bytes at most. Errors as in the base class."""
         first = self._remaining == MAX_REQUEST_HEAD
         line = yield from super().read_line(self._remaining)
         self._remaining -= len(line)
@@ -316,7 +316,7 @@ class _Connection(ServerConnection):
     def __init__(self, check: ConnectionCheck, *arguments: Any, **settings: Any) -> None:
         super().__init__(*arguments, **settings)
         self._check, self._begun = check, False
-        # The parser has begun to read by the other reader.
+        # The parser already reads from the other reader.
         self.reader = self.protocol.reader = _RequestReader()
         self.protocol.parser = self.protocol.parse()
         next(self.protocol.parser)
@@ -324,9 +324,9 @@ class _Connection(ServerConnection):
         self._small_frames = TokenBucket(SMALL_FRAME_RATE, SMALL_FRAME_BURST)
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        """Abort a connection if too many are pending; otherwise the process could run out of file descriptors.
+        """Abort the oldest connection without a request if too many are pending, so that file descriptors suffice.
 
-        The oldest one without a request is aborted: somebody who holds half-open connections keeps nobody else out.
+        Whoever holds half-open connections thus keeps nobody else out.
         """
         super().connection_made(transport)
         pending = [one for one in self.server.handlers if one.state is CONNECTING and not one.transport.is_closing()]
@@ -336,7 +336,7 @@ class _Connection(ServerConnection):
             next(one for one in excess if one.request is None).transport.abort()
 
     def data_received(self, data: bytes) -> None:
-        """Name a connection that begins with something else than a request; a proxy would only say that it ended."""
+        """Log a connection that does not begin with a request; a proxy would report only its end."""
         if not self._begun:
             self._begun = True
             for start, sentence in _FOREIGN.items():
@@ -345,19 +345,19 @@ class _Connection(ServerConnection):
         super().data_received(data)
 
     def process_event(self, event: Event) -> None:
-        """Abort a connection that floods the server with control frames or small fragments: `recv` delays only whole messages."""
+        """Abort a connection that floods the server with control frames or small fragments; `recv` delays whole messages only."""
         if _is_small(event) and self._small_frames.take() > 0:
             self.transport.abort()
         else:
             super().process_event(event)
 
     async def drain(self) -> None:
-        """Wait for the browser to read; on a timeout websockets aborts the connection. By itself it would wait without end."""
+        """Wait for the browser to read; on a timeout websockets aborts the connection. Otherwise the wait would have no end."""
         async with asyncio.timeout(READ_TIMEOUT):
             await super().drain()
 
     async def recv(self, decode: bool | None = None) -> Any:
-        """Return the next message of the screen's channel, or the next of viser that passes the filter, as bytes."""
+        """Return the next message of the screen's channel, or as bytes the next message of viser that passes the filter."""
         while True:
             raw = await super().recv(decode)
             if seconds := self._messages.take():
@@ -375,7 +375,7 @@ def _is_small(event: Event) -> bool:
 
 
 def _log_failed_task(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
-    """Log the error of a failed task in one line: viser's task for a message fails when a control rejects the value."""
+    """Log a failed task's error in one line: viser's task for a message fails when a control rejects the value."""
     error = context.get("exception")
     if isinstance(error, Exception):
         log.debug("A message failed: %s", _summary(error))
@@ -401,7 +401,7 @@ def _address(connection: ServerConnection) -> str:
 
 
 def _folder(request: HttpRequest) -> str | None:
-    """Return the folder, relative to its address, of a page that was asked for without the last slash; None for other files."""
+    """Return the relative folder of a page that was requested without its last slash; None for other files."""
     place, mark, query = request.path.partition("?")
     name = place.rpartition("/")[2]
     page = "text/html" in request.only("accept") and request.only("sec-fetch-mode") in ("", "navigate")
@@ -414,7 +414,7 @@ def _method(connection: ServerConnection) -> bytes:
 
 
 def _finish(connection: ServerConnection, _: WebsocketRequest, response: Response) -> None:
-    """Say that the connection ends after a page, and leave the body out where HEAD asked for it."""
+    """Close the connection after a page, and leave its body out for HEAD."""
     if response.status_code == HTTPStatus.SWITCHING_PROTOCOLS:
         return
     if "Connection" not in response.headers:

@@ -1,7 +1,6 @@
-"""What viser's page may send: where the camera of a tab's scene is, of bounded size, at a bounded rate.
+"""The filter of messages from viser's page: only the camera of a tab's scene, of bounded size, at a bounded rate.
 
-viser accepts any message of its protocol, sets any attribute of a control, and stores whatever it is sent. The filter lets
-through only what the scene needs.
+viser accepts any message of its protocol, sets any attribute of a control, and stores all data that it receives.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""viser's server of a page of this app: protected, and closed in a known time."""
+"""viser's server for a page of this app: protected, and closed in a known time."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def check_free(host: str, port: int) -> None:
 
 
 def warn_of_listening(host: str, port: int) -> None:
-    """Print what listening on an address beyond this machine means; nothing for a loopback address."""
+    """Print the consequences of listening on an address beyond this machine; nothing for a loopback address."""
     if not is_loopback(host):
         print(
             f"Listening on {host}: anyone who reaches port {port} and has the token can use this. The connection is not "
@@ -69,14 +69,14 @@ def open_server(
     # Otherwise any page could open a public tunnel to this machine.
     server.request_share_url = _refuse_share  # type: ignore[method-assign]
     server.scene.world_axes.visible = False
-    # Pictures and lines need no light. The page would hide its stage until it has decoded its map of light, and then fade it in.
+    # Pictures and lines need no light. Otherwise the page hides its stage until it has decoded a map of light.
     server.scene.configure_environment_map(None)
     server.scene.configure_default_lights(cast_shadow=False)
     return server, gateway
 
 
 def close_server(server: viser.ViserServer) -> None:
-    """Stop viser's server; after `CLOSE_TIMEOUT` seconds it ends by itself."""
+    """Stop viser's server, in at most `CLOSE_TIMEOUT` seconds; after that it ends by itself."""
     stopping = threading.Thread(target=server.stop, name="explorer-stop", daemon=True)
     with redirect_stdout(io.StringIO()), no_cell_output():
         stopping.start()
@@ -85,7 +85,7 @@ def close_server(server: viser.ViserServer) -> None:
 
 @contextmanager
 def no_cell_output() -> Iterator[None]:
-    """Let rich write to the streams, where it would write into a notebook's cell."""
+    """Let rich write to the standard streams, not into a notebook's cell."""
     console = rich.get_console()
     before, console.is_jupyter = console.is_jupyter, False
     try:

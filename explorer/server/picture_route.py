@@ -19,11 +19,11 @@ log = logging.getLogger(__name__)
 
 # The folder of all these addresses.
 PREFIX = "/pictures/"
-# Pictures that are computed or wait, for all browsers and for one address. A page asks for six at a time.
+# Computed and waiting pictures at most, for all browsers and for one address. A page asks for six at a time.
 _MAX_WAITING, _MAX_WAITING_FOR_ONE = 64, 32
-# Seconds after which a request is told to come again. The gateway aborts requests that take longer than 10 s.
+# Seconds after which a client must ask again. The gateway aborts requests that take longer than 10 s.
 _PATIENCE = 8.0
-# Paths in memory whose failure was logged.
+# Paths of logged failures that are remembered.
 _MAX_LOGGED = 1000
 _PATH = re.compile(re.escape(PREFIX) + r"([\w./-]{1,120})", re.ASCII)
 
@@ -41,13 +41,13 @@ class EncodedPicture:
         return f"data:{self.mime};base64,{b64encode(self.data).decode()}"
 
 
-# Returns what computes the picture of a path below `PREFIX`, None if there is no such picture. It must return at once.
+# Returns a function that computes the picture of a path below `PREFIX`, None if there is no such picture. It must not block.
 PictureSource = Callable[[str], Callable[[], EncodedPicture] | None]
 
 
 @dataclass(frozen=True, eq=False)
 class _Computing:
-    """A picture that is computed or waits, and the address of the browser that asked first."""
+    """A computed or waiting picture, and the address of the browser that asked first."""
 
     picture: asyncio.Future[EncodedPicture]
     address: str
@@ -69,7 +69,7 @@ class PictureRoute:
     async def respond(self, path: str, address: str = "") -> Response:
         """Return the picture, 204 for an empty one, or an error without a body.
 
-        The error is 404 for an unknown picture, 503 if too many wait, it takes long, or the app closes, and 500 if it fails.
+        The error is 404 for an unknown picture, 500 if it fails, and 503 if it takes long, too many wait, or the app closes.
 
         Args:
             address: of the browser.
@@ -81,7 +81,7 @@ class PictureRoute:
         future = self._join(path, address, compute)
         if future is None:
             return _empty(503, "Service Unavailable")
-        # `wait` cancels no computation, neither after its time nor when the request is aborted.
+        # `wait` cancels no computation, neither at its timeout nor when the request is aborted.
         await asyncio.wait([future], timeout=_PATIENCE)
         if not future.done() or future.cancelled():
             return _empty(503, "Service Unavailable")
@@ -104,7 +104,7 @@ class PictureRoute:
     def _join(
         self, path: str, address: str, compute: Callable[[], EncodedPicture]
     ) -> asyncio.Future[EncodedPicture] | None:
-        """Return the computation of a path, begun if there is none; None if too many wait, or the app closes."""
+        """Return the computation of a path, started if necessary; None if too many wait, or the app closes."""
         if path in self._computing:
             return self._computing[path].picture
         for_one = sum(one.address == address for one in self._computing.values())
@@ -119,7 +119,6 @@ class PictureRoute:
         return future
 
     def _finish(self, path: str, future: asyncio.Future[EncodedPicture]) -> None:
-        """Forget a computation; log its error once until the path succeeds."""
         del self._computing[path]
         error = None if future.cancelled() else future.exception()
         if error is None:

@@ -1,4 +1,4 @@
-"""Rate limits: token buckets, and one for each address that sends wrong access tokens."""
+"""Rate limits: token buckets, and one of them for each address that sends wrong access tokens."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ import time
 from collections import OrderedDict
 from collections.abc import Callable
 
-# Wrong access tokens that an address may send at once, and a second.
+# Wrong access tokens that an address may send at once, and for each second.
 GUESSES, GUESS_RATE = 10.0, 0.5
-# Addresses that are remembered; the least recently used are forgotten.
+# Number of remembered addresses; the least recently used are forgotten.
 MAX_ADDRESSES = 1000
 
 
@@ -58,7 +58,7 @@ class RateLimiter:
 
 
 def _network(address: str) -> str:
-    """Return the guesser that an address stands for: this machine, an IPv4 address, or a household's IPv6 network (/64)."""
+    """Return the guesser behind an address: this machine, an IPv4 address, or a household's IPv6 network (/64)."""
     try:
         ip = ipaddress.ip_address(address.partition("%")[0])
     except ValueError:

@@ -1,6 +1,6 @@
 """All uses of viser's private attributes, each behind a named function.
 
-They are those of viser 1.1.1. `tests/explorer/server/test_viser_compat.py` names each and fails when viser changes it.
+They fit viser 1.1.1. `tests/explorer/server/test_viser_compat.py` names each and fails when viser changes it.
 """
 
 from __future__ import annotations
@@ -39,9 +39,9 @@ class _LoopEvent(asyncio.Event):
 class SendBuffer(AsyncMessageBuffer):
     """A thread-safe queue of messages to one browser.
 
-    viser sets the buffer's `asyncio.Event` from the sending thread, then again from the event loop. The first call is a race:
-    it raises "deque mutated during iteration", or sets the event unseen, so that the second call wakes nobody and the message
-    stays unsent. `_LoopEvent` ignores the first call. Messages to a closed connection are dropped without viser's warning.
+    viser sets the buffer's `asyncio.Event` from the sending thread, then again from the event loop. The first call is a race: it
+    raises "deque mutated during iteration", or sets the event unseen. Then the second call wakes nobody, and the message stays
+    unsent. `_LoopEvent` ignores the first call. Messages to a closed connection are dropped without viser's warning.
     """
 
     def __post_init__(self) -> None:
@@ -61,7 +61,7 @@ def _property_types(properties: type) -> dict[str, Any]:
 
 
 def keep_property_types() -> None:
-    """Read the types of each kind of element's properties once; viser reads them for each element, a millisecond each time."""
+    """Read the property types of each kind of element once; viser reads them for each element, a millisecond each time."""
     elements: Any = viser_properties.AssignablePropsBase
     elements._prop_hints = property(lambda element: _property_types(element._impl.props.__class__))
 

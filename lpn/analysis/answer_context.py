@@ -1,4 +1,4 @@
-"""One answer among all of its task: how often those of a like gap are right, its distance, its lead, and which kind fails."""
+"""The context of one answer in its task: how often similar answers are right, their distances, and which pictures fail."""
 
 from __future__ import annotations
 
@@ -14,34 +14,34 @@ from lpn.core.tables import Column, Table
 from lpn.retrieval.metrics import Retrieval
 from lpn.tasks.query_outcomes import Outcomes, picture_columns
 
-# So many answers of the nearest gaps, or this share of all where that is more, are alike; fewer than `FEWEST_GRADED` have no
-# neighbourhood.
+# An answer's neighbourhood: this number of answers with the nearest gaps, or this share of all if that is more. Fewer graded
+# answers than `FEWEST_GRADED` have none.
 _ALIKE, _ALIKE_SHARE = 50, 0.1
 FEWEST_GRADED = 2 * _ALIKE
-# A share of fewer answers says little.
+# Fewest answers whose share is stated.
 _FEWEST = 20
-# A difference that chance makes less often than this is none of chance.
+# Significance level of a difference.
 _BY_CHANCE = 0.05
 # Queries whose distances are computed at once.
 _BLOCK = 4096
-# From each share on, the words for it.
+# Words for a share, from each lower bound on.
 _SHARES = (
     (0.97, "almost all"),
     (0.83, "about nine tenths"),
     (0.71, "about three quarters"),
     (0.58, "about two thirds"),
 )
-# Columns that tell of the answer, or of one picture alone.
+# Columns that describe the answer, or one picture alone.
 _NOT_OF_A_KIND = ("latitude", "longitude", "overlap", "semi")
 
 
 @dataclass(frozen=True, eq=False)
 class AnswerDistances:
-    """How far the nearest tile was from the queries of a task, under equal part weights and before CSLS.
+    """Distances of the nearest tiles from the queries of a task, under equal part weights and before CSLS.
 
     Attributes:
         right: d² of each right answer, (H,).
-        absent: d² of each graded query's nearest wrong tile, (Q,): of its answer if its place were not in the gallery.
+        absent: d² of each graded query's nearest wrong tile, (Q,), as if its place were not in the gallery.
     """
 
     right: FloatingArray
@@ -50,7 +50,7 @@ class AnswerDistances:
     def farther(self, distance2: float) -> tuple[float, float] | None:
         """Return the shares of right answers that are nearer, and of absent places' answers at least as far, each 0 .. 1.
 
-        None where there are too few of either.
+        None if there are too few of either.
         """
         if min(len(self.right), len(self.absent)) < _FEWEST:
             return None
@@ -59,11 +59,11 @@ class AnswerDistances:
 
 @dataclass(frozen=True)
 class AlikeAnswers:
-    """The graded answers whose gaps are nearest to that of one answer.
+    """The graded answers whose gaps are nearest to one answer's gap.
 
     Attributes:
-        queries: their number.
-        right: how many of them are right.
+        queries: number of these answers.
+        right: number of right ones.
     """
 
     queries: int
@@ -72,12 +72,12 @@ class AlikeAnswers:
 
 @dataclass(frozen=True)
 class LeadGroup:
-    """Queries of like leads.
+    """Queries of similar leads.
 
     Attributes:
         lead: their median lead over the second tile, in d².
-        queries: their number.
-        found: how many of them are found.
+        queries: number of queries.
+        found: number of found queries.
     """
 
     lead: float
@@ -88,17 +88,17 @@ class LeadGroup:
 def answers_alike(
     ranking: Retrieval, gap: float | None, known: BoolArray | None = None, besides: int | None = None
 ) -> AlikeAnswers | None:
-    """Count how often the answers whose gaps are nearest to a given one are right; None where there are too few.
+    """Count how many answers with similar gaps are right; None if there are too few.
 
-    The gap is d² of the second tile minus that of the answer. It needs no truth, so that it is the same for a graded query and
-    for the user's own picture. The answers counted are the nearest tenth of all graded ones, at least 50, with those that are as
-    near as the farthest of them. A gap above those of all graded answers has none alike.
+    The gap is d² of the second tile minus d² of the answer. It needs no truth, so it is defined for a user's own picture, too.
+    Counted are the nearest tenth of all graded answers, at least 50, and all ties with the farthest of them. A gap above those of
+    all graded answers has no neighbourhood.
 
     Args:
-        ranking: of all queries under the weights that the gap is from.
-        gap: in d²; None or NaN where there is no second tile.
+        ranking: of all queries under the weights of the gap.
+        gap: in d²; None or NaN without a second tile.
         known: the queries whose truth is known, (Q,); None for all.
-        besides: a query that is not counted: the one that was asked.
+        besides: a query that is not counted, because it is the asked one.
     """
     graded = np.isfinite(ranking.gap) if known is None else np.isfinite(ranking.gap) & known
     if besides is not None:
@@ -116,7 +116,7 @@ def answers_alike(
 
 
 def found_by_lead(ranking: Retrieval, known: BoolArray | None = None) -> list[LeadGroup]:
-    """Return how many queries of like leads are found, in ten equal groups from the smallest lead; none where queries are few.
+    """Return the found queries by lead, in ten equal groups from the smallest lead; none if queries are few.
 
     Args:
         ranking: of all queries.
@@ -133,7 +133,7 @@ def found_by_lead(ranking: Retrieval, known: BoolArray | None = None) -> list[Le
 def answer_distances(
     queries: Float32Array, gallery: Float32Array, ranking: Retrieval, known: BoolArray | None = None
 ) -> AnswerDistances:
-    """Measure how far right answers are, and how far the nearest tiles would be if a query's place were not in the gallery.
+    """Measure the distances of right answers, and of the nearest tiles as if each query's place were not in the gallery.
 
     Args:
         queries, gallery: descriptors with parts of norm 1/sqrt(n), (Q, n, D) and (G, n, D).
@@ -153,7 +153,7 @@ def answer_distances(
 
 
 def describe_lead(outcomes: Outcomes, lead: float) -> str:
-    """Compare a right answer's lead in d² with those of all right answers; empty where there are few of them."""
+    """Compare a right answer's lead in d² with all right answers' leads; empty if there are few."""
     leads = outcomes.margin[outcomes.hits]
     leads = leads[np.isfinite(leads)]
     if len(leads) < _FEWEST:
@@ -169,9 +169,9 @@ class FailingKind:
     """A kind of picture that fails more often than chance explains.
 
     Attributes:
-        column: of the table, whose values tell the kind.
-        rate: the queries of the kind, and those that failed.
-        failures, queries: of all.
+        column: the table's column that defines the kind.
+        rate: numbers of queries and of failures of the kind.
+        failures, queries: numbers of all.
     """
 
     column: Column
@@ -180,25 +180,21 @@ class FailingKind:
     queries: int
 
     def name(self, column: str = "") -> str:
-        """Return the kind in words.
-
-        Args:
-            column: the name of its column in words; by default as it is in the table.
-        """
+        """Return the kind in words; `column` is the name of its column in words, by default as in the table."""
         if (self.column.name, self.rate.name) == ("twins", "yes"):
             return "pictures of buildings with a twin elsewhere"
         return f"pictures whose {column or self.column.name} is {self.rate.name}"
 
     @property
     def numbers(self) -> str:
-        """The number of the kind that failed, and of all others, in words."""
+        """The failures of the kind and of all others, in words."""
         rate = self.rate
         others = f"{self.failures - rate.failures:,} of {self.queries - rate.queries:,} others"
         return f"{rate.failures:,} of {rate.queries:,} are wrong, against {others}"
 
 
 def describe_failures(outcomes: Outcomes, table: Table, query_labels: Int64Array, besides: Collection[str] = ()) -> str:
-    """Say how many queries fail, and which kind of picture fails most, see `failing_kinds`; a sentence or two."""
+    """Say how many queries fail, and which kind of picture fails most (`failing_kinds`), in one or two sentences."""
     known = np.flatnonzero(outcomes.known)
     failures, queries = int(outcomes.failed[known].sum()), len(known)
     if not queries:
@@ -213,7 +209,7 @@ def describe_failures(outcomes: Outcomes, table: Table, query_labels: Int64Array
 
 
 def by_chance(failures: int) -> str:
-    """Say of a number of failures that no kind of picture fails more often than by chance."""
+    """Say that no kind of picture fails more often than by chance."""
     few = "with so few, " if failures < _FEWEST else ""
     return f"{few}no kind of picture fails more often than by chance"
 
@@ -221,15 +217,14 @@ def by_chance(failures: int) -> str:
 def failing_kinds(
     outcomes: Outcomes, table: Table, query_labels: Int64Array, besides: Collection[str] = ()
 ) -> list[FailingKind] | None:
-    """Return the kinds of picture that fail more often than by chance, the least likely first; None if none can be told apart.
+    """Return the kinds of picture that fail more often than by chance, the least likely first; None without comparable kinds.
 
-    Chance is the hypergeometric tail of a kind's failures among all (Fisher's exact test, one-sided), times the number of kinds
-    that are looked at (Bonferroni). Pictures of one place fail together, so their numbers are divided by
-    `breakdown.design_effect`.
+    Chance is the hypergeometric tail of a kind's failures among all (Fisher's exact test, one-sided), times the number of tested
+    kinds (Bonferroni). Pictures of one place fail together, so their numbers are divided by `breakdown.design_effect`.
 
     Args:
         query_labels: the place of each query, (Q,).
-        besides: columns that are no property of a picture, such as the answers of other stages.
+        besides: columns that are not properties of a picture, such as the answers of other stages.
     """
     known = np.flatnonzero(outcomes.known)
     failures, queries = int(outcomes.failed[known].sum()), len(known)

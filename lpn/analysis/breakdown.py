@@ -46,7 +46,7 @@ class Hub:
     Attributes:
         tile: its gallery position.
         queries: the queries that it answers wrongly, (C,).
-        places: the number of places that they show.
+        places: the number of their places.
     """
 
     tile: int
@@ -99,7 +99,7 @@ def confusions(
 
     Args:
         query_labels, labels: the place of each query and tile, (Q,) and (G,).
-        rows: the queries to count, all by default. Queries without an answer are left out.
+        rows: the counted queries, all by default. Queries without an answer are left out.
     """
     rows = _rows(outcomes, rows)
     rows = rows[outcomes.failed[rows] & (outcomes.answer[rows] >= 0)]
@@ -114,11 +114,11 @@ def confusions(
 
 
 def hubs(outcomes: Outcomes, query_labels: Int64Array, rows: Int64Array | None = None) -> list[Hub]:
-    """Return the tiles that answer queries of at least two other places, those of the most places first.
+    """Return the tiles that answer queries of at least two other places, the most places first.
 
     Args:
         query_labels: the place of each query, (Q,).
-        rows: the queries to count, all by default.
+        rows: the counted queries, all by default.
     """
     rows = _rows(outcomes, rows)
     rows = rows[outcomes.failed[rows] & (outcomes.answer[rows] >= 0)]
@@ -129,7 +129,7 @@ def hubs(outcomes: Outcomes, query_labels: Int64Array, rows: Int64Array | None =
 
 
 def blame(outcomes: Outcomes, rows: Int64Array | None = None) -> Int64Array:
-    """Count the failures that each part decided, (n,); failures without a margin are not counted."""
+    """Return the number of failures that each part decided, (n,); failures without a margin are not counted."""
     rows = _rows(outcomes, rows)
     decided = outcomes.deciding_part[rows][outcomes.failed[rows]]
     return np.bincount(decided[decided >= 0], minlength=outcomes.parts.shape[1]).astype(np.int64)
@@ -138,18 +138,18 @@ def blame(outcomes: Outcomes, rows: Int64Array | None = None) -> Int64Array:
 def rates(failed: BoolArray, column: Column, bins: int = 5, rows: Int64Array | None = None) -> list[Rate]:
     """Return the failure rate for each bin of a column: quantile bins of numbers, or distinct texts.
 
-    Bins of numbers are ascending, and have about the same number of queries; queries of equal value are always in the same
-    bin. Headings from 0 up to 360 degrees have a bin for each of the four directions, the first around north. Texts are sorted by
+    Bins of numbers are ascending, and have about equal numbers of queries; queries of equal value are always in the same bin.
+    Headings from 0 up to 360 degrees have a bin for each of the four directions, the first around north. Texts are sorted by
     descending rate. The queries of unknown value are the last bin.
 
     Args:
         failed: True for queries that failed, (Q,).
         column: one value for each query.
         bins: maximum number of bins of numbers.
-        rows: the queries to count, all by default.
+        rows: the counted queries, all by default.
 
     Raises:
-        InputError: when there are not as many values as queries, or no bins.
+        InputError: when the numbers of values and of queries differ, or `bins` is below 1.
     """
     if len(column.values) != len(failed) or bins < 1:
         raise InputError(
@@ -163,7 +163,7 @@ def rates(failed: BoolArray, column: Column, bins: int = 5, rows: Int64Array | N
     if len(known):
         distinct, which = np.unique(values, return_inverse=True)
         circular = column.kind == "number" and column.name in _CIRCULAR and len(distinct) > bins
-        # Headings outside 0 to 360 have no place in a bin around north.
+        # Headings outside 0 to 360 fit into no bin around north.
         circular = circular and bool(distinct[0] >= 0 and distinct[-1] < 360)
         if circular:
             _, sectors = np.unique(_sectors(distinct), return_inverse=True)
@@ -250,21 +250,21 @@ def _rows(outcomes: Outcomes, rows: Int64Array | None) -> Int64Array:
 
 
 def _sectors(degrees: Float64Array) -> Int64Array:
-    """Return the sector of each heading, 0 for the one around north, which goes from -45 up to 45 degrees."""
+    """Return the sector of each heading; sector 0 is north, from -45 up to 45 degrees."""
     return ((degrees.astype(np.float64) + 180 / _SECTORS) % 360 // (360 / _SECTORS)).astype(np.int64)
 
 
 def _ends(values: Float64Array, circular: bool) -> tuple[float, float]:
     """Return the first and the last value of a bin, clockwise if it is a sector."""
     if circular and _sectors(values[:1])[0] == 0:
-        # Arithmetic rounds, and an end must equal the value that it comes from.
+        # Arithmetic rounds, but an end must equal its original value.
         around = (values.astype(np.float64) + 180) % 360
         return float(values[around.argmin()]), float(values[around.argmax()])
     return float(values.min()), float(values.max())
 
 
 def _quantile_bins(which: Int64Array, bins: int) -> Int64Array:
-    """Return the bin of each value, given as its index among the distinct values: the bin of the median of equal values."""
+    """Return the bin of each value, given as its index among the distinct values; equal values take their median's bin."""
     counts = np.bincount(which)
     if len(counts) <= bins:
         return which
@@ -274,7 +274,7 @@ def _quantile_bins(which: Int64Array, bins: int) -> Int64Array:
 
 
 def _span_names(spans: list[tuple[float, float]], unit: str) -> list[str]:
-    """Return spans of numbers as texts, with six digits, or more if needed to distinguish all ends."""
+    """Return spans of numbers as texts, with six digits, or more to distinguish all ends."""
     ends = sorted({end for span in spans for end in span})
     digits = next((n for n in range(6, 17) if len({f"{end:.{n}g}" for end in ends}) == len(ends)), 17)
     # Show many digits as whole numbers rather than with an exponent.

@@ -1,4 +1,4 @@
-"""Comparison of two tiles of one ranking, and what the part weights that swap them do to all queries."""
+"""Comparison of two tiles of one ranking, and the effect on all queries of the part weights that swap them."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class Comparison:
 
     @classmethod
     def of(cls, ranking: Ranking, chosen: Match) -> Comparison | None:
-        """Compare a chosen tile; None if the ranking has no tile to compare it with."""
+        """Compare a chosen tile; None if the ranking has no other tile to compare."""
         positive = ranking.positive()
         followed = positive or chosen
         other = chosen
@@ -51,7 +51,7 @@ class Comparison:
 
 
 def effect_on(task: Task, weights: npt.ArrayLike) -> Effect:
-    """Compare other part weights with a task's own over all its queries; InputError if they are not its parts'."""
+    """Compare other part weights with a task's own over all its queries; InputError if their number or values are wrong."""
     old, new = (one.retrieved.first == 0 for one in (task, task.with_fields(weights=weights)))
     counted = np.ones(len(old), bool) if task.known is None else task.known
     before, after = (100.0 * float(hits[counted].mean()) for hits in (old, new))

@@ -14,7 +14,7 @@ from lpn.retrieval.metrics import checked_sides
 
 # Maximum number of pictures from which the axes are computed.
 SAMPLE = 2000
-# UMAP copies all descriptors into a process of its own: 0.4 GB for 50,000 of 4 x 512 numbers, which it holds twice.
+# UMAP copies all descriptors into its own process: 0.4 GB for 50,000 of 4 x 512 numbers, held twice.
 MOST_FOR_UMAP = 50_000
 _BLOCK = 4096
 
@@ -37,7 +37,7 @@ def pca(queries: npt.ArrayLike, gallery: npt.ArrayLike, sample: int = SAMPLE) ->
     """Project descriptors to their two principal components, computed from queries and tiles together.
 
     The components are computed from all rows, or from an evenly spaced sample if there are more. The largest number of each
-    component is positive, so that the same descriptors always give the same map.
+    component is positive, so that equal descriptors always give equal maps.
 
     Args:
         queries, gallery: (Q, n, D) and (G, n, D), or flattened.
@@ -55,7 +55,7 @@ def pca(queries: npt.ArrayLike, gallery: npt.ArrayLike, sample: int = SAMPLE) ->
     drawn = np.concatenate([sides[0][chosen[:split]], sides[1][chosen[split:] - len(sides[0])]]).astype(np.float64)
     middle = drawn.mean(axis=0)
     drawn -= middle
-    # The right singular vectors, from the smaller of the two Gram matrices: many times faster than an SVD.
+    # The right singular vectors come from the smaller of the two Gram matrices, many times faster than from an SVD.
     if len(drawn) < drawn.shape[1]:
         values, left = np.linalg.eigh(drawn @ drawn.T)
         axes = (drawn.T @ left[:, :-3:-1]) / np.sqrt(np.maximum(values[:-3:-1], 1e-30))

@@ -27,19 +27,19 @@ from lpn.tasks.measure import GalleryChoice
 from lpn.tasks.task import Task
 from lpn.tasks.weathers import WeatherResult, measure_weathers
 
-# Passes of one picture that are timed, after others that are not.
+# Timed passes of one picture, and untimed ones before them.
 _TIMED, _WARM = 15, 3
 
 
 @dataclass(frozen=True)
 class ModelFacts:
-    """A model without its figures.
+    """A model's properties, without its figures.
 
     Attributes:
         method, level: see `Contract`.
         input_size: height and width in pixels.
-        numbers: of a descriptor.
-        megabytes: of its file, 10^6 bytes; None if it was not read from one.
+        numbers: length of a descriptor.
+        megabytes: size of its file, 10^6 bytes; None if it was not read from one.
         milliseconds: median of a forward pass of one picture on this machine.
         processor_milliseconds: median of its processor time in all threads, which another program's load hardly changes.
     """
@@ -54,11 +54,7 @@ class ModelFacts:
 
     @classmethod
     def of(cls, model: Model, size: int | None) -> ModelFacts:
-        """Collect them, and time some forward passes.
-
-        Args:
-            size: bytes of the model's file; None if it was not read from one.
-        """
+        """Collect the properties, and time some forward passes; `size` is the bytes of the model's file, or None."""
         contract, times = model.contract, list[tuple[float, float]]()
         noise = np.random.default_rng(0).standard_normal((1, 3, *contract.input_size)).astype(np.float32)
         for number in range(_WARM + _TIMED):
@@ -84,15 +80,15 @@ RecallAndAP = tuple[float, float]
 
 @dataclass(frozen=True, eq=False)
 class Leaderboard:
-    """The page.
+    """The page's contents.
 
     Attributes:
-        data_name: of the data set.
+        data_name: name of the data set.
         facts: of each model, by its name.
         tables: for each task and gallery.
-        parts: by task and model, the figures of each part alone; of models with several parts.
-        turns: by task and model, the figures of queries turned by so many degrees counter-clockwise.
-        weathers: by model; empty without them.
+        parts: figures of each part alone, by task and by model of several parts.
+        turns: figures of turned queries, by task and model, for each turn in degrees counter-clockwise.
+        weathers: by model; empty if not measured.
     """
 
     data_name: str
@@ -104,7 +100,6 @@ class Leaderboard:
 
     @property
     def title(self) -> str:
-        """The page's title."""
         return f"Models on {self.data_name}"
 
     def to_dict(self) -> dict[str, Any]:
@@ -154,7 +149,7 @@ class Leaderboard:
 
 
 def common_tasks(models: Mapping[str, Model], dataset: Dataset) -> list[str]:
-    """Return the tasks of a data set that all models know, whose names are given; DataError or InputError without any."""
+    """Return the names of the data set's tasks that all models know; DataError or InputError without any."""
     if not dataset.tasks():
         raise dataset.no_task()
     tasks = [
@@ -183,16 +178,16 @@ def leaderboard(
 
     Args:
         models: by their names.
-        sizes: bytes of the files of those that were read from one.
-        tasks: their names.
-        opened: opens a task by a model, given both names; all models have the same queries and gallery.
+        sizes: bytes of the models' files, if they were read from files.
+        tasks: names of the tasks.
+        opened: opens a task by task name and model name; all models have equal queries and galleries.
         turns: degrees counter-clockwise by which all queries are turned as well (Table IV).
         weathers: measure the ten weathers of University-WX as well.
         seed, resamples: of the bootstrap, see `model_table`.
         groups: of the models in the tables of tasks, see `model_table.compare`.
 
     Raises:
-        InputError: when a measure is not possible on a model, no query's truth is known, or queries or galleries differ.
+        InputError: when a model does not support a measure, no query's truth is known, or queries or galleries differ.
     """
     done, stages = 0, len(models) * (1 + len(tasks) * (1 + len(turns)) + (1 if weathers else 0))
 

@@ -19,7 +19,7 @@ from lpn.core.text_tables import TextTable
 from lpn.tasks.measure import RankedModel, Result, scored_name
 
 DEPTHS = (1, 5, 10)
-# Values of queries that differ by no more are equal: sums of runs round differently.
+# Values of queries are equal up to this difference, as sums of runs round differently.
 _EQUAL = 1e-9
 _P_VALUES = ("p", "Holm's p", "seeds' p", "Holm's seeds' p")
 
@@ -32,10 +32,10 @@ class PairedTest:
         first, second: their names.
         figure: such as "R@1".
         difference: first minus second in percentage points.
-        first_better, second_better: numbers of queries on which the first is better, and the second.
-        p: of the paired randomization test over places.
+        first_better, second_better: numbers of queries on which either group is better.
+        p: p-value of the paired randomization test over places.
         holm: p adjusted for all pairs under this figure.
-        seeds_p, seeds_holm: the same of Welch's t-test over runs; None unless both groups have several.
+        seeds_p, seeds_holm: p and adjusted p of Welch's t-test over runs; None unless both groups have several.
     """
 
     first: str
@@ -52,12 +52,12 @@ class PairedTest:
 
 @dataclass(frozen=True, eq=False)
 class ModelTable:
-    """Models that ranked the same queries in the same gallery.
+    """Models that ranked equal queries in one gallery.
 
     Attributes:
         task, gallery_name: common to all.
         models: rankings, their queries in one order.
-        group_of: the group of each model: runs of one method, which differ in their seed; or its own name.
+        group_of: the group of each model: a method whose runs differ in their seeds, or by default its own name.
         seed, resamples: of the bootstrap.
     """
 
@@ -83,7 +83,6 @@ class ModelTable:
 
     @cached_property
     def _values(self) -> dict[str, Float64Array]:
-        """The value of each model and query, 0 .. 1, by figure, (M, Q); without AP if a ranking is incomplete."""
         precision = np.stack([one.precision for one in self.models])
         hits = {
             f"R@{depth}": np.stack([one.within(depth) for one in self.models]).astype(np.float64) for depth in DEPTHS
@@ -100,12 +99,11 @@ class ModelTable:
         return intervals(values, self.models[0].labels, self.seed, self.resamples)
 
     def _of_runs(self, figure: str, rows: list[int]) -> Float64Array:
-        """Return a figure of some runs in percent."""
         return np.asarray(100 * self._values[figure][rows].mean(axis=1))
 
     @cached_property
     def figures(self) -> list[dict[str, Estimate]]:
-        """For each group its `R@1`, `R@5`, `R@10`, and `AP`, in percent; without `AP` if a ranking is incomplete."""
+        """The `R@1`, `R@5`, `R@10`, and `AP` of each group in percent; without `AP` if a ranking is incomplete."""
         estimates = {figure: self._intervals(values) for figure, values in self._means.items()}
         return [
             {
@@ -117,7 +115,7 @@ class ModelTable:
 
     @cached_property
     def tests(self) -> list[PairedTest]:
-        """Paired tests of each two groups, on R@1 and, if rankings are complete, on AP."""
+        """Paired tests of every two groups, on R@1 and, if rankings are complete, on AP."""
         names, rows = [*self.groups], [*self.groups.values()]
         pairs, found = list(combinations(range(len(names)), 2)), list[PairedTest]()
         for figure in [name for name in ("R@1", "AP") if pairs and name in self._means]:
@@ -131,7 +129,7 @@ class ModelTable:
 
     @property
     def sentence(self) -> str:
-        """How the figures were made, in words."""
+        """The method behind the figures, in words."""
         places, groups = len(np.unique(self.models[0].labels)), len(self.groups)
         pairs, grouped = groups * (groups - 1) // 2, groups < len(self.models)
         sentences = [
@@ -190,7 +188,7 @@ class ModelTable:
         return [figures, TextTable(head, tests, f"{title}. Paired tests", self.sentence, "lllr")]
 
     def to_csv(self) -> bytes:
-        """Return the table as `comparisons_csv` does."""
+        """Return the table in the format of `comparisons_csv`."""
         return comparisons_csv([self])
 
     def _csv_rows(self) -> Iterator[tuple[str, ...]]:
@@ -208,7 +206,7 @@ class ModelTable:
 
 
 def comparisons_csv(tables: Sequence[ModelTable]) -> bytes:
-    """Return one line a group and figure, and one a pair and tested figure, whose value is the difference."""
+    """Return one line for each group and figure, and one for each pair and tested figure, whose value is the difference."""
     head = ("model", "against", "task", "gallery", "queries", "figure", "value", "low", "high", "sd", *_P_VALUES)
     return TextTable(head, [row for table in tables for row in table._csv_rows()]).csv()
 
@@ -219,13 +217,13 @@ def compare(
     """Compare two or more models on the same queries and gallery.
 
     Args:
-        results: of `lpn.evaluate`, on the full gallery, each by its model's name with its scoring; or rankings.
+        results: results of `lpn.evaluate` on the full gallery, labelled by model and scoring; or rankings.
         seed, resamples: of the bootstrap.
         groups: the group of each model, such as the method of several runs; each model by itself by default.
 
     Raises:
-        InputError: when there are fewer than two, names repeat, no query's truth is known, tasks, galleries, or queries differ, a
-            repeated query has another place in the order of one of them, or there are more or fewer groups than models.
+        InputError: when there are fewer than two models, names repeat, no query's truth is known, or tasks, galleries, queries,
+            or the orders of repeated queries differ; or when the numbers of groups and of models differ.
     """
     models = list[RankedModel]()
     for one in results if isinstance(results, Collection) else [results]:

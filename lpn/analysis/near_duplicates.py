@@ -22,7 +22,7 @@ class NearDuplicate:
 
     Attributes:
         tiles: their gallery positions, the lower one first.
-        cosine: of their descriptors under the part weights, -1 .. 1.
+        cosine: of their descriptors under the part weights, from -1 to 1.
     """
 
     tiles: tuple[int, int]
@@ -39,7 +39,7 @@ def near_duplicates(
     Args:
         gallery: (G, n, D), descriptors of a task: each part has length 1/sqrt(n).
         labels: the place of each tile, (G,).
-        count: number of pairs at most.
+        count: maximum number of pairs.
         weights: part weights, see `part_weights`.
     """
     total, parts = gallery.shape[:2]

@@ -15,11 +15,11 @@ import numpy as np
 from lpn.core.arrays import Float64Array, Int64Array
 
 RESAMPLES = 1000
-# Share of the bootstrap's means within an interval.
+# Coverage of an interval.
 LEVEL = 0.95
-# The number of random swaps of a paired test, and the most differing places of which all swaps are counted.
+# The number of random swaps of a paired test, and the largest number of differing places for which all swaps are counted.
 SWAPS, _MAX_ENUMERATED = 100_000, 16
-# A standard error in percentage points below this is that of rounding.
+# Smaller standard errors, in percentage points, are rounding errors.
 _ROUNDING = 1e-9
 # Swaps that are drawn at once, and cells of the integral of Student's distribution.
 _BLOCK, _CELLS = 100, 20_000
@@ -30,7 +30,7 @@ class Estimate:
     """A percentage with its bootstrap interval over places.
 
     Attributes:
-        sd: standard deviation (n - 1) over the runs of a group; None of one run.
+        sd: standard deviation (n - 1) over the runs of a group; None for one run.
     """
 
     value: float
@@ -64,17 +64,17 @@ def intervals(values: Float64Array, labels: Int64Array, seed: int, resamples: in
 def randomization_test(differences: Float64Array, labels: Int64Array, seed: int) -> list[float]:
     """Return the two-sided p-value of the mean of each row of paired differences (Fisher 1935; Smucker et al. 2007).
 
-    It is the share of swaps of two models, each on all queries of some places, whose mean is at least as far from 0.
-    All swaps are counted where at most 16 places differ. Else 100,000 random ones are, and the observed one with them.
+    It is the share of swaps of two models, each on all queries of some places, whose mean is at least as far from 0. Up to 16
+    differing places, all swaps are counted. Else 100,000 random swaps and the observed one are.
 
     Args:
         differences: of the queries, (K, Q).
         labels: the place of each query, (Q,).
     """
     sums = _of_places(differences, labels)
-    sums = sums[:, sums.any(axis=0)]  # a swap of equal results alters no mean
+    sums = sums[:, sums.any(axis=0)]  # a swap of equal results changes no mean
     total = sums.sum(axis=1)
-    # The rounding of sums must not part swaps of equal means.
+    # Rounding errors must not separate swaps of equal means.
     far = np.abs(total) - 1e-9 * np.abs(sums).sum(axis=1)
     many = np.count_nonzero(sums, axis=1) > _MAX_ENUMERATED
     p = np.ones(len(sums))
@@ -93,7 +93,7 @@ def randomization_test(differences: Float64Array, labels: Int64Array, seed: int)
 
 
 def welch_test(first: Float64Array, second: Float64Array) -> float | None:
-    """Return the two-sided p-value of Welch's t-test (1947) of two groups of runs; None without a spread within them."""
+    """Return the two-sided p-value of Welch's t-test (1947) of two groups of runs; None if neither group has a spread."""
     error, freedom = _standard_error(first, second)
     return _student_tail(abs(float(np.mean(first) - np.mean(second))) / error, freedom) if error else None
 
@@ -101,14 +101,14 @@ def welch_test(first: Float64Array, second: Float64Array) -> float | None:
 def half_interval(*groups: Float64Array | Sequence[float]) -> float:
     """Return half the width of the 95 % interval of the mean of one group of runs, or of the difference of two (Welch 1947).
 
-    It is 0 without a spread within the groups, as of one run each, which says nothing about its seed.
+    It is 0 without a spread within the groups, as for single runs, which say nothing about their seeds.
     """
     error, freedom = _standard_error(*groups)
     return error * _student_quantile(freedom) if error else 0.0
 
 
 def _standard_error(*groups: Float64Array | Sequence[float]) -> tuple[float, float]:
-    """Return the standard error of the difference of means, or of one mean, and its degrees of freedom; 0 if not known."""
+    """Return the standard error of one mean or of a difference of means, and its degrees of freedom; 0 if unknown."""
     runs = [np.asarray(group, np.float64) for group in groups]
     if min(map(len, runs)) < 2:
         return 0.0, 0.0
@@ -121,7 +121,7 @@ def _standard_error(*groups: Float64Array | Sequence[float]) -> tuple[float, flo
 
 
 def _student_tail(t: float, freedom: float) -> float:
-    """Return the probability that Student's t is as far from 0; SciPy is not in the base install."""
+    """Return the probability of a Student's t at least this far from 0; SciPy is not in the base install."""
     # With t = sqrt(freedom) tan(angle), the density is proportional to cos(angle) ** (freedom - 1).
     start, middles = math.atan(t / math.sqrt(freedom)), (np.arange(_CELLS) + 0.5) / _CELLS
     tail, whole = (
@@ -133,8 +133,8 @@ def _student_tail(t: float, freedom: float) -> float:
 
 @cache
 def _student_quantile(freedom: float) -> float:
-    """Return the t that Student's is within with the probability `LEVEL`."""
-    low, high = 0.0, 13.0  # of one degree of freedom it is 12.7
+    """Return the bound of |t| with the probability `LEVEL`."""
+    low, high = 0.0, 13.0  # for one degree of freedom, it is 12.7
     for _ in range(50):
         middle = (low + high) / 2
         low, high = (middle, high) if _student_tail(middle, freedom) > 1 - LEVEL else (low, middle)
@@ -151,6 +151,5 @@ def holm(p: Sequence[float | None]) -> list[float | None]:
 
 
 def _of_places(values: Float64Array, labels: Int64Array) -> Float64Array:
-    """Return the sum of each row's values over the queries of each place, (M, P)."""
     places, of_query = np.unique(labels, return_inverse=True)
     return np.stack([np.bincount(of_query, row, minlength=len(places)) for row in values])

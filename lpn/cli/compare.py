@@ -121,11 +121,7 @@ class CompareCommand:
         _write(table, self.table, self.json)
 
     def _sources(self) -> dict[str, TaskSource]:
-        """Return each source with each model by a name that tells it from the others.
-
-        Raises:
-            InputError: if an option fits none of the sources, or a model is given twice.
-        """
+        """Return each source with each model by a distinct name; InputError if an option fits none, or a model repeats."""
         if not self.source:
             raise InputError("There is no SOURCE; give its path first, as lpn evaluate takes it.")
         shared = ("provider", "data", "map", "task", "calibrate", "csls", "paths", "order", "n_parts")
@@ -136,14 +132,14 @@ class CompareCommand:
         kinds = [kind_of(options) for options in given]
         taken = frozenset[str]().union(*(kind.takes for kind in kinds))
         if self.model and "model" not in taken:
-            source_of(replace(given[0], model=self.model[0]))  # names the kinds that take one
+            source_of(replace(given[0], model=self.model[0]))  # the error names the kinds that take a model
         models = self._models() if "model" in taken else {}
         names = distinct_names([Path(source) for source in self.source])
         several = sum("model" in kind.takes for kind in kinds) > 1
         mixed = not all("calibrate" in kind.takes for kind in kinds)
         found: dict[str, TaskSource] = {}
         for options, kind, name in zip(given, kinds, names, strict=True):
-            # A scoring that is asked for is of all or of none: `source_of` names the kinds that take it.
+            # A scoring applies to all sources or to none; `source_of` names the kinds that take it.
             asked = {name for name in ("calibrate", "csls") if getattr(self, name)}
             unfit: dict[str, Any] = {
                 one.name: one.default for one in fields(SourceOptions) if one.name in taken - kind.takes - asked
@@ -154,7 +150,7 @@ class CompareCommand:
             if kind is ResultSource and self.data is None and kinds[0] is DataSource:
                 options.data = given[0].path
             if "model" not in kind.takes:
-                if options.gallery is not None and names.count(name) > 1:  # the same queries with another gallery
+                if options.gallery is not None and names.count(name) > 1:  # other galleries for the same queries
                     name += f", {distinct_names(self.gallery)[self.gallery.index(options.gallery)]}"
                 found[name] = source_of(options)
                 continue
@@ -166,15 +162,15 @@ class CompareCommand:
             twice = next((name for name in names if names.count(name) > 1), names[0])
             raise InputError(f"{twice} is compared with itself; give each source once.")
         if not self.model and any("model" in kind.takes for kind in kinds):
-            shipped_model()  # said once, however many sources
+            shipped_model()  # reported once, however many sources
         return found
 
     def _galleries(self) -> list[Path | None]:
-        """Return the gallery of each source in their order, None of those that take none."""
+        """Return the gallery of each source in their order; None for sources without one."""
         if not self.gallery:
             return [None] * len(self.source)
         endings = [Path(source).suffix.lower() for source in self.source]
-        # A .mat holds arrays if a gallery is left for it, and else a result of the published test code.
+        # A .mat holds arrays if a gallery remains for it, else a result of the published test code.
         for taken in ((".npy", ".npz", ".mat"), (".npy", ".npz")):
             if sum(ending in taken for ending in endings) == len(self.gallery):
                 left = iter(self.gallery)
@@ -185,7 +181,7 @@ class CompareCommand:
         )
 
     def _models(self) -> dict[str, ModelOptions]:
-        """Return the options of each model by a name that tells it from the others."""
+        """Return the options of each model by a distinct name."""
         if not self.model:
             shipped = ModelOptions(model=SHIPPED_MODEL, provider=self.provider)
             return {shipped.name: shipped}
@@ -206,7 +202,7 @@ class CompareCommand:
         from lpn.tasks.measure import measure, scored_name
 
         sources = list(self._sources().items())
-        if len(sources) == 1 and (self.calibrate or self.csls):  # one model is compared with itself, ranked plain
+        if len(sources) == 1 and (self.calibrate or self.csls):  # compared with itself, ranked plain
             ((name, source),) = sources
             plain = source_of(replace(source.options, csls=0))
             off = source_of(replace(source.options, calibrate=False, csls=0)) if "calibrate" in source.takes else plain
@@ -216,7 +212,9 @@ class CompareCommand:
                 f"A comparison takes two models or more, or one with --calibrate or --csls; found {len(sources)}."
             )
         tasks = [(name, source.to_measure()[0]) for name, source in sources]
-        if len(dict(sources)) > 1 and not all(task.calibration for _, task in tasks):  # models are ranked alike
+        if len(dict(sources)) > 1 and not all(
+            task.calibration for _, task in tasks
+        ):  # all models are then ranked plain
             for place, (name, task) in enumerate(tasks):
                 if task.calibration is not None:
                     alike = source_of(replace(sources[place][1].options, calibrate=False))

@@ -136,7 +136,7 @@ class DescribeCommand(ModelOptions):
         print(f"{self.out} holds {shape} numbers: {rows} x parts x dimensions. Computed on {model.device}.")
 
     def _pictures(self) -> tuple[str, View]:
-        """Return what shows the pictures, and their view."""
+        """Return the noun for the described pictures, and their view."""
         if self.images is None:
             raise InputError("There are no pictures to describe; give a folder as --images, or a map as --map.")
         if self.view is None:

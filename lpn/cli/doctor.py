@@ -10,7 +10,7 @@ from typing import Annotated
 from lpn.core.demo import DEMO
 from lpn.core.errors import InputError
 
-# The check of the machine runs without any package, and a broken one may raise anything.
+# The check of the machine must run without any package, and a broken one may raise anything.
 with suppress(Exception):
     import tyro
 

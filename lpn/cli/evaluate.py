@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from lpn.tasks.task import Task
     from lpn.tasks.weathers import WeatherResult
 
-# Tiles that --per-query lists.
+# Tiles listed by --per-query.
 _LISTED = 10
 
 
@@ -63,7 +63,7 @@ class EvaluateCommand(SourceOptions):
         opened = source.to_measure()
         tasks = [self._changed(task) for task in opened]
         title = tasks[0].model_name
-        if opened[0].model is not None:  # nobody knows the network of saved descriptors
+        if opened[0].model is not None:  # the network of saved descriptors is unknown
             title += f" ({tasks[0].contract.title}) on {tasks[0].data_name}"
         if self.weather == "all":
             weathers = measure_weathers(tasks)
@@ -79,7 +79,7 @@ class EvaluateCommand(SourceOptions):
             write_json(self.json, written)
 
     def _changed(self, task: Task) -> Task:
-        """Return a task as the options change it; InputError if one of them is out of range."""
+        """Return a task changed by the options; InputError if one of them is out of range."""
         from lpn.descriptors.transforms import Change
         from lpn.descriptors.weather import Weather
         from lpn.tasks.changes import centred, changed, with_parts

@@ -99,7 +99,7 @@ class ExplainCommand(SourceOptions):
             write_atomic(self.png, pair_figure.encode(figure))
 
     def _of_source(self) -> Answer:
-        """Answer a query of a source, or a picture file, compared with the named tile, or else with the top match."""
+        """Answer a query of a source, or a picture file, compared with the named tile or the top match."""
         from lpn.core import images
         from lpn.descriptors.transforms import Change
         from lpn.library.analyser import OwnPicture, QueryAnalyser, QueryRequest, describe_tile
@@ -162,7 +162,7 @@ class ExplainCommand(SourceOptions):
         return replace(answer, tile=tile, pair_evidence=pair_evidence(query, tile, weights))
 
     def _check_cells(self, model: Model) -> None:
-        """Raise InputError if the model gives no cells, and more than occlusion is asked for."""
+        """Raise InputError if the model has no cells, and the options ask for more than occlusion."""
         from lpn.drawing import verdicts
 
         if not model.contract.has_cells and (self.png is not None or not self.covering):
@@ -181,7 +181,7 @@ def _position(given: str, pictures: Sequence[Picture], data_name: str) -> int | 
 
 
 def _show(console: Console, answer: Answer, evidence: Evidence | None) -> None:
-    """Print what each part adds to the score."""
+    """Print each part's share of the score."""
     from lpn.core.text_tables import TextTable
 
     match, weights, names = answer.chosen, answer.ranking.weights, answer.task.part_names

@@ -60,14 +60,14 @@ class FailuresCommand(SourceOptions):
         table = task.table
         if self.beside is not None:
             second = replace(self, model=self.beside, kind=self.beside_kind, pooling=self.beside_pooling)
-            if {"task", "calibrate"} <= source.takes:  # alike, whatever ships for either
+            if {"task", "calibrate"} <= source.takes:  # the other model is ranked alike, whichever calibration ships
                 second = replace(second, task=cast(TaskName, task.name), calibrate=task.calibration is not None)
             table = table.with_columns(compared_ranks(table, source_of(second).open().task.outcomes.rank))
         rows = table.sort(table.filter(table.rows(), self.where), self.sort, self.descending)
         console = wide_console()
         named = [name for name in table.columns if name in f"{self.where} {self.sort}"]
         columns = dict.fromkeys([*OUTCOME_COLUMNS, metadata.TAGS, *named])
-        if RANK_A in table.columns:  # two models have a rank each
+        if RANK_A in table.columns:  # each model has its own rank
             del columns["rank"]
         _print(console, table, rows, list(columns), self.top)
         scored = [] if task.calibration is None else [task.calibration.describe()]
@@ -81,7 +81,7 @@ class FailuresCommand(SourceOptions):
 
 
 def _print(console: Console, table: Table, rows: Int64Array, names: list[str], top: int) -> None:
-    """The first rows, with those of some columns in which anything is known."""
+    """Print the first rows, with the columns in which anything is known."""
     columns = [table.columns[name] for name in names if name in table.columns]
     columns = [column for column in columns if column.name != "false" and column.known[rows].any()]
     head = [f"{column.name} ({column.unit})" if column.unit else column.name for column in columns]

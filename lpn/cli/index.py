@@ -161,7 +161,7 @@ class SearchCommand(ModelOptions):
             query = retrieval.describe_picture(
                 model, images.load_picture(self.picture), self.view, self.rotate
             ).descriptor
-            # One more than is listed, for the gap after the last, where the index gives so many.
+            # One tile more than is listed, if the index returns it, for the gap after the last one.
             wanted = self.top + (index.most is None or self.top < index.most)
             result = index.search(query, weights, wanted, self.box)
         matches = _matches(result, query, weights, self.top, model, self.view)
@@ -179,7 +179,6 @@ class SearchCommand(ModelOptions):
 def _matches(
     result: SearchResult, query: Float32Array, weights: Float32Array, top: int, model: Model, view: View
 ) -> list[dict[str, Any]]:
-    """Return the facts about each tile."""
     import numpy as np
 
     from lpn.retrieval import scoring

@@ -26,10 +26,7 @@ from lpn.core.shutdown import WRITE_SECONDS, StopSignals, exit_now, writes_finis
 
 @cache  # it looks through all installed packages
 def commands() -> dict[str, type[Any]]:
-    """Return each subcommand by its name, in their order: those of entry points `lpn.commands`, and those of `lpn.cli`.
-
-    The latter are the classes NameCommand in its modules.
-    """
+    """Return each subcommand by its name, in their order: entry points `lpn.commands`, then classes NameCommand in `lpn.cli`."""
     found = {point.name: point.load() for point in entry_points(group="lpn.commands")}
     for module in iter_modules(lpn.cli.__path__):
         if module.name != "main":
@@ -44,9 +41,9 @@ def commands() -> dict[str, type[Any]]:
 def main(arguments: Sequence[str] | None = None, stopped: Callable[[int], object] = lambda status: status) -> int:
     """Run the command line, and return the exit status.
 
-    It is 0; 1 if doctor or describe with Ray found damage; 2 after an error of the user; or 128 plus the number of
-    the signal that stopped the command. A command whose reader closes the pipe (`lpn doctor | head -1`) ends without a word, with
-    128 plus the number of SIGPIPE. SIGPIPE itself stays ignored, as Python has it: it would end a server when a browser leaves.
+    The status is 0; 1 if doctor or describe with Ray found damage; 2 after an error of the user; or 128 plus the number of the
+    signal that stopped the command. A command whose reader closes the pipe (`lpn doctor | head -1`) ends silently with 128 plus
+    the number of SIGPIPE. SIGPIPE itself stays ignored, Python's default, because it would end a server when a browser leaves.
 
     Args:
         stopped: called with the status while signals are still handled, if one stopped the command.
@@ -54,7 +51,7 @@ def main(arguments: Sequence[str] | None = None, stopped: Callable[[int], object
     try:
         try:
             return _run_until_stopped(arguments, stopped)
-        finally:  # at exit Python itself would complain of a closed pipe
+        finally:  # otherwise Python reports a closed pipe at exit
             if sys.stdout is not None:
                 sys.stdout.flush()
     except SystemExit as error:
@@ -70,13 +67,13 @@ def main(arguments: Sequence[str] | None = None, stopped: Callable[[int], object
 
 
 def _is_unread(error: OSError) -> bool:
-    """Return whether an error is that of a closed standard output or error, rather than of a connection."""
+    """Return whether an error comes from a closed standard output or error, not from a connection."""
     return isinstance(error, BrokenPipeError) and (_reader_left(sys.stdout) or _reader_left(sys.stderr))
 
 
 def _reader_left(stream: TextIO) -> bool:
-    """Return whether a stream is a pipe that nobody reads any more."""
-    with suppress(AttributeError, OSError, ValueError):  # Windows cannot ask; a stream may have no file
+    """Return whether the reader of a pipe has closed it."""
+    with suppress(AttributeError, OSError, ValueError):  # Windows cannot tell; a stream may have no file
         watch = select.poll()
         watch.register(stream.fileno(), 0)
         return bool(watch.poll(0))
@@ -143,7 +140,7 @@ def _run(arguments: list[str], parsed: list[Any]) -> int:
 
 
 def reader(command: type[Any]) -> Callable[[list[str], str], Any]:
-    """Return the function that parses a command's arguments under a program name: its own `parse`, if it has one."""
+    """Return a command's parser of arguments and program name: its own `parse`, or the default one."""
     return getattr(command, "parse", partial(parse, command))
 
 
@@ -156,7 +153,7 @@ def _refused(error: OSError) -> int:
 def _stopped(parsed: list[Any], number: int) -> int:
     """Report that the command was stopped, and how to resume."""
     command = parsed[0] if parsed else None
-    serves = getattr(command, "SERVES", False)  # a server is ended by stopping it
+    serves = getattr(command, "SERVES", False)  # a stop is the normal end of a server
     with suppress(OSError):  # a closed terminal
         if serves:
             print("Stopped.", flush=True)

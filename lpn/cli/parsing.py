@@ -1,4 +1,4 @@
-"""How a command reads its options, and draws its help: fifteen options at most, all of them by `--help-all`."""
+"""Parsing of a command's options, and its help: fifteen options at most, all of them by `--help-all`."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from lpn.core.errors import InputError
 from lpn.sources.options import ADVANCED
 
 HELP, HELP_ALL = "--help", "--help-all"
-# The mark of an option that help leaves out.
+# tyro's mark of an option that help omits.
 _SUPPRESSED = get_args(tyro.conf.Suppress[int])[1:]
 # While it is entered, `tyro.cli` lists the words of `Literal[...] | None` in their own order and without None.
 _IN_ORDER = ConstructorRegistry()
@@ -42,8 +42,8 @@ def parse(command: type[Any], arguments: Sequence[str], program: str, default: A
     """Parse the options of a command.
 
     Args:
-        command: a dataclass. Its `MODES`, if it has any, are the dataclasses that stand in its place where an option is given.
-        default: what the options are without arguments; by default those of the dataclass.
+        command: a dataclass. An option in its `MODES`, if it has any, selects another dataclass in its place.
+        default: the options without arguments; by default the dataclass's own.
     """
     given = {argument.partition("=")[0] for argument in arguments}
     for option, mode in modes(command).items():
@@ -81,12 +81,12 @@ def part_values(text: str | None) -> list[float] | None:
 
 
 def modes(command: type[Any]) -> dict[str, type[Any]]:
-    """Return the commands that stand in the place of one, by the option that chooses each."""
+    """Return the commands that replace this one, by the option that selects each."""
     return getattr(command, "MODES", {})
 
 
 def options(command: type[Any]) -> Iterator[str]:
-    """Yield the options of a command as they are written, such as "--data"; those of its groups, too."""
+    """Yield the options of a command and of its groups as users write them, such as "--data"."""
     for name, marks, kind in _fields(command):
         if tyro.conf.Suppress in marks or tyro.conf.Positional in marks:
             continue

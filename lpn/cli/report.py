@@ -68,7 +68,7 @@ class ReportCommand(SourceOptions):
 
 
 def _chosen(task: Task, options: ReportCommand) -> tuple[list[int], str]:
-    """Return positions of the queries that --failures and --where choose, the worst first, and how they were chosen."""
+    """Return the queries that --failures and --where select, the worst first, and the selection in words."""
     from lpn.report.page import MOST
 
     table = task.table

@@ -28,7 +28,7 @@ class RecipeChanges(Recipe):
     """Settings for several recipes; each recipe checks them together with its own."""
 
     def check_conflicts(self) -> None:
-        """Check nothing: what excludes a setting in one recipe may fit another."""
+        """Check nothing: a conflict in one recipe may be valid in another."""
 
 
 @dataclass
@@ -103,7 +103,7 @@ class ReproduceCommand:
 
     @classmethod
     def parse(cls, arguments: list[str], program: str) -> ReproduceCommand:
-        """Parse the options of a reproduction; `changed` names the settings of the recipes that are among them.
+        """Parse the options of a reproduction, and put the names of given recipe settings into `changed`.
 
         Raises:
             InputError: if the recipe is unknown.
@@ -125,7 +125,7 @@ class ReproduceCommand:
 
 
 def _scale(recipe: _Scale, data: Sequence[str]) -> Scale:
-    """Return the scale of a recipe; auto is chosen by the data."""
+    """Return the scale of a recipe; for auto, the data select it."""
     from lpn.datasets.rendered import is_rendered
     from lpn.reproduce.tables import SCALES
 
@@ -141,7 +141,7 @@ def _scale(recipe: _Scale, data: Sequence[str]) -> Scale:
 
 
 def _by_name(texts: Sequence[str]) -> dict[str, Path]:
-    """Return the files given with --model by the network they replace."""
+    """Return the files of --model by the network that they replace."""
     files: dict[str, Path] = {}
     for text in texts:
         name, _, file = text.partition("=")

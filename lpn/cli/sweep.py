@@ -101,7 +101,7 @@ def _print(profile: SweepResult, title: str, views: tuple[View, View], console: 
 
 
 def _sentences(profile: SweepResult, views: tuple[View, View]) -> list[str]:
-    """Describe the best transform in words, with and without knowledge of the true match."""
+    """Describe the best transform in words, with and without the true match."""
     from lpn.drawing import verdicts
 
     lines = []

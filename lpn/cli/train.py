@@ -65,7 +65,7 @@ class TrainCommand:
         trainer = import_module("lpn.training.trainer").Trainer
         source = self._source()
         settings = self.settings
-        # A run to be resumed has the ratio among its settings.
+        # A resumed run has the ratio among its settings.
         if self.calibrate and not (self.resume and settings.ground_ratio != 1):
             settings = replace(settings, ground_ratio=self._ground_ratio(source))
         run = trainer(
@@ -85,7 +85,6 @@ class TrainCommand:
         print(f"The model is in {run.run()}.")
 
     def _ground_ratio(self, dataset: Any) -> float:
-        """Return the ratio of ground that the model of --init finds."""
         if self.init is None or self.map is not None or self.settings.ground_ratio != 1:
             raise InputError(
                 "--calibrate measures ground_ratio by a trained model on the pictures of a data set; give --data and a model "
@@ -102,7 +101,6 @@ class TrainCommand:
         return round(float(measure(model, dataset.train("drone"), dataset.train("satellite"))), 2)
 
     def _source(self) -> Any:
-        """Open the data set or the map."""
         if (self.data is None) == (self.map is None):
             raise InputError("A training needs a data set or a map; give either --data or --map.")
         if self.map is not None:
@@ -113,7 +111,7 @@ class TrainCommand:
 
     @classmethod
     def parse(cls, arguments: list[str], program: str) -> TrainCommand:
-        """Parse the options of a training; recipe and method, or the run to be resumed, set the defaults of the others.
+        """Parse the options of a training; recipe and method, or the resumed run, set the defaults of the others.
 
         Raises:
             InputError: if the recipe or the method is unknown, or they do not fit each other.
@@ -135,17 +133,17 @@ class TrainCommand:
         return f"The whole epochs in {self.out} are kept; go on with lpn train --out {self.out} --resume."
 
 
-# The options that run.json keeps beside the settings.
+# The options that run.json records beside the settings.
 _KEPT = ("data", "map", "window_sizes", "recipe", "method", "init", "from_scratch", "evaluate_every", "validate")
 
 
 def _plain(value: object) -> object:
-    """Return an option as JSON; a path that exists as one that holds in any folder."""
+    """Return an option as JSON; an existing path becomes absolute."""
     return str(value.resolve() if value.exists() else value) if isinstance(value, Path) else value
 
 
 def _resumed(arguments: Sequence[str], name: str | None, method: str | None) -> dict[str, Any] | None:
-    """Return the options of the run that is to be resumed; None without one, or if another recipe or method is named."""
+    """Return the options of the resumed run; None without one, or if another recipe or method is named."""
     out = flag_value(arguments, "--out")
     file = import_module("lpn.training.run_folder").read_run(Path(out)) if out and "--resume" in arguments else None
     if file is None:

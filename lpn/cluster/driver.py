@@ -1,14 +1,13 @@
 """The driver of distributed inference: Ray Data hands pictures to workers, which write parts (`lpn.cluster.parts`).
 
-A worker reads the pictures of a part, describes them as `lpn describe` does on one machine, and writes the part. Driver and
-workers exchange names and counts only. If a worker is killed, another worker does its part. If the driver is killed, the next
-run does what is missing: pictures that were added or changed, and those of no part. At its end a run writes parts anew that hold
-pictures which are gone.
+A worker reads the pictures of a part, describes them like `lpn describe` on one machine, and writes the part. Driver and
+workers exchange names and counts only. If a worker is killed, another worker repeats its part. If the driver is killed, the
+next run describes the missing, added, and changed pictures. At its end, a run rewrites parts that hold deleted pictures.
 
-A run marks the plan as unfinished first. Two runs at once into one folder are refused; in object storage a reader refuses parts
-that are not those of the run that ended last.
+A run first marks the plan as unfinished. Two concurrent runs into one folder are refused. In object storage, a reader
+refuses parts that do not belong to the last completed run.
 
-Broken pictures do not stop a run, unlike on one machine: among millions there are always some. They are listed in
+Broken pictures do not stop a run, unlike on one machine: among millions, some are always broken. They are listed in
 `broken.csv`, recorded in the parts, and counted at the end.
 """
 
@@ -90,18 +89,18 @@ def describe_parts(
     worker: type[DescribeWorker] = DescribeWorker,
     role: Role | None = None,
 ) -> Summary:
-    """Describe all pictures below a folder or prefix into parts, skipping those that are there already.
+    """Describe all pictures below a folder or prefix into parts, except for those that are there already.
 
     Args:
         model: an exported model, `.onnx`; only this machine needs the file.
         pictures: a folder, or a URI such as s3://bucket/prefix; all machines of a cluster must see it.
         view: the view of the pictures.
-        out: folder or URI of the parts; all machines must see it too.
+        out: folder or URI of the parts; all machines must see it, too.
         precision: of the numbers in the parts.
-        address: of a Ray cluster, "auto" for the one of this machine; None starts workers on this machine.
+        address: of a Ray cluster, "auto" for this machine's; None starts workers on this machine.
         workers: number of workers; by default as many as fit the cores.
         threads: cores of a worker; each worker has its own copy of the model.
-        size: pictures of a part, at most, 256 by default; a killed worker loses one part of work.
+        size: maximum of pictures of a part, 256 by default; a killed worker loses one part of work.
         positions: a file in the format of geo.csv; by default the `geo.csv` among the pictures. For how its paths are
             matched to the pictures, see `lpn.datasets.geo.Positions.match`.
         say: called with each line of progress.
@@ -190,7 +189,7 @@ def _run(
     held = _Held.read(target, plan, items)
     progress = _DriverProgress(len(items), len(held.missing), say)
     if held.missing or held.stale or contents_of(held.names) != plan.contents:
-        plan = replace(plan, contents=None)  # until the run ends, parts may be of older states of the pictures
+        plan = replace(plan, contents=None)  # until the run ends, parts may hold older states of the pictures
         target.write(PLAN, plan.to_json())
         rows = [{"items": packed(held.missing[i : i + size])} for i in range(0, len(held.missing), size)]
         if rows:
@@ -242,13 +241,13 @@ def _hand_out(
 
 @dataclass(frozen=True)
 class _Held:
-    """The parts of a place beside the wanted pictures.
+    """The existing parts of a place, compared with the wanted pictures.
 
     Attributes:
         names: of all parts, damaged ones included.
-        kept: of each readable part that is to be changed, or not, the pictures that it keeps, each in one part only.
+        kept: the pictures to keep of each readable part; each picture is kept in one part only.
         stale: parts that hold anything else.
-        missing: wanted pictures that no part has.
+        missing: wanted pictures that are in no part.
     """
 
     names: list[str]
@@ -264,7 +263,9 @@ class _Held:
         parts = [part for part in each(lambda name: read_part(target, plan, name), names) if part is not None]
         described = [[left.pop(one.row, None) for one in part.items] for part in parts]
         kept = []
-        for part, found in zip(parts, described, strict=True):  # what one part could not describe, another may have
+        for part, found in zip(
+            parts, described, strict=True
+        ):  # another part may hold a picture that this one failed to describe
             settled = [one for one in part.broken if one.settled or not retry]
             broken = [one._replace(item=item) for one in settled if (item := left.pop(one.item.row, None)) is not None]
             kept.append((part, found, broken))
@@ -276,7 +277,7 @@ class _Held:
         return [one for _, _, broken in self.kept for one in broken]
 
     def cleaned(self, target: Storage, plan: Plan) -> _Held:
-        """Write stale parts anew with what they keep, and delete the old ones."""
+        """Rewrite stale parts with their kept pictures, and delete the old ones."""
         names = [name for name in self.names if name not in self.stale]
         for part, found, broken in self.kept:
             if part.name in self.stale:
@@ -300,7 +301,7 @@ def _plan(target: Storage, wanted: Plan) -> Plan:
             f"write {wanted.view} descriptors of model {wanted.fingerprint} in {wanted.precision}; choose another place."
         )
     if held is None:
-        target.write(PLAN, wanted.to_json())  # so that the place is there
+        target.write(PLAN, wanted.to_json())  # creates the place
     return held or wanted
 
 

@@ -1,10 +1,10 @@
 """Parts of descriptors: a folder or a prefix of immutable files that many workers write. Needs the extra `cluster`.
 
-    plan.json            format, model fingerprint, view, n and D, precision; once a run has ended, a digest of the parts' names
+    plan.json            format, model fingerprint, view, n and D, precision; after a run, a digest of the parts' names
     part-<digest>.zip    pictures with size, time, box, and position; their descriptors; pictures that could not be described
     broken.csv           pictures that could not be described, and why
 
-The digest of a part's name is that of its pictures, so that whoever repeats the work writes the same file. An archive has a
+The digest in a part's name covers its pictures, so that repeated work writes the same file. An archive has a
 CRC-32 of each of its two entries, which every reader checks.
 """
 
@@ -42,7 +42,7 @@ _NAME = re.compile(r"part-[0-9a-f]{32}\.zip")
 _NOTES, _VECTORS = "notes.json", "vectors.bin"
 # Exceptions that reading a damaged part can raise, in our code or in libraries.
 _DAMAGED = (OSError, ValueError, LookupError, RecursionError, EOFError, zipfile.BadZipFile, NotImplementedError)
-# Files that are read at the same time, because storage is slow to answer, and those that are queued.
+# Files that are read concurrently, because storage is slow to answer, and the length of the queue.
 _AT_ONCE, _QUEUED = 32, 1024
 
 _T = TypeVar("_T")
@@ -78,7 +78,7 @@ class Plan:
         view: of the pictures.
         n_parts, embedding: n and D.
         precision: of the numbers.
-        role: of the branch, where branches have roles.
+        role: of the branch, if branches have roles.
         contents: digest of the names of all parts, see `contents_of`; None until a run has ended.
     """
 
@@ -93,7 +93,7 @@ class Plan:
 
     @classmethod
     def read(cls, storage: Storage) -> Plan | None:
-        """Read the plan of a folder, None if there is none; StoreError when its plan.json is something else."""
+        """Read the plan of a folder, None if there is none; StoreError when its plan.json is invalid."""
         try:
             return decode_json(storage.read(PLAN), cls, f"{PLAN} in {storage.where}", FORMAT, StoreError)
         except FileNotFoundError:
@@ -139,7 +139,7 @@ def part_names(storage: Storage) -> list[str]:
 
 
 def contents_of(names: Iterable[str]) -> str:
-    """Hash the names of all parts, which tell all that is in them."""
+    """Hash the names of all parts, which identify their contents."""
     return hashlib.sha256("\n".join(sorted(names)).encode()).hexdigest()
 
 
@@ -222,11 +222,7 @@ class Parts:
 
 
 def open_parts(where: str | Path) -> Parts:
-    """Open the parts of a run that has ended.
-
-    Raises:
-        StoreError: when there are none, a part is missing or damaged, or a run has not ended.
-    """
+    """Open the parts of a run that has ended; StoreError if none are there, one is missing or damaged, or a run goes on."""
     storage = Storage(where)
     plan = Plan.read(storage)
     if plan is None:
@@ -249,7 +245,7 @@ def open_parts(where: str | Path) -> Parts:
 def to_store(parts: Parts, out: str | Path) -> Store:
     """Gather parts into a store of descriptors on this machine, in order of the pictures' names and without positions.
 
-    The store equals that of `lpn.descriptors.describe` for the same pictures, which can continue it.
+    The store equals the output of `lpn.descriptors.describe` for the same pictures, which can continue it.
 
     Raises:
         StoreError: when a part is damaged or was removed, or `out` cannot be written or holds something else.
@@ -288,7 +284,7 @@ def unpacked(text: str) -> list[PartItem]:
 
 
 def _entry(archive: zipfile.ZipFile, name: str) -> bytes:
-    """Read an entry that takes as much room as it says; its CRC-32 is checked."""
+    """Read an entry of at most the stated size; its CRC-32 is checked."""
     info = archive.getinfo(name)
     if info.compress_type != zipfile.ZIP_STORED or info.file_size != info.compress_size:
         raise ValueError("a packed entry")

@@ -1,4 +1,4 @@
-"""A Ray session: started quietly on this machine, or joined on a cluster, and always shut down. Needs the extra `cluster`."""
+"""A Ray session, quietly started on this machine or joined on a cluster, and always shut down. Needs the extra `cluster`."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _QUIET = {
     "RAY_DATA_DISABLE_PROGRESS_BARS": "1",
 }
 _NO_CLUSTER = "There is no Ray cluster at {}; start one with ray start, or check the address."
-# The preface of an HTTP/2 client such as Ray's, and the SETTINGS frame that both sides begin with; byte 3 is the frame's type.
+# The preface of an HTTP/2 client such as Ray's, and the first frame of both sides, SETTINGS; byte 3 is the frame's type.
 _HELLO, _SETTINGS = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n", b"\0\0\0\4\0\0\0\0\0"
 # Size of the object store of a local session: the model's files and lists of names.
 _OBJECTS = 512 << 20
@@ -33,7 +33,7 @@ _OBJECTS = 512 << 20
 def ray_session(
     address: str | None, workers: int | None, threads: int
 ) -> Iterator[tuple[Any, int, Callable[[Any], Any]]]:
-    """Yield Ray Data, the number of workers, and Ray's `put`; a session of this process is used as it is.
+    """Yield Ray Data, the number of workers, and Ray's `put`; an existing session of this process is used.
 
     Args:
         address: of a cluster, or "auto"; None starts workers on this machine.
@@ -41,7 +41,7 @@ def ray_session(
         threads: cores of a worker.
 
     Raises:
-        InputError: when there is no cluster at the address, or no machine of it has so many cores.
+        InputError: when there is no cluster at the address, or none of its machines has enough cores.
         StoreError: when Ray does not start on this machine, or gives up in the body.
     """
     for name, value in _QUIET.items():
@@ -55,7 +55,7 @@ def ray_session(
     with ExitStack() as ending:
         if address is None:
             count = workers or max(1, usable_cores() // threads)
-            # The paths of Ray's sockets may have 107 characters at most.
+            # The paths of Ray's sockets have 107 characters at most.
             parent = "/tmp" if Path("/tmp").is_dir() else tempfile.gettempdir()
             folder = ending.enter_context(
                 tempfile.TemporaryDirectory(prefix="lpn-ray-", dir=parent, ignore_cleanup_errors=True)
@@ -71,7 +71,7 @@ def ray_session(
                         _temp_dir=folder,
                         **quiet,
                     )
-            except Exception as error:  # Ray raises plain ones, too
+            except Exception as error:  # Ray raises plain Exception, too
                 message = (str(error).strip().splitlines() or [type(error).__name__])[0]
                 raise StoreError(
                     f"Ray does not start on this machine ({message[:200]}); check memory, processes, and space in "
@@ -96,7 +96,7 @@ def _in_words(ray: Any) -> Iterator[None]:
     try:
         yield
     except ray.exceptions.RayError as error:
-        # The first exception in its traceback is the worker's own.
+        # The first exception in the traceback is the worker's own.
         match = re.search(r"^\w+(?:Error|Exception): .+$", str(error), re.MULTILINE)
         cause = match.group() if match else type(error).__name__
         raise StoreError(
@@ -122,7 +122,7 @@ def _check_address(address: str) -> None:
 
 @contextmanager
 def _silent() -> Iterator[None]:
-    """Discard what Ray's native code prints to stderr while it starts."""
+    """Discard the messages that Ray's native code prints to stderr at its start."""
     stderr, devnull = os.dup(2), os.open(os.devnull, os.O_WRONLY)
     try:
         os.dup2(devnull, 2)
@@ -143,7 +143,7 @@ def _data() -> Any:
 
 
 def _room(ray: Any, threads: int) -> int:
-    """Return the number of workers that the cluster's machines have cores for."""
+    """Return the number of workers that fit the cores of the cluster's machines."""
     sizes = [int(node["Resources"].get("CPU", 0)) for node in ray.nodes() if node["Alive"]]
     count = sum(size // threads for size in sizes)
     if count < 1:

@@ -1,7 +1,7 @@
 """Files in a folder or under a prefix in object storage, behind one interface. Needs the extra `cluster`.
 
-pyarrow opens the schemes that it knows (s3://, gs://, abfss://, hdfs://, file://); fsspec opens all others, where it is
-installed with the package of the scheme.
+pyarrow opens the schemes that it knows (s3://, gs://, abfss://, hdfs://, file://). fsspec opens all others if it and the
+package of the scheme are installed.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ class Storage:
         where: a path, or a URI such as s3://bucket/prefix.
 
     Attributes:
-        where: the same as text.
+        where: the address as text.
         folder: the path if it is on this machine, else None.
 
     Raises:
@@ -50,11 +50,7 @@ class Storage:
         self.folder = Path(root) if isinstance(self._files, fs.LocalFileSystem) else None
 
     def files(self, suffixes: tuple[str, ...]) -> list[Row]:
-        """List all files below with one of these suffixes, in order of their path; hidden ones are skipped.
-
-        Raises:
-            DataError: when there is no such place, or it cannot be listed.
-        """
+        """List all files below with one of these suffixes, sorted by path, without hidden ones; DataError if that fails."""
         try:
             return sorted(self._listed(suffixes), key=lambda row: row.file.split("/"))
         except UnicodeDecodeError as error:
@@ -81,16 +77,12 @@ class Storage:
         return self._files.open_input_file(self._path(name))
 
     def write(self, name: str, data: bytes) -> None:
-        """Write a file atomically.
-
-        Raises:
-            OutputError: when it cannot be written.
-        """
+        """Write a file atomically; OutputError if that fails."""
         if self.folder is not None:
             write_atomic(self.folder / name, data)
             return
         try:
-            # Object storage shows a file when it is closed.
+            # Object storage shows a file only after it is closed.
             with self._files.open_output_stream(self._path(name)) as stream:
                 stream.write(data)
         except OSError as error:

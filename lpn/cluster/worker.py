@@ -32,7 +32,7 @@ class WorkerTask:
         images, out: addresses of the pictures and of the parts, see `lpn.cluster.storage.Storage`.
         plan: of the parts.
         model: name of the model's first file.
-        threads: of one worker.
+        threads: cores of one worker.
     """
 
     images: str
@@ -63,7 +63,7 @@ class DescribeWorker:
             self.model = model.in_role(cast(View, task.plan.view), task.plan.role)
 
     def __call__(self, batch: Mapping[str, Any]) -> dict[str, list[Any]]:
-        """Describe the pictures of Ray Data's batch of one row; the result is one row, in which an error is a sentence."""
+        """Describe the pictures of Ray Data's batch of one row; the result is one row, with an error as a sentence."""
         try:
             described, broken = self.describe(unpacked(str(batch["items"][0])))
         except LPNError as error:
@@ -71,7 +71,7 @@ class DescribeWorker:
         return {"described": [described], "broken": [broken], "error": [""]}
 
     def describe(self, items: list[PartItem]) -> tuple[int, int]:
-        """Write a part of some pictures, and return how many are described, and how many are broken."""
+        """Write a part of some pictures; return the numbers of described and of broken ones."""
         plan = self.task.plan
         rows: dict[int, Float32Array] = {}
         broken: dict[int, FailedPicture] = {}

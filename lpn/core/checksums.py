@@ -1,8 +1,8 @@
 """Checksums of written files, to detect flipped bytes.
 
-A model file carries a seal in its metadata: the SHA-256 of the whole file, computed with the seal's own digits as zeros. It is
-checked whenever the file is opened, before anything else reads it. A store's array is too large for that: its manifest holds a
-CRC-32 of every block, compared by `lpn doctor PATH` and before rows are copied into another store.
+A model file has a seal in its metadata: the SHA-256 of the whole file, computed with zeros as the seal's own digits. It is
+checked whenever the file is opened, before anything else is read. A store's array is too large for that: its manifest holds
+a CRC-32 of every block, compared by `lpn doctor PATH` and before rows are copied into another store.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ SEAL = "seal"
 _PREFIX = b"lpn-sha256:"
 _DIGITS = 64
 UNSEALED = _PREFIX.decode() + "0" * _DIGITS
-# The seal lies within so many bytes of either end: .safetensors begin with their metadata, our .onnx end with it.
+# The seal lies within this many bytes of either end: .safetensors begin with their metadata, our .onnx end with it.
 _SEARCHED = 4_000_000
 # Bytes of a block of an array.
 BLOCK = 1 << 22
-# A model file may claim this many times its size (shared weights count up to three times); this many bytes are always allowed.
+# A model file may claim this many times its size (shared weights count up to three times), and always this many bytes.
 _MAX_RATIO, _ALLOWANCE = 8, 1_000_000
 
 
@@ -51,7 +51,7 @@ def check_seal(path: Path, remedy: str) -> bool:
         remedy: what to do if the file is damaged, as the end of a sentence.
 
     Returns:
-        Return True if the file has a seal; files of other programs have none.
+        True if the file has a seal; files of other programs have none.
 
     Raises:
         ModelFileError: if the file differs from its seal.
@@ -76,7 +76,7 @@ def check_entries(path: Path, remedy: str) -> bool:
     """Compare the entries of a PyTorch file with their CRC-32, which PyTorch writes and does not read.
 
     Returns:
-        Return True if the file has entries; a truncated one and PyTorch's older format have none.
+        True if the file has entries; a truncated one and PyTorch's older format have none.
 
     Raises:
         ModelFileError: if an entry is damaged, or the entries are far larger than the file.
@@ -95,11 +95,7 @@ def check_entries(path: Path, remedy: str) -> bool:
 
 
 def check_claimed_size(path: Path, claimed: int, remedy: str) -> None:
-    """Refuse a file that claims far more bytes than it has: a compressed one, or one that repeats an entry.
-
-    Raises:
-        ModelFileError: if it does.
-    """
+    """Raise ModelFileError if a file claims far more bytes than it has, as with compressed or repeated entries."""
     size = path.stat().st_size
     if claimed > _MAX_RATIO * size + _ALLOWANCE:
         raise ModelFileError(
@@ -142,7 +138,6 @@ def crc_of_values(values: Mapping[str, Any]) -> int:
 
 
 def _find_seal(data: bytes | mmap.mmap) -> int | None:
-    """Return the position of the seal's first digit."""
     position = data.find(_PREFIX, max(len(data) - _SEARCHED, 0))
     if position < 0:
         position = data.find(_PREFIX, 0, _SEARCHED)

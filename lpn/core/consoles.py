@@ -1,4 +1,4 @@
-"""Consoles for tables, progress bars, and streams, which keep control characters of names and messages from the terminal."""
+"""Consoles for tables, progress bars, and streams that keep control characters in names and messages from the terminal."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ _COLOUR = re.compile(r"(\x1b\[[0-9;]*m)")
 
 
 class Console(rich_console.Console):
-    """A console whose texts hold no control characters; its own colours and bars do."""
+    """A console whose texts have no control characters; its own colours and bars do."""
 
     def render(self, renderable: Any, options: Any = None) -> Iterator[Segment]:
-        """Yield the segments of the base class, their texts by `printable`."""
+        """Yield the base class's segments, with their texts made `printable`."""
         for text, style, control in super().render(renderable, options):
             yield Segment(text if control else printable(text, _LAYOUT), style, control)
 
     @property
     def file(self) -> IO[str]:
-        """The terminal's own stream. A running bar wraps that of `plain_streams`, and `rich` unwraps one of the two."""
+        """The terminal's own stream. A running bar wraps that of `plain_streams`, and `rich` unwraps only one of the two."""
         file = super().file
         return getattr(file, "rich_proxied_file", file)
 
@@ -41,12 +41,9 @@ class Console(rich_console.Console):
 
 
 class _PlainStream:
-    """A stream that writes texts by `printable`; `rich`'s consoles write to the stream behind it.
+    """A stream that makes texts `printable`; `rich`'s consoles write to the stream behind it.
 
-    A carriage return is hidden too, as a name that begins with one would overwrite the line.
-
-    Args:
-        colours: let the colours of a terminal through.
+    A carriage return is hidden, too: it would let a name overwrite the line. With `colours`, colours pass.
     """
 
     def __init__(self, stream: TextIO, colours: bool) -> None:
@@ -78,24 +75,24 @@ def plain_streams(colours: bool = False) -> Iterator[None]:
 
 
 def wide_console(least: int = 120) -> Console:
-    """Return a console of at least so many columns, so that a narrow terminal or a pipe does not break the cells of a table."""
+    """Return a console of at least `least` columns, so that a narrow terminal or a pipe does not break the cells of a table."""
     return Console(width=max(least, Console().width))
 
 
 def terminal() -> Console:
-    """Return a console on standard error; a notebook's, which is no terminal, gets lines and no animation."""
+    """Return a console on standard error; in a notebook, which is no terminal, it prints lines without animation."""
     return Console(stderr=True, force_jupyter=False, force_terminal=sys.stderr.isatty())
 
 
-# Seconds between two lines about a stage where there is no terminal to draw a bar on.
+# Seconds between two lines about a stage without a terminal for a bar.
 _LINES = 30.0
 
 
 @contextmanager
 def progress_bars() -> Iterator[None]:
-    """Draw the progress of this thread's work on standard error: a bar of the stage, which is deleted at its end.
+    """Draw this thread's progress on standard error: a bar of the stage, deleted at its end.
 
-    Without a terminal, standard error gets a line about a stage every half minute.
+    Without a terminal, a line about the stage is printed every half minute.
     """
     console = terminal()
     if not console.is_terminal:
@@ -109,7 +106,7 @@ def progress_bars() -> Iterator[None]:
         for task in shown.values():
             bars.remove_task(task)
         shown.clear()
-        if bars.live.is_started:  # otherwise it would print an empty line
+        if bars.live.is_started:  # otherwise an empty line is printed
             bars.stop()
 
     def draw(stage: str, done: int, total: int) -> None:
@@ -129,7 +126,7 @@ def progress_bars() -> Iterator[None]:
 
 
 def _stage_lines() -> Listener:
-    """Return what writes a line about a stage every half minute."""
+    """Return a listener that prints a line about a stage every half minute."""
     lines: dict[str, CountProgress] = {}
 
     def report(stage: str, done: int, total: int) -> None:

@@ -1,8 +1,8 @@
-"""CSV files that a spreadsheet may open: no text in them is run as a formula, and every line break stays within its cell.
+"""CSV files that a spreadsheet may open: no text is run as a formula, and every line break stays within its cell.
 
-A spreadsheet computes a cell that begins with =, +, -, or @, and some skip a tab or a line break before it. Such a text gets an
-apostrophe in front; also within it, after a semicolon, a tab, or a line break, which end a cell where semicolons separate values.
-`unescape` removes these apostrophes. Numbers stay as they are, negative ones too.
+A spreadsheet computes a cell that begins with =, +, -, or @; some skip a tab or a line break before it. Such a text gets an
+apostrophe in front. So do its parts after a semicolon, a tab, or a line break, which end a cell if semicolons separate values.
+`unescape` removes these apostrophes. Numbers are unchanged, negative ones too.
 """
 
 from __future__ import annotations
@@ -18,38 +18,38 @@ from typing import NamedTuple
 
 from lpn.core.files import printable
 
-# The last four are the full-width forms of the first four, which some Asian editions of spreadsheets read as these.
+# The last four are the full-width forms of the first four, which some Asian editions of spreadsheets treat alike.
 _SIGN = "=+\\-@\uff1d\uff0b\uff0d\uff20"
 _BEFORE = rf"(?:^(?={{}}[{_SIGN}\t\r\n])|(?<=[;\t\r\n])(?={{}}[{_SIGN}]))"
 _NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?(?:\Z|(?=[;\t\r\n]))"
 _FORMULA = re.compile(_BEFORE.format("'*", "'*") + f"(?!{_NUMBER})")
 _ESCAPED = re.compile(_BEFORE.format("'+", "'+") + "'")
-# A table in UTF-16 that Excel saves has tabs. Where Excel writes semicolons, its first line has neither of them.
+# Excel saves a table in UTF-16 with tabs. If Excel writes semicolons, its first line has neither of these two.
 _DELIMITERS = ",\t"
 # Excel's first line that names the delimiter.
 _NAMED_DELIMITER = re.compile(r"\"?sep=([,;\t])\"?\r?\n", re.IGNORECASE)
 
 
 def escape_formula(text: str) -> str:
-    """Return a text with an apostrophe before each part of it that a spreadsheet would compute."""
+    """Put an apostrophe before each part of a text that a spreadsheet would compute."""
     return _FORMULA.sub("'", text)
 
 
 def unescape(text: str) -> str:
-    """Return the text that `escape_formula` was given."""
+    """Invert `escape_formula`."""
     return _ESCAPED.sub("", text)
 
 
 def csv_bytes(rows: Iterable[Iterable[object]], *, keep: str = "\n\t", own: bool = False) -> bytes:
-    """Return rows as comma-separated values in UTF-8, texts by `escape_formula` and `printable`, None as an empty cell.
+    """Encode rows as comma-separated values in UTF-8, with texts by `escape_formula` and `printable`, and None as an empty cell.
 
     Args:
         keep: see `printable`.
-        own: of a file that is read back; texts keep all characters, also the bytes of a file name that is not UTF-8.
+        own: the file is read back; texts keep all characters, also the bytes of a file name that is not UTF-8.
     """
     shown = str if own else partial(printable, keep=keep)
     lines: list[str] = []
-    # Only with this terminator does the writer quote a carriage return in a cell.
+    # The writer quotes a carriage return in a cell only with this terminator.
     writer = csv.writer(SimpleNamespace(write=lines.append), lineterminator="\r\n")
     for row in rows:
         writer.writerow([escape_formula(shown(str(cell))) if isinstance(cell, str | Path) else cell for cell in row])
@@ -63,7 +63,7 @@ def decode_text(data: bytes, errors: str = "strict") -> str:
         errors: of UTF-8; "surrogateescape" keeps the bytes of a file name that is not UTF-8.
 
     Raises:
-        UnicodeDecodeError: if it is neither.
+        UnicodeDecodeError: if the text is neither UTF-8 nor UTF-16.
     """
     if data.startswith((b"\xff\xfe", b"\xfe\xff")):
         return data.decode("utf-16")
@@ -75,7 +75,7 @@ def decode_text(data: bytes, errors: str = "strict") -> str:
 
 
 def mixed_separators(first: str) -> str:
-    """Return what to say after a sentence on a first line that cannot be read, if semicolons are in it; "" without them."""
+    """Return a remark for the error about an unreadable first line, if it contains semicolons; else ""."""
     return (
         " Semicolons stand beside commas or tabs in it; separate all values by the same character."
         if ";" in first
@@ -87,7 +87,7 @@ class Delimited(NamedTuple):
     """A text of separated values.
 
     Attributes:
-        decimal_comma: True if numbers may be written with a comma, as nothing else is separated by one.
+        decimal_comma: whether numbers may have a decimal comma, because commas separate nothing else.
         rows: the rows that are not blank, each with its line number from 1; raises csv.Error.
     """
 
@@ -96,12 +96,12 @@ class Delimited(NamedTuple):
 
 
 def delimited(text: str, strict: bool = False) -> Delimited:
-    """Split a text at commas or tabs, whichever its first line has more of, or at what a first line such as `sep=;` names.
+    """Split a text at its first line's more frequent separator, comma or tab, or at the one named by a line such as `sep=;`.
 
     A first line with semicolons and neither commas nor tabs is split at semicolons.
 
     Args:
-        strict: refuse quotes that are not closed, as a file that was cut short has.
+        strict: refuse unclosed quotes, as in a truncated file.
     """
     named = _NAMED_DELIMITER.match(text)
     first = text.lstrip("\r\n").partition("\n")[0]

@@ -11,22 +11,22 @@ _PACKAGE = Path(__file__).parents[1]
 ASSETS = _PACKAGE / "assets" if (_PACKAGE / "assets").is_dir() else _PACKAGE.parent / "assets"
 DEMO = ASSETS / "demo"
 DEMO_MODEL = DEMO / "lpn.onnx"
-# The model of one part, trained alike; the explorer offers to compare with it where the file is there.
+# The model of one part, trained alike; the explorer offers it for comparison if the file exists.
 DEMO_BASELINE = DEMO / "baseline.onnx"
-# The folder of a map, and a rendered flight over it; the explorer offers it beside the city where it is there.
+# The folder of a map, and a rendered flight over it; the explorer offers both beside the city if they exist.
 DEMO_FLIGHT = DEMO.with_name("demo-flight") / "map-in-spring", DEMO.with_name("demo-flight") / "flight-in-autumn"
 # A real flight over a map that `lpn map --from-flight` made of other photos of the same flight.
 DEMO_PLACE = DEMO.with_name("demo-place") / "caliterra-odd", DEMO.with_name("demo-place") / "caliterra-even"
-# The photo of it that the explorer shows first: the map is well pieced together where it lies.
+# The flight's photo that the explorer shows first: the map is well assembled there.
 DEMO_PHOTO = "IMG_9408.webp"
-# The folder of the model's answers beside the photos of either flight.
+# The folder of the model's answers, beside the photos of each flight.
 DEMO_ANSWERS = "answers"
 # The query that the explorer shows first.
 DEMO_QUERY = "0394/06"
 
 
 def own_file(folder: Path, name: str) -> Path:
-    """Return the path of a file that a person adds to a data set or flight: in its folder, for the demo in the user's own.
+    """Return the path of a user's file: in the folder of the data set or flight, but for the demo in the user's data folder.
 
     Raises:
         OutputError: for the demo, if the user has no home folder.
@@ -38,10 +38,7 @@ def own_file(folder: Path, name: str) -> Path:
 def own_file_place(folder: Path, name: str, what: str) -> str:
     """Describe the path of `own_file` to a visitor of a served page, without folders of this machine.
 
-    An example is "notes.csv, beside the data, on the computer that runs this page".
-
-    Args:
-        what: the noun for `folder`.
+    An example is "notes.csv, beside the data, on the computer that runs this page"; `what` is the noun for `folder`.
     """
     file = own_file(folder, name)
     beside = file.parent == folder

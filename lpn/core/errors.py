@@ -17,7 +17,7 @@ from __future__ import annotations
 
 
 class LPNError(Exception):
-    """Base of all errors that a user can correct; the message says what was found, what was expected, and what to do."""
+    """Base of all errors that a user can correct; the message says what is wrong, what was expected, and what to do."""
 
 
 class ModelFileError(LPNError):
@@ -29,7 +29,7 @@ class DataError(LPNError):
 
 
 class OtherKindError(DataError):
-    """A file is of another kind than its name suggests; one that was found beside others may be left out."""
+    """A file is of another kind than its name suggests; a reader of several files may skip it."""
 
 
 class PictureError(LPNError):
@@ -41,7 +41,7 @@ class StoreError(LPNError):
 
 
 class NewerStoreError(StoreError):
-    """A later version wrote a store; it must not be replaced as if it were damaged."""
+    """A later version wrote the store; it must not be replaced like a damaged one."""
 
 
 class OutputError(LPNError):

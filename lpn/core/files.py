@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 try:
     import fcntl
-except ImportError:  # not a POSIX system; two processes must not write into one folder there
+except ImportError:  # no POSIX system; two processes must not write into one folder there
     fcntl = None  # type: ignore[assignment]
 
 try:
@@ -37,22 +37,22 @@ except ImportError:  # not a POSIX system
 
 log = logging.getLogger(__name__)
 
-# Seconds without a write after which a partial file is taken for that of a killed process, and deleted.
+# A partial file without a write for this many seconds belongs to a killed process, and is deleted.
 _ABANDONED_SECONDS = 3600.0
 # Limit of open files. An index of 7 * 10^8 tiles stays below it. With a limit of 2^30, a process can be slow to start.
 _OPEN_FILES = 65_536
 # macOS reports no limit, but refuses more than this.
 _OPEN_FILES_MACOS = 10_240
-# Folders that a displayed name has at most.
+# Maximum of folders in a displayed name.
 _MAX_FOLDERS = 8
-# What turns the direction of writing (marks, embeddings, overrides, isolates), so that a text reads as another one; and the two
-# characters besides that no XML may hold.
+# Characters that turn the direction of writing (marks, embeddings, overrides, isolates), so that a text reads as another one,
+# and the two further characters that XML excludes.
 _MISLEADING = "\ufffe\uffff\u061c\u200e\u200f\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069"
 # Categories of Unicode: control characters, bytes that are not UTF-8, separators of lines and of paragraphs.
 _HIDDEN = "Cc", "Cs", "Zl", "Zp"
-# Characters that a note may hold besides: line breaks, tabs, and the direction marks of Arabic and Hebrew keyboards.
+# Hidden characters that a note may hold: line breaks, tabs, and the direction marks of Arabic and Hebrew keyboards.
 TYPED = "\n\t\u061c\u200e\u200f"
-# Bytes of the name of a folder.
+# Maximum of bytes of a folder's name.
 _MAX_LINK = 255
 
 
@@ -68,7 +68,7 @@ def cache_folder() -> Path:
 
 
 def data_folder() -> Path:
-    """Return the folder of files that the user made and that no folder of a data set can take.
+    """Return the folder of user files that belong in no data set's folder.
 
     Raises:
         OutputError: if the user has no home folder, and XDG_DATA_HOME is not set.
@@ -134,12 +134,12 @@ def write_json(path: Path, value: object, *, ensure_ascii: bool = True) -> None:
 
 
 def json_bytes(value: object, *, ensure_ascii: bool = True) -> bytes:
-    """Return what `write_json` writes."""
+    """Return the bytes that `write_json` writes."""
     return (json.dumps(portable(value), indent=1, ensure_ascii=ensure_ascii) + "\n").encode()
 
 
 def portable(value: object) -> object:
-    """Return a value of JSON that every reader takes: null for a number that is not finite, "?" for a byte that is not UTF-8."""
+    """Return a JSON value for every reader: null for a number that is not finite, "?" for a byte that is not UTF-8."""
     match value:
         case str():
             return value.encode("utf-8", "replace").decode()
@@ -153,9 +153,9 @@ def portable(value: object) -> object:
 
 
 def linked_folder(path: Path) -> Path:
-    """Return a folder, or the one beside it that a text file in its place names.
+    """Return a folder, or the folder beside it that is named by a text file in its place.
 
-    Git leaves such a file for a symbolic link where the system has none; packages of Python know no links at all.
+    Git writes such a file for a symbolic link on systems without links; Python packages know no links at all.
     """
     try:
         with path.open("rb") as file:
@@ -177,7 +177,7 @@ def open_memmap(path: Path) -> AnyArray:
 
     try:
         array: AnyArray = np.lib.format.open_memmap(path, mode="r")
-    # NumPy raises these on damaged headers.
+    # NumPy raises these for damaged headers.
     except (EOFError, SyntaxError, TokenError, TypeError, OverflowError, MemoryError) as error:
         raise ValueError("the file does not hold a valid array") from error
     return array
@@ -191,7 +191,7 @@ def unreadable_error(path: Path, error: OSError) -> StoreError:
 
 
 def space_remedy(error: OSError) -> str:
-    """Return "free space or " for an error of a full disk, and nothing for others, such as a folder that is read-only."""
+    """Return "free space or " for an error of a full disk, and "" for others, such as a read-only folder."""
     return "free space or " if error.errno in (errno.ENOSPC, errno.EDQUOT) else ""
 
 
@@ -211,10 +211,10 @@ def raise_open_file_limit() -> None:
 
 
 def check_ending(path: Path, *endings: str) -> None:
-    """Check that a file's name says what is written into it.
+    """Check that the ending of a file's name fits its contents.
 
     Args:
-        endings: of the kinds of file that can be written, such as ".png"; upper case counts as lower case.
+        endings: the possible endings, such as ".png"; case is ignored.
 
     Raises:
         InputError: if the name ends in none of them.
@@ -225,10 +225,10 @@ def check_ending(path: Path, *endings: str) -> None:
 
 
 def check_outputs(*outputs: tuple[Path | None, *tuple[str, ...]]) -> None:
-    """Check the names of files that options ask for, and then, before long work, that each can be written.
+    """Check the names of output files, and then, before long work, that each can be written.
 
     Args:
-        outputs: file and its possible endings; None for an option that is not given.
+        outputs: file and its possible endings; None if there is no output.
 
     Raises:
         InputError: if a name has another ending, see `check_ending`; no folder was created then.
@@ -287,7 +287,7 @@ def exclusive_lock(folder: Path, wait: bool) -> Iterator[None]:
 
 
 def distinct_names(files: Sequence[Path]) -> list[str]:
-    """Return the files' printable names, with as many folders above as it takes to tell different ones apart."""
+    """Return the files' printable names, with enough of their folders to distinguish different files."""
     names: list[str] = []
     for depth in range(1, _MAX_FOLDERS + 2):
         names = ["/".join(file.absolute().parts[-depth:]) for file in files]
@@ -297,14 +297,14 @@ def distinct_names(files: Sequence[Path]) -> list[str]:
 
 
 def printable(text: str, keep: str = "", instead: str = "?") -> str:
-    """Return a text, such as a file's name, with "?" for each control character and whatever else could mislead a reader.
+    """Return a text, such as a file's name, with "?" for each control character and others that could mislead a reader.
 
-    These are separators of lines, what turns the direction of writing, and bytes that are not UTF-8. All other characters stay,
-    also those that take no space, that are for private use, or that are newer than this Python.
+    Replaced are control characters, separators of lines, changes of the writing direction, and bytes that are not UTF-8. All
+    other characters stay, also those without width, for private use, or newer than this Python.
 
     Args:
-        keep: such characters that stay, as line breaks do in our own layout.
-        instead: what replaces the others; may be empty.
+        keep: characters that stay nevertheless, such as line breaks in our own layout.
+        instead: the replacement; may be empty.
     """
     if text.isprintable():
         return text
@@ -314,7 +314,7 @@ def printable(text: str, keep: str = "", instead: str = "?") -> str:
 
 
 def first_few(texts: Sequence[str], most: int) -> str:
-    """Join the first texts by commas, and say how many more there are."""
+    """Join the first texts by commas, with the number of further ones."""
     more = f", and {len(texts) - most} more" if len(texts) > most else ""
     return ", ".join(texts[:most]) + more
 

@@ -1,4 +1,4 @@
-"""A cache for values that are asked for in one order again and again."""
+"""A cache for values that are requested in one order again and again."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ T = TypeVar("T")
 
 
 class FilledCache(Generic[T]):
-    """A cache that fills up to a limit, and then keeps what it has.
+    """A cache that fills up to a limit, and then keeps its contents.
 
     An LRU cache that is too small for a flight's frames drops each of them before it is needed again. Threads may share it; two
-    of them may make a value at once.
+    of them may compute a value at once.
 
     Args:
-        limit: bytes of all values.
+        limit: maximum of bytes of all values.
         size: returns the bytes of a value.
     """
 
@@ -24,7 +24,7 @@ class FilledCache(Generic[T]):
         self._values: dict[Hashable, T] = {}
 
     def get(self, key: Hashable, make: Callable[[], T]) -> T:
-        """Return the value of a key, which is made if the cache does not hold it."""
+        """Return the value of a key, computed if the cache does not hold it."""
         if key in self._values:
             return self._values[key]
         value = make()

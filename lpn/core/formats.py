@@ -11,7 +11,7 @@ from lpn.core.errors import LPNError
 _Record = TypeVar("_Record")
 
 
-# The format of world.json, which data sets read without knowing how a world is made.
+# The format of world.json in a rendered data set.
 WORLD = "lpn-world/1"
 UPGRADE = "install the newer version of lpn-explorer"
 
@@ -21,7 +21,7 @@ class _Header(msgspec.Struct):
 
 
 def format_of(data: bytes) -> Any:
-    """Return the entry `format` of a JSON file; None if it has none or is not such a file."""
+    """Return the entry `format` of a JSON file; None without one, or for another file."""
     try:
         return msgspec.json.decode(data, type=_Header).format
     except (msgspec.MsgspecError, ValueError, RecursionError):
@@ -40,7 +40,7 @@ def is_newer(stated: Any, ours: str) -> bool:
 
 
 def newer_version(what: object, stated: str, ours: str) -> str:
-    """Return the message about a file (`what`, the sentence's subject) that a later version wrote."""
+    """Return the message about a file (`what`, the sentence's subject) of a later version."""
     return f"{what} was written by a later version of lpn ({stated}, and this one knows {ours}); {UPGRADE}."
 
 

@@ -26,7 +26,7 @@ else:
 
 SUFFIXES = (".jpg", ".jpeg", ".png", ".webp", ".bmp", ".gif", ".tif", ".tiff")
 KINDS = "JPEG, PNG, WebP, BMP, GIF, or TIFF"
-# Pictures of other kinds, which are named where they are left out.
+# Kinds of pictures that are not read; warnings name them.
 OTHER_SUFFIXES = (
     ".dng", ".raw", ".cr2", ".cr3", ".nef", ".arw", ".raf", ".orf", ".rw2", ".heic", ".heif", ".avif", ".jp2", ".jxl", ".svg",
     ".psd", ".tga",
@@ -38,10 +38,10 @@ PNG = b"\x89PNG\r\n\x1a\n"
 _DAMAGED = (
     OSError, ValueError, SyntaxError, EOFError, RuntimeError, OverflowError, MemoryError, LookupError, TypeError, struct.error
 )  # fmt: skip
-# The largest of the upper 8 of 16 bits where the lowest 12 are used at most: such a picture is black to the eye.
+# The largest value of the upper 8 of 16 bits if at most the lowest 12 are used: such a picture looks black.
 _BLACK = 16
 _ORIENTATION = 0x0112
-# What the orientations of EXIF, from 2 on, ask for.
+# The transforms of EXIF orientations from 2 on.
 _TURNS = (
     *(Image.Transpose.FLIP_LEFT_RIGHT, Image.Transpose.ROTATE_180, Image.Transpose.FLIP_TOP_BOTTOM),
     *(Image.Transpose.TRANSPOSE, Image.Transpose.ROTATE_270, Image.Transpose.TRANSVERSE, Image.Transpose.ROTATE_90),
@@ -50,7 +50,7 @@ _TURNS = (
 # Ways to resize by OpenCV.
 _OPENCV = {"linear": cv2.INTER_LINEAR_EXACT, "area": cv2.INTER_AREA}
 _HEIC = (b"heic", b"heix", b"hevc", b"heim", b"heis", b"mif1", b"msf1")
-# A number for red, green, and blue.
+# Three numbers for red, green, and blue.
 Triple = tuple[float, float, float]
 # ImageNet's mean and standard deviation of values 0 .. 1.
 MEAN: Triple = (0.485, 0.456, 0.406)
@@ -77,7 +77,7 @@ def load_picture(path: str | Path, upright: bool = True) -> UInt8Array:
 def decode_picture(
     data: bytes, name: str, kinds: str = KINDS, side: int | None = None, upright: bool = True
 ) -> UInt8Array:
-    """Decode the bytes of a picture file, of an animation the first frame; `name` and `kinds` are used in messages only.
+    """Decode the bytes of a picture file, or an animation's first frame; only messages use `name` and `kinds`.
 
     Args:
         side: pixels of the longer side that the caller needs; a picture at least four times as long is decoded at 1/2, 1/4, or
@@ -85,7 +85,7 @@ def decode_picture(
         upright: see `load_picture`.
 
     Raises:
-        PictureError: if they are not a picture, or one of more than 64 megapixels, or one of 16 bits that would be black.
+        PictureError: if the bytes are no picture, one of more than 64 megapixels, or one of 16 bits that would be black.
     """
     if (flaw := header_error(io.BytesIO(data))) is not None:
         raise PictureError(f"{name} {flaw}; expected a {kinds} file of at most {MAX_PIXELS // 1_000_000} megapixels.")
@@ -112,16 +112,16 @@ def decode_picture(
 
 
 def _decoded(file: Image.Image, side: int | None, upright: bool, white_is_0: bool) -> UInt8Array:
-    """Return the pixels of a file, of 16 bits the upper 8; see `decode_picture`."""
+    """Return the pixels of a file, the upper 8 of 16 bits; see `decode_picture`."""
     width, height = file.size
     factor = next((n for n in (8, 4, 2) if side is not None and max(width, height) >= 2 * n * side), 1)
-    if factor > 1:  # JPEG alone decodes less than every pixel
+    if factor > 1:  # only JPEG can skip pixels
         file.draft(None, (max(width // factor, 1), max(height // factor, 1)))
     reduced = file.size != (width, height)
-    file.load()  # TIFF turns itself
+    file.load()  # this applies TIFF's orientation
     frame, orientation = file, 1
     if upright:
-        with suppress(*_DAMAGED):  # damaged EXIF is no damage of the pixels
+        with suppress(*_DAMAGED):  # damaged EXIF does not damage the pixels
             orientation = file.getexif().get(_ORIENTATION, 1)
     if orientation in range(2, 9):
         frame = frame.transpose(_TURNS[orientation - 2])
@@ -133,7 +133,7 @@ def _decoded(file: Image.Image, side: int | None, upright: bool, white_is_0: boo
 
 
 def header_error(file: BinaryIO) -> str | None:
-    """Return why a picture file's header is refused, as the end of a sentence: no picture, or too large; None if it is good.
+    """Return the error of a picture file's header, as the end of a sentence; None if it is good.
 
     Decompression bombs are refused here, before anything is decoded.
     """
@@ -156,7 +156,7 @@ def header_error(file: BinaryIO) -> str | None:
 
 
 def other_kind(start: bytes) -> str | None:
-    """Name a kind of file that is often mistaken for a supported picture, by its first 512 bytes; None for others."""
+    """Name a file kind that is often mistaken for a supported picture, by its first 512 bytes; None for others."""
     start = start.lstrip(b"\xef\xbb\xbf \t\r\n")
     if start[4:8] == b"ftyp" and start[8:12] in _HEIC:
         return "is a HEIC picture, which phones take; save it as JPEG"
@@ -168,8 +168,8 @@ def other_kind(start: bytes) -> str | None:
 def use_all_cores() -> None:
     """Let OpenCV use every core of this process, by threads that start now.
 
-    OpenCV starts one thread fewer than it is told, so on two cores one core would stay idle. All threads of the process share
-    them. If one that yields (`lpn.core.resources.yield_cores`) started them, they would yield to the others for ever.
+    OpenCV starts one thread fewer than requested, so on two cores one core would stay idle. All threads of the process share
+    OpenCV's. If a thread that yields (`lpn.core.resources.yield_cores`) started them, they would yield for ever.
     """
     cores = usable_cores()
     cv2.setNumThreads(cores + 1 if cores > 1 else 1)
@@ -192,16 +192,16 @@ def rotate(picture: UInt8Array, degrees: float) -> UInt8Array:
 
 
 def rotate_nearest(picture: UInt8Array, degrees: float) -> UInt8Array:
-    """Rotate as `rotate` does, to the nearest pixel, as the released test code does (Pillow's default)."""
+    """Rotate like `rotate`, but to the nearest pixel, as the released test code does (Pillow's default)."""
     if degrees % 360 == 0:
         return picture
     return np.asarray(Image.fromarray(picture).rotate(degrees, Image.Resampling.NEAREST))
 
 
 def shrink_to(picture: UInt8Array, side: float, box: tuple[float, float, float, float] | None = None) -> UInt8Array:
-    """Crop a picture to its box, and shrink it, keeping its aspect ratio, as if the whole picture's longer side became `side`.
+    """Crop a picture to its box, and shrink it by the factor that makes the whole picture's longer side `side` pixels.
 
-    It is never enlarged. Pillow crops (black beyond the edge) and shrinks by Lanczos, as the released transfer does.
+    It is never enlarged, and keeps its aspect ratio. Pillow crops (black beyond the edge) and shrinks by Lanczos, as released.
     """
     shown = Image.fromarray(picture)
     longer = max(shown.size)
@@ -221,8 +221,8 @@ def roll(panorama: UInt8Array, degrees: float) -> UInt8Array:
 def zoom(picture: UInt8Array, scale: float) -> UInt8Array:
     """Zoom about a picture's centre at its own resolution, in whole pixels: (H, W, 3) uint8.
 
-    Above 1 its middle is cut out, (h, w, 3), so that it is interpolated once only, at the size of the network's input. Below 1
-    it is shrunk on its own canvas, bicubic with anti-aliasing, and the border is black, (H, W, 3).
+    Above 1 its middle is cut out, (h, w, 3), so that it is interpolated only once, at the size of the network's input. Below 1 it
+    is shrunk on its own canvas, bicubic with anti-aliasing, and the border is black, (H, W, 3).
     """
     height, width = picture.shape[:2]
     if scale == 1:
@@ -251,7 +251,7 @@ def shift(picture: UInt8Array, right: int, down: int = 0) -> UInt8Array:
 def crop(picture: UInt8Array, box: tuple[float, float, float, float] | None, name: str = "the picture") -> UInt8Array:
     """Crop a picture to (left, top, right, bottom), rounded to whole pixels and clipped; None keeps the whole picture.
 
-    `name` is used in the message only.
+    Only messages use `name`.
 
     Raises:
         PictureError: if the crop is empty.
@@ -273,7 +273,7 @@ def resize(picture: UInt8Array, height: int, width: int, how: str = "bicubic") -
     """Resize to (height, width, 3) without crop.
 
     Args:
-        how: "bicubic" (as the published code) or "bilinear", with anti-aliasing, by Pillow; by OpenCV "linear", without
+        how: by Pillow "bicubic", as in the published code, or "bilinear", both with anti-aliasing; by OpenCV "linear", without
             anti-aliasing and equal on every machine, or "area", the mean over the area of each pixel.
     """
     if picture.shape[:2] == (height, width):
@@ -284,7 +284,7 @@ def resize(picture: UInt8Array, height: int, width: int, how: str = "bicubic") -
 
 
 def polar(picture: UInt8Array, height: int, width: int) -> UInt8Array:
-    """Unroll a north-up square tile around its centre, as SAFA does, into a panorama's shape: (height, width, 3).
+    """Unroll a north-up square tile around its centre into a panorama's shape, as SAFA does: (height, width, 3).
 
     Row i, column j samples a tile of side S at S/2 (height - 1 - i) / height pixels from the middle, in the direction
     360 j / width degrees clockwise from south. North is in the middle column, the middle in the bottom row. As released, the
@@ -302,7 +302,7 @@ def polar(picture: UInt8Array, height: int, width: int) -> UInt8Array:
 
 
 def enlarge(cells: AnyArray, height: int, width: int) -> AnyArray:
-    """Enlarge cells (rows, columns) to pixels (height, width), each with its cell's value."""
+    """Enlarge cells (rows, columns) to pixels (height, width) with the values of their cells."""
     rows = np.arange(height) * cells.shape[0] // height
     columns = np.arange(width) * cells.shape[1] // width
     return cast(AnyArray, cells[rows[:, None], columns[None, :]])

@@ -1,4 +1,4 @@
-"""Lists of pictures in files: text, JSON, and tables of separated values. Damage is named by its line."""
+"""Lists of pictures in files: text, JSON, and tables of separated values. Errors name the damaged line."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from lpn.core.files import printable
 
 # The largest list that is read, in bytes.
 MAX_LIST_BYTES = 100_000_000
-# The number of characters of a line that a message shows.
+# Maximum of characters of a line in a message.
 _SHOWN = 200
 
 
@@ -22,7 +22,7 @@ def read_text(path: Path, name: str, errors: str = "strict", most: int = MAX_LIS
     """Return the text of a file.
 
     Args:
-        errors: of the decoding; "surrogateescape" keeps the bytes of a file name that is not UTF-8.
+        errors: handling of decoding errors; "surrogateescape" keeps the bytes of a file name that is not UTF-8.
 
     Raises:
         DataError: if the file cannot be read, has more than `most` bytes, or is neither UTF-8 nor UTF-16.
@@ -38,7 +38,7 @@ def read_text(path: Path, name: str, errors: str = "strict", most: int = MAX_LIS
 
 
 def decoded(data: bytes, name: str, errors: str = "strict") -> str:
-    """Return the text of a file's contents; DataError if they are neither UTF-8 nor UTF-16."""
+    """Decode a file's contents; DataError if they are neither UTF-8 nor UTF-16."""
     try:
         return decode_text(data, errors)
     except UnicodeDecodeError as error:
@@ -63,7 +63,7 @@ def read_json(path: Path, name: str, most: int = MAX_LIST_BYTES) -> Any:
 def read_rows(path: Path, name: str, errors: str = "strict") -> Iterator[tuple[int, list[str]]]:
     """Yield the rows of a CSV file that are not blank, each with its line number from 1.
 
-    Values are separated as `lpn.core.csv_cells.delimited` finds out.
+    `lpn.core.csv_cells.delimited` finds the separator.
 
     Raises:
         DataError: as for `read_text`, and if it is not a CSV file.
@@ -72,7 +72,7 @@ def read_rows(path: Path, name: str, errors: str = "strict") -> Iterator[tuple[i
 
 
 def separated(text: str, name: str, strict: bool = False) -> Delimited:
-    """Split a text as `delimited` does; its rows raise DataError where they are no separated values."""
+    """Split a text as `delimited` does; its rows raise DataError if their values cannot be separated."""
     decimal_comma, lines = delimited(text, strict)
 
     def rows() -> Iterator[tuple[int, list[str]]]:
@@ -99,10 +99,10 @@ def table(
     """Read a table whose first line names its columns.
 
     Args:
-        fits: tells whether these are the columns.
-        expected: the columns, for the message about others.
-        decimals: columns in which a decimal comma becomes a point, where nothing is separated by commas.
-        tidy: makes the name of a column of that in the file.
+        fits: returns whether these are the columns.
+        expected: the expected columns, for messages.
+        decimals: columns in which a decimal comma becomes a point, if commas separate nothing else.
+        tidy: normalises a column's name.
 
     Returns:
         The columns, and the values of each line by column, after "Line <number> of <name>".

@@ -29,7 +29,7 @@ _MAX_LENGTH = 1000
 
 
 def parse_level(arguments: list[str], environ: Mapping[str, str] | None = None) -> tuple[LogLevel, list[str]]:
-    """Return the level that the command line or else the environment sets, and the remaining arguments.
+    """Return the level from the command line or else the environment, and the remaining arguments.
 
     Raises:
         InputError: if the level is unknown.
@@ -51,10 +51,10 @@ def parse_level(arguments: list[str], environ: Mapping[str, str] | None = None) 
 
 @contextmanager
 def log_to_stderr(level: LogLevel) -> Iterator[None]:
-    """Log to stderr inside the context: our own loggers from `level` on, those of libraries from warnings on."""
+    """Log to stderr inside the context: our own loggers from `level` on, libraries' loggers from warnings on."""
     handler, root = StderrHandler(whole_tracebacks=level == "debug"), logging.getLogger()
     levels = dict.fromkeys(OUR_LOGGERS, level.upper())
-    # websockets reports port scans and connections that a browser opened ahead of time as errors.
+    # websockets reports port scans, and connections that a browser opens in advance, as errors.
     levels["websockets"] = "ERROR" if level == "debug" else "CRITICAL"
     before = {name: logging.getLogger(name).level for name in levels}
     for name, wanted in levels.items():
@@ -91,12 +91,12 @@ class StderrHandler(logging.Handler):
         self._whole_tracebacks = whole_tracebacks
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Write a record; drop one that cannot be written, which logging would print with its secrets."""
+        """Write a record; drop it if that fails, because logging would print it with its secrets."""
         with suppress(Exception):
             sys.stderr.write(f"{self.format(record)}\n")
 
     def format(self, record: logging.LogRecord) -> str:
-        """Return the record's line, and those of its traceback."""
+        """Return the record's line, and its traceback's lines."""
         try:
             message = record.getMessage()
         except Exception:  # a library's malformed call must not fail here

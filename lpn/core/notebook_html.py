@@ -1,4 +1,4 @@
-"""HTML tables by which results show themselves in a notebook: their own styles, and nothing from elsewhere."""
+"""HTML tables that show results in a notebook, with styles of their own."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ _TABLE = Markup(
 
 
 def table(caption: str, headings: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    """Return a table; numbers stand to the right, and every text that is no `Markup` is escaped."""
+    """Return a table with numbers at the right; texts are escaped unless they are `Markup`."""
     lines = [Markup("<tr>{}</tr>").format(_joined("td", row)) for row in rows]
     # A plain string: text that is added to a Markup would be escaped.
     return str(_TABLE.format(caption, _joined("th", headings), Markup().join(lines)))
 
 
 def percentages(caption: str, heading: str, rows: Mapping[str, Mapping[str, float]]) -> str:
-    """Return a table of percentages; every row has the same names, NaN is unknown, and `heading` stands above the rows' names."""
+    """Return a table of percentages; all rows have equal names, NaN is unknown, and `heading` heads the rows' names."""
     names = next(iter(rows.values()))
     return table(
         caption,

@@ -1,4 +1,4 @@
-"""Numbers as readers see them, and angles within half a turn."""
+"""Numbers for readers, and angles within half a turn."""
 
 from __future__ import annotations
 
@@ -10,23 +10,25 @@ if TYPE_CHECKING:
     from lpn.core.arrays import Float64Array
 
 _Degrees = TypeVar("_Degrees", float, "Float64Array")
-# Digits of scores, squared distances, and their shares.
+# Decimal places of scores, squared distances, and their shares.
 _DIGITS = 3
-# The size of each radius of a place, in the words that explain it.
+# The confidence of each radius of a place, in words.
 SIGMA = "1 sigma along each axis"
 
 
 def signed(value: float, digits: int = _DIGITS) -> str:
-    """Return a number with its sign, "+" or the minus sign "−" (U+2212), and some digits; zero is positive."""
+    """Format a number with a sign, "+" or the minus sign "−" (U+2212), and some decimal places; zero is positive."""
     text = f"{value:+.{digits}f}"
     return text.replace("-", "−") if float(text) else f"+{0:.{digits}f}"
 
 
 def rounded_to_sum(values: Sequence[float], total: float | None = None) -> list[float]:
-    """Round numbers to three digits that add up to their rounded sum, by the largest remainders; one by one if any is not finite.
+    """Round numbers to three decimal places so that they add up to their rounded sum, by the largest remainders.
+
+    If any is not finite, each is rounded on its own.
 
     Args:
-        total: the sum as it is shown, if that is rounded otherwise; less than one unit of the last digit from the sum.
+        total: the displayed sum if it is rounded otherwise; within one unit of the last place of the sum.
     """
     if not all(map(math.isfinite, values)):
         return [round(float(value), _DIGITS) for value in values]
@@ -42,28 +44,28 @@ def rounded_to_sum(values: Sequence[float], total: float | None = None) -> list[
 
 
 def shown_difference(one: float, other: float) -> float:
-    """Return the difference of two numbers that are shown rounded: 1.641 less 1.161 is 0.480, even if it is 0.4794 unrounded."""
+    """Return the difference of two numbers as displayed: 1.641 less 1.161 is 0.480, even if it is 0.4794 unrounded."""
     return round(round(one, _DIGITS) - round(other, _DIGITS), _DIGITS)
 
 
 def distance(metres: float) -> str:
-    """Return a distance with its unit: whole metres, from 10 km on whole kilometres."""
+    """Format a distance: in whole metres, from 10 km on in whole kilometres."""
     return f"{metres:,.0f} m" if metres < 10_000 else f"{metres / 1000:,.0f} km"
 
 
 def upper_bound(value: float, digits: int = 1) -> str:
-    """Return a number that is stated as a bound, such as the metres within which errors lie, rounded up to some digits."""
-    # A float may lie a little above its decimal, and must not be rounded up by that.
+    """Format a bound, such as the metres within which errors lie, rounded up to some decimal places."""
+    # A float may lie a little above its decimal; that must not round it up.
     return f"{math.ceil(round(value * 10**digits, 6)) / 10**digits:,.{digits}f}"
 
 
 def error_figure(metres: float) -> str:
-    """Return an error in metres with one digit behind the point, below 10 cm with two that are not 0."""
+    """Format an error in metres with one decimal place; below 10 cm, with two significant digits."""
     return f"{metres:.1f}" if metres >= 0.1 or metres == 0 else f"{metres:.2g}"
 
 
 def heading_figure(degrees: float | None) -> float | None:
-    """Return a heading with one digit from 0.0 to 359.9: 359.97 degrees are 0.0; None for one that is not known or finite."""
+    """Round a heading to one decimal place from 0.0 to 359.9; 359.97 becomes 0.0. None if it is unknown or not finite."""
     return None if degrees is None or not math.isfinite(degrees) else round(degrees, 1) % 360
 
 

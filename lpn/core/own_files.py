@@ -1,6 +1,6 @@
-"""Small files of a person's own work beside a data set or a flight: notes, named views, stories, corrected places.
+"""Small files of a user's own work beside a data set or a flight: notes, named views, stories, corrected places.
 
-They may be edited by hand, and by several programs at once, since each change is made under a lock.
+Users and several programs may edit them at once, because each change is made under a lock.
 """
 
 from __future__ import annotations
@@ -19,15 +19,15 @@ _Contents = TypeVar("_Contents")
 
 @dataclass(frozen=True)
 class OwnFileFormat(Generic[_Contents]):
-    """How such a file is read and changed.
+    """The reading and changing of such a file.
 
     Attributes:
-        holds: its contents in the plural, such as "notes".
+        holds: the noun for its contents, in the plural, such as "notes".
         decode: returns the contents of bytes of a file; raises DataError if they are damaged.
         encode: the inverse.
         empty: returns the contents of a file that does not exist.
-        smaller: what a person can do if there is too much, such as "shorten other notes first".
-        max_bytes: of the file.
+        smaller: the remedy for too large contents, such as "shorten other notes first".
+        max_bytes: maximum of bytes of the file.
     """
 
     holds: str
@@ -38,11 +38,7 @@ class OwnFileFormat(Generic[_Contents]):
     max_bytes: int = 50_000_000
 
     def read(self, file: Path) -> _Contents:
-        """Return the file's contents.
-
-        Raises:
-            DataError: when it is damaged, too large, or unreadable.
-        """
+        """Return the file's contents; DataError when it is damaged, too large, or unreadable."""
         try:
             if not file.exists():
                 return self.empty()
@@ -54,7 +50,7 @@ class OwnFileFormat(Generic[_Contents]):
         return self.decode(content, file)
 
     def change(self, file: Path, change: Callable[[_Contents], _Contents]) -> _Contents:
-        """Replace the contents by a function's result, and return them; what it raises changes nothing.
+        """Replace the contents by a function's result, and return them; an exception in the function changes nothing.
 
         Raises:
             InputError: when the contents would be too large.

@@ -1,10 +1,10 @@
-"""The progress of long work: what computes reports it, and a listener, such as the command line, shows it.
+"""The progress of long work: the work reports it, and a listener, such as the command line, shows it.
 
     report_progress("Describing drone pictures", 3, 14)    # by the work; without a listener nothing happens
     with listening(draw):                                   # by a command, or by a job of the app
         work()
 
-A listener hears the work of its own thread. It may raise an exception to stop the work.
+A listener receives the reports of its own thread. It may raise an exception to stop the work.
 """
 
 from __future__ import annotations
@@ -27,14 +27,14 @@ _listener: ContextVar[Listener | None] = ContextVar("listener", default=None)
 
 
 def report_progress(stage: str, done: int, total: int) -> None:
-    """Tell the listener of this thread, if there is one, how far a stage is."""
+    """Report how far a stage is to the listener of this thread, if there is one."""
     if (listener := _listener.get()) is not None:
         listener(stage, done, total)
 
 
 @contextmanager
 def listening(listener: Listener) -> Iterator[None]:
-    """Let a listener hear the work of this thread while the context is open; one before it hears nothing meanwhile."""
+    """Send this thread's reports to a listener while the context is open; an outer listener receives nothing meanwhile."""
     token = _listener.set(listener)
     try:
         yield
@@ -44,7 +44,7 @@ def listening(listener: Listener) -> Iterator[None]:
 
 @contextmanager
 def ended() -> Iterator[None]:
-    """Let the last reported stage of the body end with it, as a list that is read from a store reports nothing."""
+    """Finish the last stage that the body reports, because a list that is read from a store reports nothing further."""
     outer, last = _listener.get(), list[tuple[str, int, int]]()
     if outer is None:
         yield
@@ -63,7 +63,7 @@ def ended() -> Iterator[None]:
 
 @contextmanager
 def counted_among(before: int, total: int) -> Iterator[None]:
-    """Let the items of one of several lists count among all: after those of the lists `before`, out of `total`."""
+    """Count the items of one of several lists among all: after those of the lists `before`, out of `total`."""
     outer = _listener.get()
     if outer is None:
         yield
@@ -73,14 +73,14 @@ def counted_among(before: int, total: int) -> Iterator[None]:
 
 
 def tracked(stage: str, items: Iterable[T], total: int) -> Iterator[T]:
-    """Yield items, and report each that is done."""
+    """Yield items, and report each finished one."""
     for done, item in enumerate(items, 1):
         yield item
         report_progress(stage, done, total)
 
 
 def at_intervals(seconds: float, receive: CountProgress, at_once: bool = False) -> CountProgress:
-    """Return what hands counts on, at most one in so many seconds; the first one after as many, or `at_once`."""
+    """Return a function that passes counts on at most once in `seconds`; the first one after `seconds`, or `at_once`."""
     last = -math.inf if at_once else time.monotonic()
 
     def report(done: int, total: int) -> None:

@@ -12,9 +12,9 @@ from lpn.core.errors import MissingPackageError
 from lpn.core.files import printable
 
 NAME = "lpn-explorer"
-# Packages that stand in for a required one, as they hold the same modules.
+# Packages that replace a required one, because they hold its modules.
 _STAND_INS = {"onnxruntime": "onnxruntime-gpu"}
-# The required package that brings a module of another name.
+# The required package of a module whose name differs.
 _PACKAGES = {
     **{"yaml": "pyyaml", "umap": "umap-learn", "numba": "umap-learn", "sklearn": "umap-learn", "faiss": "faiss-cpu"},
     **{"affine": "rasterio", "orthomosaic": "pyorthomosaic", "fsspec": "ray"},
@@ -86,7 +86,7 @@ def missing_package(error: ModuleNotFoundError) -> MissingPackageError:
 
 
 def _name(line: str) -> str:
-    """Return the package that a line such as "numpy>=1.26" requires, in small letters."""
+    """Return the lower-case package name of a requirement such as "numpy>=1.26"."""
     return re.split(r"[^\w.-]", line, maxsplit=1)[0].lower()
 
 

@@ -1,4 +1,4 @@
-"""The cores and ports that this process can use, and the memory that it gives back."""
+"""The cores and ports that this process can use, and the return of freed memory."""
 
 from __future__ import annotations
 
@@ -21,26 +21,26 @@ ProviderName = str
 PROVIDER_ENDING = "ExecutionProvider"
 # Devices whose descriptors agree to 1e-4: both compute in float32.
 FLOAT32_DEVICES = ("cpu", "cuda")
-# For sentences: commands without the flag --provider read the variable as well, see `resolve_provider`.
+# Part of sentences: commands without the flag --provider read the variable as well, see `resolve_provider`.
 COMPUTE_ON_CPU = "compute on the CPU (--provider cpu, or LPN_PROVIDER=cpu)"
 
 _CGROUPS, _OWN_CGROUP = Path("/sys/fs/cgroup"), Path("/proc/self/cgroup")
-# Options of mallopt in <malloc.h>: at most two arenas (M_ARENA_MAX); arrays from 4 MiB on are mapped (M_MMAP_THRESHOLD), as
+# Options of mallopt in <malloc.h>: at most two arenas (M_ARENA_MAX); arrays from 4 MiB on are mapped (M_MMAP_THRESHOLD), since
 # mapping smaller ones would cost a page fault for each 4 kB; 8 MiB at the end of an arena may stay unused (M_TRIM_THRESHOLD).
 _MALLOC_OPTIONS = {-8: 2, -3: 1 << 22, -1: 1 << 23}
-# Steps of niceness between a thread that yields and the others: it gets a tenth of a core that another wants.
+# Niceness of a yielding thread: it gets a tenth of a core that another thread wants.
 _YIELDING = 10
 
 
 def resolve_provider(provider: ProviderName) -> ProviderName:
-    """Return a provider's short name in small letters, with LPN_PROVIDER in place of "auto" if that is set."""
+    """Return a provider's short name in lower case; LPN_PROVIDER, if set, replaces "auto"."""
     chosen = (os.environ.get("LPN_PROVIDER") if provider == "auto" else None) or provider
     return chosen.lower().removesuffix(PROVIDER_ENDING.lower())
 
 
 def usable_cores() -> int:
     """Return the number of cores available to this process, within its CPU affinity and its container's quota."""
-    affinity = getattr(os, "sched_getaffinity", None)  # not on every system
+    affinity = getattr(os, "sched_getaffinity", None)  # missing on some systems
     cores = len(affinity(0)) if affinity else os.cpu_count() or 1
     for group in _cgroups():
         try:
@@ -62,7 +62,7 @@ def _cgroups() -> list[Path]:
 
 
 def yield_cores() -> None:
-    """Let this thread, and those that it starts, yield to the other threads of this process; only Linux can do that."""
+    """Let this thread, and those that it starts, yield to the other threads of this process; has an effect on Linux only."""
     if sys.platform.startswith("linux"):
         thread = threading.get_native_id()
         with suppress(OSError):
@@ -71,13 +71,13 @@ def yield_cores() -> None:
 
 @contextmanager
 def one_thread_a_library() -> Iterator[bool]:
-    """Let NumPy's and PyTorch's libraries compute by one thread each, unless OMP_NUM_THREADS is set.
+    """Let NumPy's and PyTorch's libraries compute with one thread each, unless OMP_NUM_THREADS is set.
 
-    After short computations their threads spin for a while, and take the cores from the library that computes next. PyTorch
-    keeps the limit afterwards if it is loaded within.
+    After short computations their threads spin for a while, and take cores from the library that computes next. PyTorch keeps the
+    limit afterwards if it is loaded in the context.
 
     Yields:
-        True if it is so; False if NumPy's threads cannot be limited, as threadpoolctl is not installed.
+        False if NumPy's threads cannot be limited because threadpoolctl is not installed, else True.
     """
     if os.environ.get("OMP_NUM_THREADS"):
         yield True
@@ -91,7 +91,7 @@ def one_thread_a_library() -> Iterator[bool]:
         limited = True
     except ModuleNotFoundError:
         limits, limited = nullcontext(), False
-    os.environ["OMP_NUM_THREADS"] = "1"  # of libraries that are loaded later
+    os.environ["OMP_NUM_THREADS"] = "1"  # for libraries that are loaded later
     try:
         with limits:
             if torch is not None:
@@ -129,7 +129,7 @@ def _glibc_function(name: str) -> Any:
 
 
 def port_error(host: str, port: int) -> str | None:
-    """Return why a port cannot be listened on, as a sentence without its full stop; None if it can."""
+    """Return the reason why a port cannot be listened on, as a sentence without its full stop; None if it can."""
     try:
         family = socket.AF_INET6 if ":" in host else socket.AF_INET
         with socket.socket(family, socket.SOCK_STREAM) as probe:
@@ -142,7 +142,7 @@ def port_error(host: str, port: int) -> str | None:
 
 
 def is_loopback(host: str) -> bool:
-    """Return whether a listening address is reachable from this machine only."""
+    """Return whether only this machine can reach a listening address."""
     if host.lower() == "localhost":
         return True
     try:

@@ -18,12 +18,12 @@ _FRAME = Markup('<iframe src="{}" title="LPN Explorer" style="width: 100%; heigh
 class ServedPage:
     """A page that this process serves until it is closed, or the process ends.
 
-    A notebook shows the page in the cell whose value it is. As a context manager it closes the page at the end of the block.
+    A notebook shows the page in the cell whose value it is. As a context manager, it closes the page at the end of the block.
 
     Args:
-        url: the address, as a browser opens it.
+        url: the address for a browser.
         close: ends the server.
-        framed: other pages of this machine may show it, as a notebook does; otherwise a cell has a link.
+        framed: whether other pages of this machine, such as a notebook, may show it; otherwise a cell has a link.
     """
 
     def __init__(self, url: str, close: Callable[[], None], framed: bool = True) -> None:
@@ -33,7 +33,7 @@ class ServedPage:
 
     @property
     def closed(self) -> bool:
-        """The page is served no more."""
+        """Whether the page has been closed."""
         return self._closed.is_set()
 
     def close(self) -> None:
@@ -44,7 +44,7 @@ class ServedPage:
             self._end()
 
     def wait(self) -> None:
-        """Print the address, and wait until the page is closed or Ctrl-C is pressed, which closes it: for scripts."""
+        """Print the address, and wait until the page is closed, or Ctrl-C closes it; for scripts."""
         print(f"LPN Explorer is ready: {self.url}  (stop with Ctrl-C)", flush=True)
         try:
             while not self._closed.wait(3600):

@@ -1,8 +1,7 @@
 """Stopping on Ctrl-C and SIGTERM: finish the files being written, print one sentence, and exit.
 
-The first signal raises KeyboardInterrupt in the main thread. If that thread is writing a file, the exception comes when
-the file is complete. A second signal exits at once. Files on the disk are complete at any moment (see
-`lpn.core.files.write_atomic`).
+The first signal raises KeyboardInterrupt in the main thread; if that thread is writing a file, after the file is complete.
+A second signal exits at once. Files on the disk are complete at any moment (see `lpn.core.files.write_atomic`).
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ from types import FrameType
 # Seconds to wait for file writes in progress.
 WRITE_SECONDS = 10.0
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
-# Global, as signal handlers are per process: the thread of each file write, and signals that wait for one of the main thread.
+# Global, as signal handlers are per process: the thread of each file write, and signals that wait for a write of the main thread.
 _WRITING: list[threading.Thread] = []
 _DELAYED: list[int] = []
 
@@ -55,7 +54,7 @@ class StopSignals:
     """The signals that stop a command.
 
     Args:
-        report: prints that the command was stopped by a signal, and returns the exit status.
+        report: reports the stop by a signal, and returns the exit status.
 
     Attributes:
         signal: the first signal received; 0 before.

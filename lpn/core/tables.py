@@ -1,4 +1,4 @@
-"""A table that is sorted, filtered, and searched by index arrays, without copying it.
+"""A table that is sorted, filtered, and searched by index arrays, without copies of it.
 
 A filter is one or more conditions joined by `and`:
 
@@ -37,7 +37,7 @@ _COMPARISONS: dict[str, Callable[[Any, Any], Any]] = {
 _QUOTED = re.compile(r'"[^"]*"?')
 _AND = re.compile(r"(?<!\s)\s+and(?:\s+|$)", re.IGNORECASE)
 _OPERATOR = re.compile(r"<=|>=|!=|!~|=|<|>|~")
-# Names, and values outside of quotes, contain none of these.
+# Names, and values outside of quotes, exclude these.
 _OPERATOR_CHARACTERS = frozenset('<>=!~"')
 _MAX_LENGTH = 1000
 ColumnType = Literal["number", "text"]
@@ -52,7 +52,7 @@ class Column:
         kind: of its values.
         values: (N,) float64, NaN if unknown, or (N,) object of str, "" if unknown.
         unit: of numbers, such as "m"; may be empty.
-        about: what the values mean, in words; may be empty.
+        about: the meaning of the values, in words; may be empty.
     """
 
     name: str
@@ -190,7 +190,7 @@ class Table:
 
 
 def _unquoted(text: str) -> str:
-    """Replace quoted stretches by quotes, keeping the length, so that operators are found outside of quotes only."""
+    """Replace quoted text by quotes of its length, so that operators are found outside of quotes only."""
     return _QUOTED.sub(lambda match: '"' * len(match[0]), text)
 
 

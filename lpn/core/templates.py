@@ -1,4 +1,4 @@
-"""Jinja2 templates with autoescaping: all HTML and SVG of the app and of reports comes from them."""
+"""Jinja2 templates with autoescaping, the source of all HTML and SVG of the app and of reports."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from lpn.core.numbers import rounded_to_sum, signed
 def environment(package: str, folder: str = "templates") -> Environment:
     """Return the templates in a folder of a package; an unknown name is an error.
 
-    They have the filters `signed` and `rounded_to_sum`. Texts are written by `shown`.
+    They have the filters `signed` and `rounded_to_sum`, and write values by `shown`.
     """
     templates = Environment(
         loader=PackageLoader(package, folder),
@@ -27,5 +27,5 @@ def environment(package: str, folder: str = "templates") -> Environment:
 
 
 def shown(value: object) -> object:
-    """Return a value for a page: a text that is no `Markup` is made `printable`."""
+    """Make a text `printable` for a page, unless it is `Markup`."""
     return printable(value, TYPED) if isinstance(value, str) and not isinstance(value, Markup) else value

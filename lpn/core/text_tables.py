@@ -1,4 +1,4 @@
-"""Tables of text, which a terminal, Markdown, LaTeX, HTML, and CSV show alike."""
+"""Tables of text for a terminal, Markdown, LaTeX, HTML, and CSV."""
 
 from __future__ import annotations
 
@@ -20,9 +20,8 @@ if TYPE_CHECKING:
 _LATEX: Mapping[str, str] = {
     **{sign: f"\\{sign}" for sign in "&%$#_{}"},
     "\\": r"\textbackslash{}",
-    # A line that begins with a bracket would be an argument of the command that ends the line above it.
+    # A line that begins with a bracket or a star would be an argument of the command that ends the line above it.
     "[": "{[}",
-    # So would a star.
     "*": "{*}",
     "\n": " ",
     "`": r"\textasciigrave{}",
@@ -42,15 +41,15 @@ _LATEX: Mapping[str, str] = {
 
 @dataclass(frozen=True)
 class TextTable:
-    """A table of text, as a terminal, Markdown, LaTeX, HTML, and CSV show it.
+    """A table of text for a terminal, Markdown, LaTeX, HTML, and CSV.
 
     Attributes:
         head: names of the columns.
         rows: cells, one for each column.
-        title: above it.
+        title: the text above it.
         after: sentences below it.
         align: l or r for each column, left or right; the last letter counts for all further columns.
-        ruled: numbers of the rows from 0 that a terminal draws a line above.
+        ruled: numbers, from 0, of the rows below a line on a terminal.
     """
 
     head: Sequence[str]
@@ -82,7 +81,7 @@ class TextTable:
                 console.print(text, markup=False, highlight=False, soft_wrap=text is not table)
 
     def markdown(self, level: int = 2) -> str:
-        """Return the table in Markdown under a heading of this level, with an empty line behind each."""
+        """Return the table in Markdown under a heading of this level, with an empty line after each."""
         rule = ["---" if side == "l" else "---:" for side in self.sides]
         rows = (f"| {' | '.join(map(markdown_text, row))} |" for row in (self.head, rule, *self.rows))
         title = f"{'#' * level} {markdown_text(self.title)}" if self.title else ""
@@ -121,12 +120,12 @@ class TextTable:
 
 
 def markdown_text(text: str) -> str:
-    """Return words for Markdown, which is HTML, too, also in a table's cell."""
+    """Escape words for Markdown, which allows HTML, also in a table's cell."""
     return html.escape(printable(text), quote=False).replace("|", "\\|")
 
 
 def latex_text(text: str) -> str:
-    """Return words for LaTeX's text mode, also in a table's cell; letters beyond ASCII are left to its UTF-8."""
+    """Escape words for LaTeX's text mode, also in a table's cell; LaTeX itself reads UTF-8 beyond ASCII."""
     return re.sub("-(?=-)", "-{}", "".join(_LATEX.get(letter, letter) for letter in printable(text, "\n")))
 
 
@@ -136,5 +135,5 @@ def markdown_page(tables: Iterable[TextTable], title: str = "") -> str:
 
 
 def latex_page(tables: Iterable[TextTable]) -> str:
-    """Return tables for a document of LaTeX, to be read by its \\input."""
+    """Return tables for LaTeX's \\input."""
     return "\n".join([r"% Needs \usepackage{booktabs}.", *(table.latex() for table in tables)])

@@ -1,4 +1,4 @@
-"""Texts as readers see them."""
+"""Texts for readers."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 
 def listed(words: Sequence[str], conjunction: str = "and") -> str:
-    """Join one word or more as a sentence lists them: "a", "a and b", "a, b, and c"."""
+    """Join one word or more into a list in a sentence: "a", "a and b", "a, b, and c"."""
     *before, last = words
     if len(before) < 2:
         return f" {conjunction} ".join(words)

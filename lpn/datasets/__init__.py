@@ -34,9 +34,9 @@ from lpn.datasets.listed_paths import hidden_name
 
 log = logging.getLogger(__name__)
 
-# The group of the entry points by which other packages bring layouts.
+# The group of the entry points for layouts of other packages.
 GROUP = "lpn.datasets"
-# What to do with a file that is no picture, by its ending or its name.
+# The remedy for a file that is no picture, by its ending or its name.
 _INSTEAD = {
     **dict.fromkeys(
         (".zip", ".tar", ".tgz", ".gz", ".xz", ".7z", ".rar"), "unpack it first, and give the folder that it makes"
@@ -47,7 +47,7 @@ _INSTEAD = {
 }
 # The deepest list of a split is three folders below (Testing/150/query_drone).
 _LEVELS = 3
-# The most folders that a search for a data set below looks into.
+# Maximum of folders that a search for a data set looks into.
 _MOST_FOLDERS = 2000
 
 
@@ -55,7 +55,7 @@ def open_dataset(root: str | Path) -> Dataset:
     """Recognise the layout of a data set's folder and open it.
 
     Args:
-        root: the folder; of a data set with several test splits also one of them, such as ROOT/cross-area or ROOT/city.
+        root: its folder; for a data set with several test splits also the folder of one, such as ROOT/cross-area or ROOT/city.
 
     Raises:
         DataError: if the folder does not exist, its layout is unknown, or one of its lists is damaged.
@@ -84,9 +84,9 @@ def _instead(name: str) -> str | None:
 
 @cache
 def known_layouts() -> tuple[type[Dataset], ...]:
-    """Return the layouts of this package and of others (entry points `lpn.datasets`), in the order in which they are tried.
+    """Return the layouts of this package and of others (entry points `lpn.datasets`), in the order of recognition.
 
-    One that cannot be loaded is left out with a warning.
+    A layout that cannot be loaded is left out with a warning.
     """
     modules = [import_module(f"{layouts.__name__}.{module.name}") for module in iter_modules(layouts.__path__)]
     values = [(module.__name__, value) for module in modules for value in vars(module).values()]
@@ -104,14 +104,14 @@ def known_layouts() -> tuple[type[Dataset], ...]:
 
 
 def _marked(root: Path) -> type[Dataset] | None:
-    """Recognise the layout by files or folders near the root; None, too, for a folder that this user may not read."""
+    """Recognise the layout by files or folders near the root; None if there are none, or they are not readable."""
     with suppress(OSError):
         return next((layout for layout in known_layouts() if not layout.deep and layout.recognises(root)), None)
     return None
 
 
 def _unmarked(root: Path) -> Dataset:
-    """Open a folder without the marks of a layout, or raise the error that names the folder to give."""
+    """Open a folder without the marks of a layout, or raise an error that names the right folder."""
     if (root / "train").is_dir() or (root / "test").is_dir():
         return University(root)
     whole, shown = _above(root), printable(str(root))
@@ -137,7 +137,7 @@ def _unmarked(root: Path) -> Dataset:
 
 
 def _above(root: Path) -> Path | None:
-    """Return the folder of the data set that a folder is a part of, the outermost one."""
+    """Return the outermost folder of a data set that contains a folder."""
     found = next((folder for folder in reversed(root.resolve().parents[: _LEVELS + 1]) if _marked(folder)), None)
     if found is None or root.is_absolute() or (near := os.path.relpath(found)).startswith(".."):
         return found
@@ -145,7 +145,7 @@ def _above(root: Path) -> Path | None:
 
 
 def _below(root: Path) -> list[Path]:
-    """Return the folders of data sets that lie equally deep below a folder, at most three levels."""
+    """Return the folders of data sets at equal depth below a folder, at most three levels."""
     level, looked = [root], 0
     for _ in range(_LEVELS):
         level = [inner for folder in level for inner in _folders(folder)][: _MOST_FOLDERS - looked]
@@ -156,7 +156,7 @@ def _below(root: Path) -> list[Path]:
 
 
 def _folders(folder: Path) -> list[Path]:
-    """Return the folders in a folder, sorted, without those that systems add."""
+    """Return the folders in a folder, sorted, without those of operating systems."""
     try:
         return sorted(inner for inner in folder.iterdir() if not hidden_name(inner.name) and inner.is_dir())
     except OSError:

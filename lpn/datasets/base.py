@@ -28,22 +28,22 @@ PositionProtocol = Literal["DenseUAV", "GTA-UAV", "UAV-VisLoc"]
 
 @dataclass(frozen=True)
 class Picture:
-    """A picture: a file, or one that is cut out of a larger raster when it is needed.
+    """A picture: a file, or an area that is cut out of a larger raster when it is needed.
 
     Attributes:
         path: the file. With `cut`, it is a unique path at which no file need exist.
         label: number of its place. Pictures of equal label are true matches, unless `Dataset.truth` lists the true
             matches.
-        name: name for display. If the data set gives none, it is the place's folder. If the place has several pictures,
-            the file is added ("0005/01" for 0005/image-01.jpeg).
+        name: name for display; by default the place's folder, with the file if the place has several pictures
+            ("0005/01" for 0005/image-01.jpeg).
         box: the query region (left, top, right, bottom) in pixels, in Oxford5k and Paris6k; else None.
         panorama: True if it shows the full circle with north in the middle column.
         group: the group by which results are split, such as the camera's height in metres; see `Dataset.group_name`.
         note: a remark to display beside the name.
-        zoom: the factor by which it is zoomed when it is described, within its box; see `lpn.retrieval.calibration`.
+        zoom: the factor by which it is zoomed for its description, within its box; see `lpn.retrieval.calibration`.
         cut: returns the pixels, (H, W, 3) uint8 RGB; None reads the file.
-        caption: what people read in place of `name`; "" for the name itself. Links and files keep the name.
-        missing: why the picture is not at hand, so that `cut` draws a placeholder, as a sentence; empty if it is.
+        caption: the displayed name if it differs from `name`; links and files use `name`.
+        missing: a sentence with the reason why the picture is missing, so that `cut` draws a placeholder; else empty.
     """
 
     path: Path
@@ -60,11 +60,11 @@ class Picture:
 
     @property
     def title(self) -> str:
-        """The name that people read: the caption, else the name in files."""
+        """The displayed name: the caption, else the name."""
         return self.caption or self.name
 
     def load(self) -> UInt8Array:
-        """Return the picture without regard to box and zoom, (H, W, 3) uint8 RGB; PictureError if it cannot be read."""
+        """Return the whole picture without box and zoom, (H, W, 3) uint8 RGB; PictureError if it cannot be read."""
         return load_picture(self.path) if self.cut is None else self.cut()
 
     def load_cropped(self) -> UInt8Array:
@@ -77,7 +77,6 @@ class Picture:
 
 
 def labels_of(pictures: Sequence[Picture]) -> Int64Array:
-    """The label of each picture, (N,)."""
     return np.array([picture.label for picture in pictures], np.int64)
 
 
@@ -88,13 +87,13 @@ class Truth:
     Attributes:
         good: the true matches, (M,).
         junk: pictures that are removed from the ranking before it is scored, (J,).
-        known: False if nobody knows the query's place. It is ranked, but counts neither as found nor as missed.
+        known: False if the query's place is unknown. The query is ranked, but counts neither as found nor as missed.
         trapezoid: True if AP integrates the precision-recall points by the trapezoid rule; False if it is the mean precision at
-            the true matches, as GTA-UAV has it.
+            the true matches, as in GTA-UAV.
         semi: half-true matches, which count as false (VIGOR's and GTA-UAV's semi-positives), (S,).
         overlaps: intersection over union of the query's footprint with each of `good`, then each of `semi`, 0 .. 1, (M + S,);
-            None where nobody measured it.
-        among: the only pictures that are ranked, (R,), an array that the queries of a region share; None for the whole gallery.
+            None if it was not measured.
+        among: the only ranked pictures, (R,), an array that the queries of a region share; None for the whole gallery.
     """
 
     good: Int64Array
@@ -106,14 +105,14 @@ class Truth:
     among: Int64Array | None = None
 
     def unranked(self, size: int) -> BoolArray:
-        """Return True for each picture of a gallery of this size that is removed from the ranking, (G,)."""
+        """Return the mask of a gallery's pictures that are removed from the ranking, (G,); `size` is G."""
         unranked = np.full(size, self.among is not None)
         unranked[self.among if self.among is not None else []] = False
         unranked[self.junk] = True
         return unranked
 
     def overlap(self, tile: int) -> float:
-        """Return the overlap of a tile with the query's footprint, 0 for one that is not listed; NaN without overlaps."""
+        """Return the overlap of a tile with the query's footprint, 0 for an unlisted tile; NaN without overlaps."""
         if self.overlaps is None:
             return float("nan")
         listed = np.concatenate([self.good, self.semi]) == tile
@@ -136,12 +135,12 @@ def sizes(**lists: Mapping[str, tuple[int | None, int | None]]) -> dict[str, Siz
 
 @dataclass(frozen=True)
 class LeftOut:
-    """A file that a data set lists or contains, but that cannot be used.
+    """A file that a data set lists or contains, but cannot use.
 
     Attributes:
         file: its path below the root.
         why: reason as a predicate, such as "is not there".
-        published: True if the published data set has the same defect. This copy is intact then.
+        published: whether the published data set has this defect; this copy is intact then.
     """
 
     file: str
@@ -155,11 +154,11 @@ class PictureRow:
 
     Attributes:
         of: its list, such as "train/drone" or "test/query_drone"; "test/drone" is both queries and gallery.
-        file: its listed path below the root, or its own path where a folder was read.
+        file: its listed path below the root, or its path in a folder that was read.
         label, name, group, box: see `Picture`.
-        true, semi, junk: the `file` of pictures of the gallery, see `Truth`; `true` is None where labels are the truth.
-        overlaps: of the query's footprint with the true and half-true ones, by `file`; None where nobody measured them.
-        region: queries of a region are ranked among the gallery's pictures of it alone; "" for the whole gallery.
+        true, semi, junk: the `file` of gallery pictures, see `Truth`; `true` is None if labels are the truth.
+        overlaps: of the query's footprint with true and half-true pictures, by `file`; None if they were not measured.
+        region: queries of a region are ranked among its pictures alone; "" for the whole gallery.
     """
 
     of: str
@@ -176,35 +175,35 @@ class PictureRow:
 
 
 class Dataset:
-    """A data set's folder; a subclass is a layout: what marks it, its `rows`, and what is special.
+    """A data set's folder; a subclass is a layout with its marks, its `rows`, and its exceptions.
 
     Args:
-        split: one of `splits`; by default the first that is there.
+        split: one of `splits`; by default the first existing one.
 
     Raises:
-        DataError: if a list is missing or malformed, or names no picture that is there.
+        DataError: if a list is missing or malformed, or none of its pictures exists.
 
     Attributes:
         root: the folder.
-        files: the files below it, which finds what a list names.
+        files: the files below it, which resolves listed names.
         split: the split that is read, such as "cross-area"; None for a layout with one.
         kind: the recognised layout, such as "University-1652".
-        title: what `lpn doctor` calls the folder.
-        marks: patterns of paths below the root, of folders with a slash at the end; a folder with all paths of one of the tuples
-            is of this layout.
-        priority: layouts of a higher one are tried first.
-        deep: `recognises` looks through the whole folder, so that it is asked last, and of no folder above or below.
-        splits: lists of each split, one of which must be there; its name is the last part of a path that takes it.
+        title: the name of the folder in `lpn doctor`.
+        marks: patterns of paths below the root, with a slash at the end for folders; a folder with all paths of one of the tuples
+            has this layout.
+        priority: layouts of a higher priority are tried first.
+        deep: `recognises` searches the whole folder, so it is called last, and for no folder above or below.
+        splits: lists of each split, one of which must exist; a path may end in a split's name.
         folders: folders below the root whose pictures are all read.
         expected: the expected layout, for the errors about missing pictures.
         panoramas: True if street pictures show the full circle with north in the middle column, as in CVUSA and CVACT.
         group_name: the quantity by which pictures are grouped, such as "height" in metres or "city"; empty without groups. The
             results of a group take its queries and gallery pictures, and all pictures without a group.
-        mean_of_groups: True if the published figure is the mean of its groups' figures.
+        mean_of_groups: whether the published figure is the mean of its groups' figures.
         trained_distractors: True if the test gallery holds the places to train on, as published.
         trapezoid: see `Truth`.
         measured_by: the published evaluation that measures distances on it; None if its results are recall and AP alone.
-        positions_from: what `place` reads, for messages; "" for a data set whose positions are in `geo.csv`.
+        positions_from: the source of `place`, for messages; "" for a data set with positions in `geo.csv`.
         published_sizes: the size of each of `lists` in the complete data set, if known.
     """
 
@@ -249,20 +248,20 @@ class Dataset:
 
     @classmethod
     def recognises(cls, root: Path) -> bool:
-        """Return whether a folder is of this layout: by `marks`, unless it is hard to tell."""
+        """Return whether a folder has this layout: by `marks`, unless a subclass looks deeper."""
         return any(all(_is_there(root, path) for path in paths) for paths in cls.marks)
 
     def rows(self) -> Iterable[PictureRow]:
-        """List the pictures; those that are not there are left out. It is called once, when the data set is opened."""
+        """List the pictures, existing or not. It is called once, when the data set is opened."""
         return ()
 
     def splits_there(self) -> list[str] | None:
-        """Return the splits whose lists are there; None for a data set that has none."""
+        """Return the splits whose lists exist; None for a data set without splits."""
         there = [split for split, lists in self.splits.items() if any(_is_there(self.root, name) for name in lists)]
         return there if self.splits else None
 
     def place(self, picture: Picture) -> geo.Position | None:
-        """Return the position of a test picture by the lists or its name; see `positions_from`."""
+        """Return the position of a test picture from the lists or its name; see `positions_from`."""
         del picture
         return None
 
@@ -271,7 +270,7 @@ class Dataset:
         self._left_out.setdefault(file, LeftOut(file, why, published))
 
     def together(self, *rows: PictureRow) -> tuple[PictureRow, ...]:
-        """Return rows that are of use together only; none of them, if the file of one is not there."""
+        """Return rows that are useful only together; none of them if one file is missing."""
         missing = [row.file for row in rows if isinstance(row.file, str) and self.files.find(row.file) is None]
         for file in missing:
             self.leave_out(file)
@@ -283,7 +282,7 @@ class Dataset:
         return list(self._left_out.values())
 
     def pictures(self, name: str) -> list[Picture]:
-        """Return the pictures of one of `lists`; none for another name."""
+        """Return the pictures of one of `lists`; empty for another name."""
         return [picture for _, picture in self._listed.get(name, ())]
 
     def train(self, folder: str) -> list[Picture]:
@@ -314,7 +313,7 @@ class Dataset:
         return f"has {has}; expected queries of one view and a gallery of another, as {self.expected}"
 
     def lacks_task(self, name: str) -> DataError | InputError:
-        """Return the error about a task that is not one of `tasks`: what there is instead, or why there is none."""
+        """Return the error about a task that is not in `tasks`, with the existing ones or the reason why there are none."""
         if not (offered := self.tasks()):
             return self.no_task()
         own = printable(self.root.resolve().name)
@@ -330,7 +329,7 @@ class Dataset:
         return {name: self.pictures(name) for name in names}
 
     def unread(self) -> list[LeftOut]:
-        """Return the pictures in `folders` of kinds that are not read; the call walks the folders."""
+        """Return the pictures in `folders` of unsupported kinds; the call walks the folders."""
         return unread_below(self.root, self.folders)
 
     def truth(self, task: str) -> list[Truth] | None:
@@ -356,10 +355,10 @@ class Dataset:
         return [of(row) for row in queries]
 
     def positions(self) -> geo.Positions | None:
-        """Return the positions of the test pictures on the Earth, those of its `geo.csv` or of `place`; None without any.
+        """Return the WGS 84 positions of the test pictures, from `geo.csv` or `place`; None without any.
 
         Raises:
-            DataError: if the file that holds them cannot be read, or a picture's name has none.
+            DataError: if their file cannot be read, or a picture's name contains no position.
         """
         if not self.positions_from:
             return geo.positions(self.root)
@@ -372,7 +371,7 @@ class Dataset:
         """Return the positions that `measured_by` compares: latitude and longitude in degrees, or metres for GTA-UAV, (N, 2).
 
         Raises:
-            DataError: if a picture has none.
+            DataError: if a picture has no position.
         """
         known = self.positions()
         if known is None:
@@ -380,7 +379,7 @@ class Dataset:
         return np.array([(place.latitude, place.longitude) for place in known.of(pictures)], np.float64).reshape(-1, 2)
 
     def columns(self, queries: Sequence[Picture]) -> list[Column]:
-        """Return further columns of a table about queries: their groups, if they have any."""
+        """Return further columns of a table about queries, such as their groups."""
         groups = [picture.group for picture in queries]
         if not any(groups):
             return []
@@ -396,7 +395,7 @@ class Dataset:
         return pictures
 
     def _chosen(self, wanted: str | None) -> str | None:
-        """Return the wanted split, or by default the first that is there, with a warning about the others."""
+        """Return the wanted split, or by default the first existing one, with a warning about the others."""
         there, name = self.splits_there(), printable(self.root.name)
         if there is None and wanted is None:
             return None
@@ -411,7 +410,7 @@ class Dataset:
 
 
 class Folder(Dataset):
-    """Pictures below a folder, each a place of its own."""
+    """Pictures below a folder, each with a place of its own."""
 
     kind = "folder"
     title = "a plain folder of pictures"
@@ -432,7 +431,7 @@ class Folder(Dataset):
 
 
 def _is_there(root: Path, pattern: str) -> bool:
-    """Return whether a pattern of `Dataset.marks` finds something; thousands of folders may be asked."""
+    """Return whether a pattern of `Dataset.marks` matches; called for thousands of folders."""
     if "*" in pattern:
         return any(root.glob(pattern))
     path = os.path.join(root, pattern)  # noqa: PTH118 (a string is quicker)
@@ -453,14 +452,14 @@ def files_below(root: Path, suffixes: tuple[str, ...] = SUFFIXES) -> list[Path]:
 
 
 def unread_below(root: Path, folders: Sequence[str] = ("",)) -> list[LeftOut]:
-    """Return the pictures of kinds that are not read in some folders below a root; hidden ones are skipped."""
+    """Return the pictures of unsupported kinds in some folders below a root, without hidden ones."""
     files = sorted(file for folder in folders for file in files_below(root / folder, OTHER_SUFFIXES))
     why = "is of a kind that is not read; save it as JPEG"
     return [LeftOut(file.relative_to(root).as_posix(), why) for file in files]
 
 
 def warn_left_out(name: str, files: Sequence[LeftOut], what: str, effect: str) -> None:
-    """Log one warning about the files that are left out of a folder, if there are any.
+    """Log one warning about the files of a folder that are left out, if there are any.
 
     The warning reads "<name>: <number> <what>: <files>; <effect>."
     """

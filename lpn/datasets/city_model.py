@@ -34,9 +34,9 @@ class CityModel:
 
     Attributes:
         data: the file, uncompressed.
-        origin: the position of the model's origin.
-        base: metres above the datum of heights at which the model's height is 0.
-        top: height of the model in metres above which tiles and lines are drawn.
+        origin: the geographic position of the model's origin.
+        base: metres above the datum of heights at the model's height 0.
+        top: height in metres above which tiles and lines are drawn.
     """
 
     data: bytes
@@ -67,7 +67,7 @@ def city_model(root: Path) -> CityModel | None:
 
 
 def _header(data: bytes, name: str) -> dict[str, Any]:
-    """Parse the JSON chunk of a GLB file; the page loads nothing from elsewhere."""
+    """Parse the JSON chunk of a GLB file; references to other files are refused."""
     if len(data) < 20 or data[:4] != b"glTF" or data[16:20] != b"JSON":
         raise DataError(f"{name} is not a binary glTF file; export it as .glb.")
     version, length, size = struct.unpack_from("<III", data, 4)

@@ -80,7 +80,7 @@ class Positions:
     Args:
         root: the data set's folder.
         by_path: the positions by paths relative to it; by default those of its `geo.csv`.
-        source: the file that holds them, for messages.
+        source: the file with the positions, for messages.
 
     Raises:
         DataError: if `geo.csv` is missing or malformed; the message names the line.
@@ -107,10 +107,9 @@ class Positions:
         return [known[name] for name in names]
 
     def match(self, names: Sequence[str]) -> list[Position | None]:
-        """Return positions by paths below another folder, that of a description; None for pictures without one.
+        """Return positions of paths below another described folder; None for pictures without one.
 
-        The other folder may lie below the data set's: the prefix that fits most names is used, and on a tie the data set's own
-        folder.
+        The other folder may lie below the data set's: the prefix that fits most names is used, on a tie the data set's own.
 
         Raises:
             InputError: if two prefixes fit equally many names, at different positions.
@@ -147,7 +146,7 @@ def names_below(root: Path, pictures: Sequence[Picture]) -> list[str]:
 
 
 def positions(root: Path) -> Positions | None:
-    """Read the positions of a data set's pictures; None if it has no `geo.csv`.
+    """Read the positions of a data set's pictures; None without a `geo.csv`.
 
     Raises:
         DataError: if the file cannot be read.
@@ -163,8 +162,8 @@ def metres(a: Sequence[Position], b: Sequence[Position]) -> Float64Array:
 def geodesic(a: npt.ArrayLike, b: npt.ArrayLike) -> Float64Array:
     """Return the distance in metres on the WGS 84 ellipsoid between latitude and longitude in degrees (..., 2).
 
-    It is the distance of all that the app, tables, and reports show. It is Vincenty's inverse formula (1975), exact to less than
-    a millimetre. For nearly antipodal points, where that does not converge, it is a sphere's, exact to 0.6 %.
+    The app, tables, and reports show this distance. It is Vincenty's inverse formula (1975), exact to less than a millimetre.
+    Nearly antipodal points, for which that does not converge, get a sphere's distance, exact to 0.6 %.
     """
     p, q = np.broadcast_arrays(np.radians(np.asarray(a, np.float64)), np.radians(np.asarray(b, np.float64)))
     east = q[..., 1] - p[..., 1]
@@ -178,13 +177,13 @@ def geodesic(a: npt.ArrayLike, b: npt.ArrayLike) -> Float64Array:
         arc = np.arctan2(cross, along)
         sin_alpha = np.divide(cos_u * cos_v * np.sin(turn), cross, out=np.zeros_like(cross), where=cross > 0)
         cos2_alpha = 1 - sin_alpha**2
-        # Along the equator the middle's latitude has no effect.
+        # Along the equator, the middle's latitude has no effect.
         ratio = np.divide(2 * sin_u * sin_v, cos2_alpha, out=np.zeros_like(cross), where=cos2_alpha > 0)
         middle = np.where(cos2_alpha > 0, along - ratio, 0.0)
         c = _FLATTENING / 16 * cos2_alpha * (4 + _FLATTENING * (4 - 3 * cos2_alpha))
         series = arc + c * cross * (middle + c * along * (2 * middle**2 - 1))
         before, turn = turn, east + (1 - c) * _FLATTENING * sin_alpha * series
-        if not (np.abs(turn - before) >= 1e-13).any():  # a place that is not known, NaN, does not wait
+        if not (np.abs(turn - before) >= 1e-13).any():  # an unknown place, NaN, counts as converged
             break
     polar = _EQUATOR * (1 - _FLATTENING)
     square = cos2_alpha * (_EQUATOR**2 - polar**2) / polar**2

@@ -1,8 +1,8 @@
 """Check picture files before long work that needs them.
 
-Decoding every file would cost as much as the work itself. A file passes if its header is valid and its end agrees with its
-format: the end-of-image marker of a JPEG, the last chunk of a PNG, the stated length of a WebP. Other files are decoded.
-Truncated and empty files are always found. Damage inside a picture is found only with `decode`, and only if the decoder notices.
+Decoding every file would cost as much as the work itself. A file passes if its header is valid and its end fits its format:
+the end-of-image marker of a JPEG, the last chunk of a PNG, the stated length of a WebP. Other files are decoded. Truncated
+and empty files are always found. Damage inside a picture is found only with `decode`, and only if the decoder notices.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from lpn.datasets.base import Dataset, Picture
 
 # Files between two reports of progress.
 _BATCH = 256
-# The end of a JPEG; and the last chunk of a PNG, its type and the checksum that it always has.
+# The end of a JPEG, and the last chunk of a PNG: its type and its constant checksum.
 _ENDS = {b"\xff\xd8": b"\xff\xd9", images.PNG: b"IEND\xaeB`\x82"}
 # The error of a picture that has a valid header and end but cannot be decoded.
 DAMAGED = "is damaged"
@@ -105,7 +105,7 @@ def list_errors(errors: Mapping[Path, str], root: Path | None = None, most: int 
 
 
 def _end_valid(file: BinaryIO) -> bool:
-    """Return whether a picture file's end agrees with its format."""
+    """Return whether a picture file's end fits its format."""
     file.seek(0)
     start = file.read(12)
     size = file.seek(0, os.SEEK_END)
@@ -135,9 +135,9 @@ def check_test_split(dataset: Dataset, tasks: Sequence[str]) -> None:
     """Check a test split before long work, so that the evaluation at its end does not fail.
 
     Raises:
-        InputError: when the data set does not offer one of the tasks, but others.
+        InputError: when the data set lacks one of the tasks, but has others.
         PictureError: when a picture of the split is damaged.
-        DataError: when there is no task, the test split is incomplete, or a picture lacks the position that its metrics take.
+        DataError: when there is no task, the test split is incomplete, or a picture lacks a position that its metrics need.
     """
     if missing := [task for task in tasks if task not in dataset.tasks()]:
         raise dataset.lacks_task(missing[0])
@@ -148,7 +148,7 @@ def check_test_split(dataset: Dataset, tasks: Sequence[str]) -> None:
 
 
 def check_positions(dataset: Dataset, pictures: Sequence[Picture]) -> str:
-    """Return where the positions of test pictures are from, "" without any; DataError if one of them lacks its own."""
+    """Return the source of the test pictures' positions, "" without any; DataError if one of them lacks its own."""
     positions = dataset.positions()
     if positions is not None:
         positions.of(pictures)

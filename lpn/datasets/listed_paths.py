@@ -1,8 +1,8 @@
-"""Paths in lists and tables as people have them, and the files that they name.
+"""Paths in lists and tables as users write them, and their files.
 
-A list may come from another system: with backslashes, `./`, spaces around, another case (`.JPG` for `.jpg`), and composed or
-decomposed letters. `plain_path` gives all of them one form. `FilesBelow` and `by_name` find what they name: the path as it is,
-else in another case.
+A list may come from another system: with backslashes, `./`, surrounding spaces, another case (`.JPG` for `.jpg`), and
+composed or decomposed letters. `plain_path` normalises all of them. `FilesBelow` and `by_name` find their files, first by the
+exact path, then in another case.
 """
 
 from __future__ import annotations
@@ -19,16 +19,16 @@ from lpn.core.files import printable
 
 T = TypeVar("T")
 
-# Lists hold hundreds of thousands of paths, nearly all of which are in this form already.
+# Lists hold hundreds of thousands of paths, nearly all of which are normalised already.
 _PLAIN = re.compile(r"\w[\w-]*(\.\w+)*(/\w[\w-]*(\.\w+)*)*", re.ASCII)
 _DRIVE = re.compile(r"[A-Za-z]:/")
-# Folders that macOS's archives, Windows, Synology's servers, and Linux add; pictures in them are no pictures of the user.
+# Folders that macOS's archives, Windows, Synology's servers, and Linux create; their pictures are not the user's.
 _ADDED_BY_SYSTEMS = frozenset(("__MACOSX", "$RECYCLE.BIN", "System Volume Information", "@eaDir", "lost+found"))
 _INVISIBLE = "\ufeff\u200b\u200e\u200f\u2060"
 
 
 def plain_path(text: str) -> str:
-    """Return a listed path with forward slashes, without spaces around, and without `./` and doubled slashes in it."""
+    """Return a listed path with forward slashes, without surrounding spaces, `./`, and doubled slashes."""
     if _PLAIN.fullmatch(text):
         return text
     path = text.strip().strip(_INVISIBLE).strip().replace("\\", "/")
@@ -42,13 +42,13 @@ def is_absolute(path: str) -> bool:
 
 
 def listed_path(text: str, where: str) -> str:
-    """Check that a listed path stays below the data set's folder, and return it in one form; see `plain_path`.
+    """Check that a listed path stays below the data set's folder, and normalise it; see `plain_path`.
 
     Args:
         where: the file and line that contain the path, for the error.
 
     Raises:
-        DataError: if the path is absolute, is empty, contains "..", or has control characters.
+        DataError: if the path is absolute or empty, or contains ".." or control characters.
     """
     path = plain_path(text)
     if _PLAIN.fullmatch(path):
@@ -66,17 +66,17 @@ def name_of(path: str) -> str:
 
 
 def fold(path: str) -> str:
-    """Return the key of a plain path: equal for two paths that differ only in case or in how letters are composed."""
+    """Return a key that is equal for plain paths that differ only in case or in the composition of letters."""
     return (path if path.isascii() else unicodedata.normalize("NFC", path)).casefold()
 
 
 def hidden_name(name: str) -> bool:
-    """Return whether a name is hidden (.ipynb_checkpoints, ._a.jpg, .DS_Store), or one that a system adds (__MACOSX)."""
+    """Return whether a name is hidden (.ipynb_checkpoints, ._a.jpg, .DS_Store), or created by a system (__MACOSX)."""
     return name.startswith(".") or name in _ADDED_BY_SYSTEMS
 
 
 class FilesBelow:
-    """The files and folders below a folder, which is listed once, so that many look-ups are quick."""
+    """The files and folders below a folder, listed once for quick look-ups."""
 
     def __init__(self, root: Path) -> None:
         self._root = root
@@ -85,7 +85,7 @@ class FilesBelow:
         self._folders: dict[str, str | None] = {"": ""}
 
     def find(self, path: str) -> str | None:
-        """Return the file of a plain path, or the only one whose name differs in case alone; None without one."""
+        """Return the file of a plain path, or the only one that differs in case alone; None without one."""
         folder, _, name = path.rpartition("/")
         if is_absolute(path) or ".." in (name, *folder.split("/")):
             return None
@@ -103,7 +103,7 @@ class FilesBelow:
         return f"{actual}/{name}".removeprefix("/") if name else None
 
     def names(self, folder: str) -> list[str]:
-        """Return the sorted names in a folder, without hidden ones; none if it is not there."""
+        """Return the sorted names in a folder, without hidden ones; none if it is missing."""
         return sorted(name for name in self._names(folder) if not hidden_name(name))
 
     def _names(self, folder: str) -> frozenset[str]:
@@ -116,7 +116,7 @@ class FilesBelow:
 
 
 def by_name(listed: Mapping[str, T], names: Collection[str], file: str) -> dict[str, T]:
-    """Return the entries of a table by the names of known pictures, for a table with paths of another system.
+    """Return a table's entries by the names of known pictures, for a table with paths of another system.
 
     Args:
         listed: entries by plain paths.
@@ -142,7 +142,7 @@ def by_name(listed: Mapping[str, T], names: Collection[str], file: str) -> dict[
 
 
 def _by_fold(names: Iterable[str]) -> dict[str, str | None]:
-    """Return names by their keys; None where two names have one."""
+    """Return names by their folded keys; None for a key of two names."""
     names_by_fold: dict[str, str | None] = {}
     for name in names:
         key = fold(name)

@@ -1,4 +1,4 @@
-"""MATLAB 5 files, read by scipy in a process of its own: a damaged file can crash its reader."""
+"""MATLAB 5 files, read by scipy in a separate process, because a damaged file can crash the reader."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from typing import Any
 from lpn.core.errors import DataError
 from lpn.core.files import printable
 
-# The largest file that is read, and the memory and time of the process that reads it.
+# Limits of a file's size, and of its reader's memory and time.
 MAX_BYTES = 4_000_000_000
 _MEMORY = 3 * MAX_BYTES
 _SECONDS = 300
@@ -38,7 +38,7 @@ pickle.dump(found, sys.stdout.buffer, protocol=5)
 
 
 def load(path: Path, names: Sequence[str], expected: str, simplify: bool = False) -> dict[str, Any]:
-    """Read those of the named variables that a MATLAB 5 file has, as `scipy.io.loadmat` returns them.
+    """Read those of the named variables that a MATLAB 5 file contains, as `scipy.io.loadmat` returns them.
 
     Args:
         expected: the expected contents, for messages.

@@ -75,7 +75,6 @@ def _positions(root: Path, paths: Sequence[str]) -> list[Column]:
 
 
 def _world(root: Path, paths: Sequence[str]) -> list[Column]:
-    """Return the columns about the building on each picture of a rendered world."""
     file = root / WORLD
     if not file.is_file():
         return []

@@ -1,4 +1,4 @@
-"""Recognition of rendered worlds and flights, and whether their rendering has ended."""
+"""Recognition of rendered worlds and flights, and of unfinished ones."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from lpn.core.files import printable
 
 PLAN = "world.json"
 FLIGHT_PLAN, TRUTH = "flight_world.json", "truth.csv"
-# Present in a world's folder until its last picture is rendered.
+# This file is in a world's folder until its last picture is rendered.
 UNFINISHED = "unfinished.txt"
 
 
 def is_rendered(root: Path) -> bool:
-    """Return whether a folder is a rendered city; raises DataError while its pictures are incomplete."""
+    """Return whether a folder is a rendered city; DataError while its pictures are incomplete."""
     if not (root / PLAN).is_file():
         return False
     if (root / UNFINISHED).is_file():
@@ -26,10 +26,10 @@ def is_rendered(root: Path) -> bool:
 
 
 def shows_rendered(root: Path) -> bool:
-    """Return whether a folder of pictures or photos is rendered; see both functions."""
+    """Return whether a folder of pictures or photos is rendered; see the other two functions."""
     return is_rendered(root) or is_rendered_flight(root)
 
 
 def is_rendered_flight(photos: Path) -> bool:
-    """Return whether a folder of photos is of a rendered flight; its plan lies beside the folder."""
+    """Return whether a folder of photos belongs to a rendered flight, whose plan lies beside it."""
     return (photos.parent / FLIGHT_PLAN).is_file()

@@ -1,5 +1,5 @@
-"""Descriptors of many pictures on disk: `store` defines the format, `writer` fills a store, `partial_store` resumes one after a
-kill, and `cache` finds existing stores.
+"""Descriptors of many pictures on disk: `store` defines the format, `writer` fills a store, `partial_store` resumes one
+after a kill, and `cache` finds existing stores.
 
 The package imports `core`, `datasets`, and `models`.
 """

@@ -26,7 +26,7 @@ from lpn.descriptors.writer import describe
 from lpn.models.base import Model
 from lpn.models.contract import Role
 
-# The folder of a data set that may hold stores of its test split: `query_drone`, `gallery_satellite`, ...; those of further
+# The folder of a data set that may hold stores of its test split: `query_drone`, `gallery_satellite`, ... Stores of further
 # models are in folders of their own, such as `baseline/query_drone`.
 STORES = "descriptors"
 
@@ -54,7 +54,7 @@ def cached_descriptors(
 
 def _cached(model: Model, pictures: Sequence[Picture], view: View, change: Change) -> StoredDescriptors:
     files = _resolved(pictures)
-    # The key has the folder, not the list of files, so that the other rows are reused if one picture changes.
+    # The key contains the folder, not the list of files, so that the other rows are reused if one picture changes.
     common = os.path.commonpath({file.parent for file in files})
     boxes = [picture.box for picture in pictures]
     of = Manifest.for_model(model, view, change, ()).to_json().decode()
@@ -70,7 +70,7 @@ def _cached(model: Model, pictures: Sequence[Picture], view: View, change: Chang
 
 @contextmanager
 def in_cache() -> Iterator[None]:
-    """Add to the error of a store in the user's cache that LPN_CACHE names another folder."""
+    """Add to the error of a store in the user's cache that LPN_CACHE selects another folder."""
     try:
         yield
     except (StoreError, OutputError) as error:
@@ -81,7 +81,7 @@ def in_cache() -> Iterator[None]:
 
 
 def _resolved(pictures: Sequence[Picture]) -> list[Path]:
-    """Return the file of each picture with links resolved; each folder is resolved once."""
+    """Return each picture's file with links resolved; each folder is resolved once."""
     folders: dict[Path, Path] = {}
     files = []
     for picture in pictures:
@@ -97,7 +97,7 @@ def _resolved(pictures: Sequence[Picture]) -> list[Path]:
 def shipped_descriptors(
     model: Model, pictures: Sequence[Picture], view: View, store: Path, exact: bool = False
 ) -> StoredDescriptors | None:
-    """Return descriptors from a shipped store, or None if the store is of another model or other pictures.
+    """Return descriptors from a shipped store; None if its model or its pictures differ.
 
     Files are compared by name and size, as copies have other modification times.
 
@@ -121,7 +121,7 @@ def shipped_descriptors(
 def shipped_or_cached(
     model: Model, pictures: Sequence[Picture], view: View, root: Path, role: Role
 ) -> StoredDescriptors:
-    """Return the descriptors of queries or gallery: those shipped with the data set in `root`, else from the cache."""
+    """Return the descriptors of queries or gallery that ship with the data set in `root`, else those of the cache."""
     shipped = shipped_only(model, pictures, view, root, role)
     return _cached(model, pictures, view, UNCHANGED) if shipped is None else shipped
 
@@ -151,7 +151,7 @@ def descriptor_reader(root: Path) -> Reader:
 
 
 def _stores(root: Path, name: str) -> list[Path]:
-    """Return the shipped stores whose names match a pattern: of the first model, then of others in folders of their own."""
+    """Return the shipped stores whose names match a pattern: the first model's, then those of others in their own folders."""
     folders = [store for pattern in (name, f"*/{name}") for store in sorted((root / STORES).glob(pattern))]
     return list(dict.fromkeys(map(linked_folder, folders)))
 
@@ -159,7 +159,7 @@ def _stores(root: Path, name: str) -> list[Path]:
 def temporary_descriptors(
     model: Model, pictures: Sequence[Picture], view: View, change: Change = UNCHANGED
 ) -> Float32Array:
-    """Describe pictures without the cache, for a model that still changes, such as one in training."""
+    """Describe pictures without the cache, for a changing model such as one in training."""
     files, boxes = [picture.path for picture in pictures], [picture.box for picture in pictures]
     with TemporaryDirectory(prefix="lpn-") as folder:
         store = describe(model, files, view, folder, change=change, boxes=boxes)
@@ -169,10 +169,7 @@ def temporary_descriptors(
 def _from_complete_store(
     model: Model, files: Sequence[Path], view: View, folder: Path, change: Change, boxes: Sequence[CropBox | None]
 ) -> StoredDescriptors | None:
-    """Read descriptors from a complete store that has all of these files; None without such a store.
-
-    The store may have more files. To describe only these would overwrite it.
-    """
+    """Read descriptors from a complete store that has all of these files, and perhaps more; None without such a store."""
     store = complete_store(folder)
     if store is None or len(store.manifest.rows) < len(files):
         return None

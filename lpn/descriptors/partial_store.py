@@ -1,8 +1,8 @@
 """A store that is being filled, and its folder after a kill.
 
-Finished rows are appended to `descriptors.log`, each with the file that it describes: a line of JSON with the store's kind, and
-for each row the lengths of the JSON of its file and of its numbers, these two, and their CRC-32. Rows are found again by their
-files, whatever else is to be described by now; a row that a kill cut off is left out. The log goes once the store is whole.
+Finished rows are appended to `descriptors.log`. Its first line is JSON with the store's kind. Each row has the lengths of the
+JSON of its file and of its numbers, these two, and their CRC-32. Rows are found again by their files, whatever else is
+described by now; a row that a kill cut off is skipped. The log is deleted once the store is complete.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ _LENGTHS, _SUM = struct.Struct("<II"), struct.Struct("<I")
 
 
 class PartialStore:
-    """The rows of a future store; rows of an interrupted run or of an earlier store are reused."""
+    """The rows of a future store, with those of an interrupted run or of an earlier store."""
 
     def __init__(self, out: Path, manifest: Manifest, before: Store | None) -> None:
         self._manifest, self._path = manifest, out / LOG
         logged, end = _read(self._path, manifest)
-        # Where each row's numbers begin in the log; -1 for a row that is not finished.
+        # Offset of each row's numbers in the log; -1 for an unfinished row.
         self._places = np.array([logged.get(row, -1) for row in manifest.rows], np.int64)
         self._file = self._path.open("r+b" if end else "wb")
         try:
@@ -43,7 +43,7 @@ class PartialStore:
             raise
 
     def _begin(self, end: int, before: Store | None) -> None:
-        """Write what follows the end of the log's whole rows: its first line, and rows of a store that are reused."""
+        """Append to the log's whole rows: its first line, if it is new, and the reused rows of a store."""
         self._file.truncate(end)
         self._file.seek(end)
         if not end:
@@ -79,7 +79,7 @@ class PartialStore:
             self.save()
 
     def rows(self) -> AnyArray:
-        """Return all rows, (N, n, D); those that are not finished are 0."""
+        """Return all rows, (N, n, D); unfinished ones are 0."""
         rows = np.zeros((len(self._places), *self._shape), self._manifest.precision)
         for i, numbers in self._numbers():
             rows[i] = np.frombuffer(numbers, rows.dtype).reshape(self._shape)
@@ -160,7 +160,7 @@ def complete_store(folder: Path) -> Store | None:
 
 
 def _read(log: Path, manifest: Manifest) -> tuple[dict[Row, int], int]:
-    """Return where the numbers of each row begin in a log of comparable rows, and its end; nothing without such a log."""
+    """Return the offsets of each row's numbers in a log of comparable rows, and its end; nothing without such a log."""
     places: dict[Row, int] = {}
     try:
         with log.open("rb") as file:

@@ -69,9 +69,9 @@ class Manifest:
         scale: factor by which the pictures were zoomed, their own zoom included.
         down: pixels of the network's input by which the pictures were shifted down; written only if not zero.
         around: the pictures are panoramas, rotated by rolling their columns; written only if true.
-        role: of the branch, where branches have roles; written only if there is one.
-        released: the pictures were read and rotated as the released test does; written only if true.
-        weather: drawn on the pictures first; written only if there is one.
+        role: of the branch, if branches have roles; written only if there is one.
+        released: whether the pictures were read and rotated as in the released test; written only if true.
+        weather: the weather drawn on the pictures first; written only if there is one.
         checksums: None before the store is complete.
     """
 
@@ -143,11 +143,11 @@ class Manifest:
 
     @classmethod
     def from_json(cls, data: bytes, name: str) -> Manifest:
-        """Read the output of `to_json`; `name` is the file's, for messages.
+        """Read the output of `to_json`; messages name the file `name`.
 
         Raises:
             NewerStoreError: if a later version wrote it.
-            StoreError: if it is anything else.
+            StoreError: if it is invalid.
         """
         try:
             # Names of files may be no UTF-8; msgspec's decoder refuses the lone surrogates that Python writes for them.
@@ -157,9 +157,7 @@ class Manifest:
                 raise NewerStoreError(newer_version(name, str(stated), FORMAT))
             if stated != FORMAT:
                 raise ValueError("another format")
-            if not values.keys() <= {
-                entry.name for entry in fields(cls)
-            }:  # such as a transform that only a later lpn knows
+            if not values.keys() <= {entry.name for entry in fields(cls)}:  # for example a transform of a later lpn
                 raise ValueError("unknown entries")
             manifest = msgspec.convert(values, cls)
             _ = manifest.change  # checks its numbers
@@ -195,7 +193,7 @@ class Store:
     file: Path | None = None
 
     def damaged(self) -> BoolArray:
-        """Return which rows lie in blocks that differ from their checksums, (N,) bool; reads the whole array."""
+        """Return the mask of rows in blocks that differ from their checksums, (N,); reads the whole array."""
         damaged = np.zeros(len(self.descriptors), np.bool_)
         checksums = self.manifest.checksums
         if checksums is None or self.file is None:
@@ -227,11 +225,7 @@ class Store:
 
 
 def open_store(folder: str | Path) -> Store:
-    """Open a store.
-
-    Raises:
-        StoreError: if the folder is not a complete store, or its files do not match.
-    """
+    """Open a store; StoreError if the folder is not a complete store, or its files do not match."""
     folder = Path(folder)
     if not (folder / "manifest.json").is_file():
         unfinished = (
@@ -245,7 +239,7 @@ def open_store(folder: str | Path) -> Store:
 
 
 def open_array(folder: Path, manifest: Manifest, written: bytes) -> Store:
-    """Return the store of a manifest and of the bytes it was read from.
+    """Open the array of a manifest; `written` is the manifest's file contents.
 
     Raises:
         StoreError: if the array does not fit the manifest.
@@ -278,11 +272,7 @@ def encode(descriptors: Float32Array, precision: Precision) -> AnyArray:
 
 
 def row_of(file: Path, root: Path | None, box: CropBox | None) -> Row:
-    """Return the row of a picture file.
-
-    Raises:
-        PictureError: if the file cannot be read.
-    """
+    """Return the row of a picture file; PictureError if the file cannot be read."""
     try:
         stat = file.stat()
     except OSError as error:

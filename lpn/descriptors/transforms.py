@@ -21,13 +21,13 @@ class Change:
 
     Attributes:
         rotate: degrees counter-clockwise about the centre on the picture's canvas, corners black (Table IV).
-        shift: pixels of the network's input to the right, with black at the left, as the released test does by padding and
+        shift: pixels of the network's input to the right, with black at the left, as in the released test by padding and
             cropping; negative: to the left.
         scale: zoom factor about the centre on the picture's canvas; above 1 crops, below 1 adds a black border.
         down: pixels of the network's input downwards; negative: upwards.
-        around: the picture is a panorama, rotated by rolling its columns: counter-clockwise is to the left.
+        around: whether the picture is a panorama, rotated by rolling its columns: counter-clockwise is to the left.
         zoom: the picture's own zoom, by which `scale` is multiplied; see `Picture.zoom`.
-        released: as the released test reads and rotates pictures: without their EXIF orientation, and to the nearest pixel.
+        released: whether to read and rotate like the released test: without the EXIF orientation, and to the nearest pixel.
         weather: drawn on the picture first.
 
     Raises:
@@ -75,7 +75,7 @@ class Change:
         return images.zoom(turned, self.scale * self.zoom)
 
     def for_picture(self, picture: Picture, zoom: float | None = None) -> Change:
-        """Return this transform for a picture, which may be a panorama; its zoom is its own unless another is given."""
+        """Return this transform for a picture, which may be a panorama; `zoom` replaces its own zoom."""
         return replace(self, around=picture.panorama, zoom=picture.zoom if zoom is None else zoom)
 
     def move(self, shaped: UInt8Array) -> UInt8Array:
@@ -85,12 +85,12 @@ class Change:
         return images.shift(shaped, self.shift, self.down)
 
     def show(self, applied: UInt8Array, size: tuple[int, int]) -> UInt8Array:
-        """Shift a picture of any resolution in proportion to `move` at the network's (height, width)."""
+        """Shift a picture of any resolution as far in proportion as `move` does at the network's (height, width)."""
         height, width = applied.shape[:2]
         return images.shift(applied, round(self.shift * width / size[1]), round(self.down * height / size[0]))
 
     def check(self, size: tuple[int, int]) -> None:
-        """Raise InputError if the shift leaves nothing of a network input (height, width)."""
+        """Raise InputError if the shift moves everything out of a network input (height, width)."""
         for pixels, side, dimension in ((self.down, size[0], "high"), (self.shift, size[1], "wide")):
             if abs(pixels) >= side:
                 raise InputError(

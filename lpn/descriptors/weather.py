@@ -1,10 +1,10 @@
 """The ten weathers of University-WX as filters of a picture, with the arithmetic of imgaug 0.4 and the settings of MuseNet.
 
-MuseNet (wtyhub/MuseNet, `train.py`; the same lines stand in `test_iaa.py`) measures robustness by filters of imgaug 0.4 that it
-draws on each drone picture before the resize. The filters here draw from the same distributions and round where imgaug
-rounds, so that a filter with the same random numbers gives the same pixels; docs/weather.md has the measured differences.
-MuseNet's seeds fix a sequence over all pictures, which depends on their order and on the number of loaders. Here the seed and
-the picture's pixels fix the random numbers, so that a picture has the same weather in every command, and in the app.
+MuseNet (wtyhub/MuseNet, `train.py`, repeated in `test_iaa.py`) measures robustness by filters of imgaug 0.4 on each drone
+picture before the resize. The filters here draw from equal distributions and round at the same steps. With equal random
+numbers, they give equal pixels; docs/weather.md has the measured differences.
+MuseNet's seeds fix a sequence over all pictures, which depends on their order and on the number of loaders. Here, seed and
+pixels fix the random numbers, so that a picture has one weather in every command, and in the app.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ class Weather:
 
     Attributes:
         name: one of `WEATHERS`.
-        strength: share of the weather in the result, 0 .. 1; 1 is MuseNet's, 0 the picture itself.
+        strength: share of the weather in the result, 0 .. 1; 0 is the picture itself, 1 is MuseNet's weather.
         seed: of the random numbers, 0 .. 2^31 - 1.
 
     Raises:
@@ -109,9 +109,9 @@ def draw(picture: UInt8Array, name: WeatherName, rng: Generator) -> UInt8Array:
 
 
 def draw_any(picture: UInt8Array, probability: float, rng: Generator) -> UInt8Array:
-    """With a probability, draw one of the nine weathers that change a picture, each as often, at full strength.
+    """With a probability, draw one of the nine weathers that change a picture, uniformly chosen, at full strength.
 
-    A picture of more than 512 pixels a side is shrunk, see `Weather.apply`. At a probability of 0 no random number is drawn.
+    A picture of more than 512 pixels a side is shrunk, see `Weather.apply`. At a probability of 0, no random number is drawn.
     """
     if not probability or rng.random() >= probability:
         return picture
@@ -154,7 +154,7 @@ def frequency_noise(height: int, width: int, side: int, rng: Generator) -> Float
 
 
 def rain(picture: UInt8Array, rng: Generator, drop: tuple[float, float]) -> UInt8Array:
-    """Draw one layer of rain, imgaug's RainLayer as its Rain sets it.
+    """Draw one layer of rain: imgaug's RainLayer with the settings of its Rain.
 
     Args:
         drop: range of the drop size, 0 .. 1; noise is drawn at 1 - drop size of the picture's size.
@@ -167,15 +167,15 @@ def rain(picture: UInt8Array, rng: Generator, drop: tuple[float, float]) -> UInt
 def rained(picture: UInt8Array, noise: UInt8Array) -> UInt8Array:
     """Blend a picture with drops (H, W) uint8: opacity 1.3 noise / 255, at most 1.
 
-    The drops' colour is 240, or darker where the first 1000 values of the noise, each repeated for red, green, and blue, are
-    nearly 0: 110 + 130 mod their sum.
+    The drops' colour is 240. It is 110 + 130 mod their sum, and so darker, if the first 1000 values of the noise, each repeated
+    for red, green, and blue, are nearly 0.
     """
     total = int(np.repeat(noise.ravel()[:334].astype(np.int64), 3)[:1000].sum())
     return _blended(picture, 110 + 130 % max(total, 1), np.minimum(noise * np.float32(1.3 / 255), 1))
 
 
 def snow(picture: UInt8Array, rng: Generator, flake: tuple[float, float]) -> UInt8Array:
-    """Draw one layer of snow, imgaug's SnowflakesLayer as its Snowflakes sets it.
+    """Draw one layer of snow: imgaug's SnowflakesLayer with the settings of its Snowflakes.
 
     Args:
         flake: range of the flake size, 0 .. 1; noise is drawn at 1 - flake size of the picture's size.
@@ -218,7 +218,7 @@ def falling(
 
 
 def streaked(noise: UInt8Array, angle: float, speed: float) -> UInt8Array:
-    """Blur falling points (H, W) along their way, `speed` times the longer side, in degrees clockwise from straight down."""
+    """Blur falling points (H, W) along their path, `speed` times the longer side, in degrees clockwise from straight down."""
     length = int(speed * max(noise.shape))
     return noise if length <= 1 else _filtered(noise, motion_kernel(max(length, 3), angle, 1))
 
@@ -229,11 +229,11 @@ def wind(picture: UInt8Array, rng: Generator) -> UInt8Array:
 
 
 def motion_kernel(length: int, angle: float, direction: float) -> Float32Array:
-    """Return the kernel (k, k) of a motion, k the next odd number from `length` on; its sum is 1.
+    """Return the kernel (k, k) of a motion, with sum 1; k is the first odd number from `length` on.
 
     Args:
         angle: degrees clockwise from straight up.
-        direction: 1 is brightest at the start of the way, -1 at its end, 0 even.
+        direction: 1 is brightest at the start of the path, -1 at its end, 0 even.
     """
     side = length + 1 - length % 2
     start = (direction + 1) / 2
@@ -247,7 +247,7 @@ def motion_kernel(length: int, angle: float, direction: float) -> Float32Array:
 
 
 def half_lit(picture: UInt8Array, _: Generator) -> UInt8Array:
-    """Return the mean of the picture + 100, at most 255, and a fifth of the picture, as MuseNet's dark blends first."""
+    """Return the mean of the picture + 100, at most 255, and a fifth of the picture: the first blend of MuseNet's dark."""
     values = np.arange(256, dtype=np.float32)
     lighter, darker = np.minimum(values + 100, 255), np.floor(values * np.float32(0.2))
     return cast(UInt8Array, cv2.LUT(picture, np.round((lighter + darker) / 2).astype(np.uint8)))
@@ -267,7 +267,7 @@ def brightness(picture: UInt8Array, rng: Generator, factor: float, offset: tuple
 def brightened(
     picture: UInt8Array, space: tuple[int, int, int], factor: float, summand: float, multiply_first: bool
 ) -> UInt8Array:
-    """Multiply a picture's brightness and add to it in an order, in a colour space: conversion, its inverse, and the channel."""
+    """Multiply a picture's brightness and add to it, in either order; `space` is conversion, its inverse, and the channel."""
     there, back, channel = space
     values = np.arange(256, dtype=np.float32)
     for multiplies in (multiply_first, not multiply_first):
@@ -301,7 +301,7 @@ def _filtered(picture: UInt8Array, kernel: Float32Array) -> UInt8Array:
 
 
 def _enlarged(values: Float32Array | UInt8Array, height: int, width: int) -> AnyArray:
-    """Resize (rows, columns) to (height, width), cubic; the dtype stays."""
+    """Resize (rows, columns) to (height, width), cubic, with the dtype unchanged."""
     return cast(AnyArray, cv2.resize(values, (width, height), interpolation=cv2.INTER_CUBIC))
 
 

@@ -39,14 +39,14 @@ def describe(
     Args:
         files: the pictures, in the order of the rows.
         out: the store's folder.
-        root: the folder that file names in the manifest are relative to.
+        root: file names in the manifest are relative to this folder.
         change: the transform of each picture.
         boxes: the crop of each picture, applied first; None for a whole picture.
         precision: precision of the numbers on disk; the computation is in float32.
 
     Raises:
-        PictureError: if files are broken: before anything is computed where header or end tell it (see
-            `lpn.datasets.integrity`), else after all others are described. It names the first few.
+        PictureError: if files are broken; it names the first few. Damage of header or end is reported before any computation
+            (see `lpn.datasets.integrity`), other damage after all other files are described.
         InputError: if the model lacks the view, or the transform leaves nothing of a picture.
         StoreError: if `out` cannot be written, or holds other descriptors.
     """
@@ -89,7 +89,7 @@ def write_store(out: Path, manifest: Manifest, fill: Callable[[PartialStore], No
         out: the store's folder.
         manifest: the store's contents.
         fill: called to put every missing row.
-        whole: refuse a store without some rows; otherwise these are 0, and only the rows of a whole one are final on disk.
+        whole: refuse a store with missing rows; otherwise these are 0, and rows on disk are final only in a complete store.
 
     Raises:
         StoreError: if `out` cannot be written or holds other descriptors, or if `fill` leaves rows of a whole store out.
@@ -143,8 +143,8 @@ def fill_store(
 
     Args:
         prepare: returns the model's input (3, H, W) of a row.
-        stage: names the work where its progress is shown.
-        broken: takes the error of each row that cannot be read; without it, the first one is raised.
+        stage: name of the work in its progress.
+        broken: takes the error of each unreadable row; without it, the first error is raised.
 
     Raises:
         PictureError: the first that `prepare` raises.

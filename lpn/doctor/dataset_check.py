@@ -1,4 +1,4 @@
-"""The data set check of `lpn doctor`: what a folder holds, and what is broken in it."""
+"""The data set check of `lpn doctor`: a folder's contents, and its defects."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Count:
 
 @dataclass(frozen=True)
 class MissingCounterparts:
-    """Places of a list, or queries of a task, without a counterpart: the list or task, their names, and how many there are."""
+    """Places of a list, or queries of a task, without a counterpart: the list or task, their names, and the number of all."""
 
     name: str
     names: tuple[str, ...]
@@ -53,18 +53,18 @@ class DataSetReport:
 
     Attributes:
         kind: the recognised layout.
-        title: what it is called.
+        title: its name in messages.
         counts: the size of every list of pictures.
         looked_at: number of files read.
         decoded: whether the files were decoded completely.
         broken: pictures that cannot be read.
         left_out: files that the data set itself leaves out: missing, known to be broken, or not read (`Dataset.unread`).
-        lacking: places and queries without their counterpart, which cannot be used.
-        gaps: those without one of their counterparts, which are used by the others; the published University-1652 has some.
+        lacking: places and queries that cannot be used, because they have no counterpart.
+        gaps: places that lack one of several counterparts, but are used; the published University-1652 has some.
         duplicates: groups of files of one list with equal content and different labels.
         shared: places in both train and test.
-        positions: what the positions cover, and where they are from; None without any.
-        gap: what is wrong with them, or None.
+        positions: coverage and source of the positions; None without any.
+        gap: the defect of the positions, or None.
     """
 
     root: str
@@ -106,7 +106,7 @@ def check_dataset(dataset: Dataset, decode: bool = True) -> DataSetReport:
     files = list(dict.fromkeys(picture.path for pictures in lists.values() for picture in pictures))
     errors = picture_errors(files, decode, lambda done: report_progress("Reading pictures", done, len(files)))
     positions, gap = _positions(dataset)
-    # Where true matches are listed, labels are no places.
+    # If true matches are listed, labels are not places.
     labelled = all(dataset.truth(task) is None for task in dataset.tasks())
     missing = [*_training_places(lists), *_unanswered(dataset)]
     test = "test/query" if dataset.trained_distractors else "test/"
@@ -133,12 +133,12 @@ def check_dataset(dataset: Dataset, decode: bool = True) -> DataSetReport:
 
 
 def _places(lists: dict[str, list[Picture]], start: str) -> set[int]:
-    """Return the labels in the lists whose names start so."""
+    """Return the labels in the lists whose names begin with `start`."""
     return {picture.label for name, of in lists.items() if name.startswith(start) for picture in of}
 
 
 def _training_places(lists: dict[str, list[Picture]]) -> Iterable[tuple[bool, MissingCounterparts]]:
-    """Find the places that training leaves out, and, with True, those that it has in some views alone, which is no damage."""
+    """Find the places that training leaves out; True marks places in some views alone, which are no damage."""
     labels = {name.removeprefix("train/"): _places(lists, name) for name in lists if name.startswith("train/")}
     if "street" not in labels:
         labels.pop("google", None)
@@ -158,9 +158,9 @@ def _places_without(name: str, labels: Iterable[int], of: int) -> MissingCounter
 
 
 def _unanswered(dataset: Dataset) -> Iterable[tuple[bool, MissingCounterparts]]:
-    """Find queries without a true match, which count as missed; True for one that is no damage.
+    """Find queries without a true match, which count as missed.
 
-    Not every place has a street picture, so a query of another view without one is none.
+    True marks a query that is no damage: not every place has a street picture.
     """
     for task in dataset.tasks():
         query_view, gallery_view = views_of(task)
@@ -172,7 +172,7 @@ def _unanswered(dataset: Dataset) -> Iterable[tuple[bool, MissingCounterparts]]:
 
 
 def _duplicates(root: Path, lists: dict[str, list[Picture]], broken: Collection[Path]) -> Iterable[tuple[str, ...]]:
-    """Find equal files of different places; only files of one size are read."""
+    """Find equal files of different places; only files of equal size are read."""
     digests: dict[Path, str] = {}
 
     def digest(picture: Picture) -> str:
@@ -189,7 +189,7 @@ def _duplicates(root: Path, lists: dict[str, list[Picture]], broken: Collection[
 
 
 def _alike(pictures: Sequence[Picture], key: Callable[[Picture], object]) -> list[list[Picture]]:
-    """Return the pictures of equal key, where they are of different places."""
+    """Return groups of pictures with equal keys and different places."""
     groups: dict[object, list[Picture]] = defaultdict(list)
     for picture in pictures:
         groups[key(picture)].append(picture)
@@ -197,7 +197,7 @@ def _alike(pictures: Sequence[Picture], key: Callable[[Picture], object]) -> lis
 
 
 def _positions(dataset: Dataset) -> tuple[str | None, str | None]:
-    """Return what the positions cover, and what is wrong with them."""
+    """Return the coverage of the positions, and their defect."""
     try:
         pictures = {picture.path: picture for of in lists_of(dataset, dataset.tasks()).values() for picture in of}
         source = check_positions(dataset, list(pictures.values()))

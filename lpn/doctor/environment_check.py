@@ -29,10 +29,10 @@ class Finding:
     """The result of one check.
 
     Attributes:
-        name: what was checked.
+        name: the subject of the check.
         level: "OK"; "note" if something optional is missing; "problem" if something required is.
         message: the result.
-        remedy: what to do; may be empty.
+        remedy: the remedy; may be empty.
     """
 
     name: str
@@ -112,7 +112,7 @@ def _python_and_packages() -> Iterator[Finding]:
 
 
 def _wrong_version(package: requirements.Package) -> str:
-    """Return what is wrong with the version of a package; empty if nothing is."""
+    """Return the defect of a package's version; empty if it is right."""
     if package.fits:
         return ""
     if package.installed is None:
@@ -121,7 +121,7 @@ def _wrong_version(package: requirements.Package) -> str:
 
 
 def _import_error(package: requirements.Package) -> str:
-    """Return why a package cannot be imported; empty if it can. What it prints, such as tracebacks, is discarded."""
+    """Return the reason why a package cannot be imported; empty if it can. Its output, such as tracebacks, is discarded."""
     try:
         with redirect_stderr(io.StringIO()):
             importlib.import_module(_MODULES.get(package.name.lower(), package.name.lower()))
@@ -145,7 +145,7 @@ def _torch() -> Iterator[Finding]:
 
 
 def _onnx_runtime() -> Iterator[Finding]:
-    with redirect_stderr(io.StringIO()):  # it prints a traceback where NumPy is broken
+    with redirect_stderr(io.StringIO()):  # it prints a traceback if NumPy is broken
         import onnxruntime as ort
 
         from lpn.models import providers

@@ -1,4 +1,4 @@
-"""The check of a model: how far its evidence is exact by its contract, and the proof on pictures."""
+"""The check of a model: the exactness of its evidence by its contract, and the proof on pictures."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from lpn.retrieval import describe_picture
 
 # The largest error of cells and constants as a share of the part's largest value.
 TOLERANCE = 1e-5
-# Pictures of each view that the proof is made on.
+# Pictures of each view for the proof.
 PICTURES = 4
 
 
@@ -29,9 +29,9 @@ class ModelFinding:
 
     Attributes:
         healthy: True if nothing contradicts the contract.
-        error: the largest error of cells and constants as a share of the part's largest value; None without cells, or where
-            another fault was found first.
-        message: one sentence about it.
+        error: the largest error of cells and constants as a share of the part's largest value; None without cells, or if another
+            fault was found first.
+        message: one sentence about the result.
     """
 
     view: View
@@ -43,10 +43,10 @@ class ModelFinding:
 def check_model(model: Model, pictures: Mapping[View, Sequence[tuple[str, UInt8Array]]]) -> Iterator[ModelFinding]:
     """Describe pictures in each view of a model, and compare cells and constants with the parts.
 
-    Where the level is "exact", they are also compared between the pictures, as nothing may be chosen for each of them.
+    At the level "exact", cells must also agree between the pictures, because nothing may be chosen for a picture.
 
     Args:
-        pictures: by view, names and pictures, (H, W, 3) uint8.
+        pictures: names and pictures by view, (H, W, 3) uint8.
     """
     for view in model.views:
         if view in pictures:
@@ -86,7 +86,7 @@ def _check_view(model: Model, view: View, pictures: Sequence[tuple[str, UInt8Arr
     worst, without_cells = (0.0, "", ""), set(range(model.n_parts))
     first: Trace | None = None
     on = f"on {len(pictures)} pictures"
-    # Cells of one picture cannot tell whether those of another differ.
+    # With a single picture, differences between pictures would stay unknown.
     for name, picture in pictures if len(pictures) > 1 else [*pictures, noise()[0]]:
         try:
             trace = describe_picture(model, picture, view).trace
@@ -125,7 +125,7 @@ def _check_view(model: Model, view: View, pictures: Sequence[tuple[str, UInt8Arr
 
 
 def _differing(trace: Trace, first: Trace) -> str:
-    """Return which of cells, slopes, and constants differ between two pictures; empty if none do."""
+    """Name those of cells, slopes, and constants that differ between two pictures; empty if none do."""
     for name in ("cells", "slopes", "constants"):
         actual, expected = getattr(trace, name), getattr(first, name)
         if actual is None and expected is None:

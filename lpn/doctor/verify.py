@@ -41,7 +41,7 @@ def verify(path: Path) -> Iterator[VerifiedFile]:
     """Compare a model file, store, index, or folder of parts, or all of these below a folder, with their checksums.
 
     Raises:
-        InputError: if there is none.
+        InputError: if none of them is there.
     """
     if not path.exists():
         raise InputError(f"There is nothing at {path}; check the path.")
@@ -72,7 +72,7 @@ def _find(folder: Path) -> Iterator[Path]:
     for file in folder.rglob("*"):
         name = file.name
         parts = name == "plan.json" and any(file.parent.glob("part-*.zip"))
-        # The log is of a store whose making was interrupted.
+        # The log belongs to an interrupted store.
         if parts or name in ("manifest.json", LOG) or is_manifest(name):
             yield file.parent
         elif file.suffix in _MODELS and file.is_file():

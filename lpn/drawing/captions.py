@@ -24,7 +24,7 @@ def caption(width: int, height: int, palette: Palette = DARK) -> tuple[Image.Ima
 def fitted(draw: ImageDraw.ImageDraw, text: str, size: int, width: float, *shorter: str) -> str:
     """Return the first of several texts that fits a width in pixels; else the last, with an ellipsis.
 
-    Nothing is left of a text that less than half would be left of: "46 m ..." is no place.
+    A text that would lose more than half is left out: "46 m ..." is no place.
     """
     for whole in (text, *shorter):
         if draw.textlength(whole, font=font(size)) <= width:

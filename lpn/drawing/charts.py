@@ -1,7 +1,7 @@
 """Bars of shares and of evidence as inline SVG.
 
-They are placed in percent of their width, so they stretch with a table's cell while their text keeps its size. Text and lines
-take their colours from the page, see `css/charts.css`.
+They are placed in percent of their width, so they stretch with a table's cell, but their text does not. Text and lines take
+their colours from the page, see `css/charts.css`.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ EVIDENCE_COLOURS = {
     "constant": "var(--chart-constant, #828282)",
 }
 
-# Narrowest bar that has its number written in it, in percent.
+# Narrowest bar with a number in it, in percent.
 _LABELLED = 7.5
 
 Span = tuple[float, float]
@@ -52,7 +52,7 @@ def part_colour(part: int) -> str:
 
 def share_bar(contributions: FloatingArray, full: float, names: Sequence[str]) -> Markup:
     """Draw the parts' shares of a squared distance, (n,), side by side; `full` is the distance that fills the bar."""
-    # Python numbers, because rounding and formatting numpy's is slow and a page draws many bars for each query.
+    # Python's own numbers: rounding and formatting NumPy's is slow, and a page draws many bars for each query.
     bars, start = [], 0.0
     for part, (name, share) in enumerate(zip(names, contributions.tolist(), strict=True)):
         width = 100 * max(share, 0.0) / max(full, 1e-9)
@@ -80,7 +80,7 @@ def evidence_segments(evidence: Evidence, part: int) -> list[tuple[str, float, f
 
 
 def evidence_span(pairs: Sequence[Evidence]) -> Span:
-    """Return the lowest and the highest end of the evidence bars of some pairs, so that all share one scale."""
+    """Return the lowest and the highest end of the evidence bars of some pairs, for one scale."""
     ends = [0.0]
     for evidence in pairs:
         for part in range(len(evidence.cosines)):
@@ -89,7 +89,7 @@ def evidence_span(pairs: Sequence[Evidence]) -> Span:
 
 
 def evidence_bars(evidence: Evidence, span: Span) -> list[Markup]:
-    """Draw for each part its evidence in the query's cells, its constant, and a mark at their sum."""
+    """Draw each part's evidence in the query's cells, its constant, and a mark at their sum."""
     low, high = span
     scale = 100 / (high - low)
     drawn = []

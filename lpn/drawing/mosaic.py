@@ -22,7 +22,7 @@ _EARTH: theme.Colour = (38, 40, 42)
 def draw(geometry: GalleryGeometry, gallery: Sequence[Picture]) -> UInt8Array:
     """Draw the tiles' pictures on a map, north up: (H, W, 3) uint8, at most LARGEST pixels a side.
 
-    Only the first of several tiles at the same position is drawn, and none without a picture. No tile is rotated.
+    Of several tiles at one position, only the first is drawn. No tile is rotated, and tiles without pictures are skipped.
     """
     west, south, east, north = geometry.bounds()
     scale = LARGEST / max(east - west, north - south)
@@ -36,7 +36,7 @@ def draw(geometry: GalleryGeometry, gallery: Sequence[Picture]) -> UInt8Array:
         try:
             tile = overlays.square(gallery[index].load(), side)
         except PictureError:
-            continue  # the ground shows where a picture is damaged
+            continue  # the ground shows in place of a damaged picture
         x, y = geometry.ground[index]
         _paste(canvas, tile, round((x - west) * scale - side / 2), round((north - y) * scale - side / 2))
     return canvas

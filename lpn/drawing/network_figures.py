@@ -1,4 +1,4 @@
-"""Figures 3 and 4 of the paper from a model: what the network makes of pictures, and how maps are cut into parts."""
+"""Figures 3 and 4 of the paper from a model: the network's maps and descriptors of pictures, and the partitions of maps."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from lpn.drawing.plots import encode, pyplot
 from lpn.models.base import Model
 from lpn.models.partition import Partition
 
-# Side of a picture in pixels, and what is left of its light outside a part.
+# Side of a picture in pixels, and the remaining light outside a part.
 _SIDE, _DIMMED = 256, 0.25
-# The partitions that Figure 4 compares: the paper's square rings, and the sequential ones.
+# The partitions of Figure 4: the paper's square rings, and the sequential ones.
 _KINDS = {"rings": "square rings", "columns": "sequential: columns", "rows": "sequential: rows"}
 
 
@@ -26,7 +26,7 @@ class PictureOfView(NamedTuple):
     """A picture as a network describes it.
 
     Attributes:
-        view: the view it is described as.
+        view: its view.
         picture: as it is partitioned, (H, W, 3) uint8.
         activation: channel sum of the last feature map, (h, w), 0 .. 1.
         descriptor: the parts, (n, D).

@@ -14,17 +14,17 @@ from lpn.core.arrays import FloatingArray, Int64Array, UInt8Array
 from lpn.drawing.part_areas import PartAreas
 from lpn.drawing.theme import HEAT, HEAT_AGAINST, part_colour
 
-# The weakest heat that is not painted, and the grey of the picture beneath: its light's share, and a level that is added.
+# The strongest heat that is not painted, and the greyed picture: share of its light, and the level that is added.
 _BARE, _GREY, _RAISED = 0.3, 0.61, 10.0
 
 
 def square(picture: UInt8Array, size: int) -> UInt8Array:
-    """Resize a whole picture to a square, as the network sees it."""
+    """Resize a whole picture to a square, like the network's input."""
     return images.resize(picture, size, size)
 
 
 def with_evidence(picture: UInt8Array, cells: FloatingArray, limit: float) -> UInt8Array:
-    """Paint each cell (h, w) over a greyed picture in the colours for or against, the stronger the larger its value."""
+    """Paint each cell (h, w) over a greyed picture in the colours for or against, more strongly for larger values."""
     painted = images.enlarge(heat_colours(cells / max(limit, 1e-12), signed=True), *picture.shape[:2])
     grey = (_GREY * cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY).astype(np.float32) + _RAISED)[..., None]
     alpha = painted[..., 3:].astype(np.float32) / 255
@@ -32,10 +32,10 @@ def with_evidence(picture: UInt8Array, cells: FloatingArray, limit: float) -> UI
 
 
 def heat_colours(values: FloatingArray, signed: bool = False) -> UInt8Array:
-    """Return the colours of cells (h, w) that are laid over a greyed picture, (h, w, 4) RGBA uint8.
+    """Return the overlay colours of cells (h, w) for a greyed picture, (h, w, 4) RGBA uint8.
 
     Args:
-        values: from 0 to 1, of which the weakest 30 % are transparent; if `signed`, from -1 to 1, against to for.
+        values: from 0 to 1, with the weakest 30 % transparent; if `signed`, from -1 (against) to 1 (for).
     """
     if not signed:
         strength = np.clip((values - _BARE) / (1 - _BARE), 0, 1) ** 1.15
@@ -54,7 +54,7 @@ def _ramp(stops: tuple[tuple[float, float, float, float], ...]) -> UInt8Array:
 
 
 def evidence_limit(*maps: FloatingArray) -> float:
-    """Return the end of one colour scale for several maps of evidence."""
+    """Return the end of a common colour scale for several maps of evidence."""
     return max(float(np.abs(cells).max()) for cells in maps) or 1e-9
 
 
@@ -67,8 +67,8 @@ def evidence_scale(width: int, height: int) -> UInt8Array:
 def heat_cells(values: FloatingArray, low: float, high: float) -> UInt8Array:
     """Return the colours of cells (h, w) from `low` to `high` in viridis, (h, w, 4) RGBA; NaN is transparent.
 
-    Viridis is perceptually uniform: equal steps of a value are equal steps of colour. The released code uses it for its heatmaps
-    (wtyhub/LPN heatmap.py:49).
+    Viridis is perceptually uniform: equal steps of a value are equal steps of colour. The released heatmaps use it (wtyhub/LPN
+    heatmap.py:49).
     """
     share = np.nan_to_num((values - low) / max(high - low, 1e-12)) if high > low else np.full(values.shape, 0.5)
     levels = np.round(255 * np.clip(share, 0, 1)).astype(np.uint8)
@@ -80,7 +80,7 @@ def with_parts(picture: UInt8Array, areas: PartAreas | None, thickness: int = 2)
     """Draw the border of each part in its colour, with a dark outline that is visible on bright ground.
 
     Args:
-        areas: of the parts; nothing is drawn without them, and for a part that no cell belongs to most.
+        areas: of the parts; without them nothing is drawn, nor for a part without a dominated cell.
     """
     drawn = np.ascontiguousarray(picture).copy()
     if areas is None:
@@ -102,7 +102,7 @@ def _with_outlines(drawn: UInt8Array, labels: Int64Array, thickness: int) -> UIn
     spread = images.enlarge(labels, *drawn.shape[:2])
     for part in range(int(labels.max()) + 1):
         inside = (spread == part).astype(np.uint8)
-        # A border of zeros makes the picture's own border an outline, too.
+        # A border of zeros turns the picture's own border into an outline, too.
         outer, inner = (
             cv2.erode(
                 inside, np.ones((3, 3), np.uint8), iterations=steps, borderType=cv2.BORDER_CONSTANT, borderValue=0
@@ -121,6 +121,6 @@ def data_uri(picture: UInt8Array, quality: int = 80) -> str:
 
 
 def png_data_uri(cells: UInt8Array) -> str:
-    """Return a picture with transparency, (H, W, 4) RGBA uint8, as the data URI of a PNG, which is exact."""
+    """Return a picture with transparency, (H, W, 4) RGBA uint8, as the data URI of a PNG, which is lossless."""
     encoded = cv2.imencode(".png", cv2.cvtColor(cells, cv2.COLOR_RGBA2BGRA))[1]
     return "data:image/png;base64," + base64.b64encode(encoded.tobytes()).decode()

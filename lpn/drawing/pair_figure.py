@@ -17,7 +17,7 @@ from lpn.drawing.theme import AGAINST, DARK, FOR, UNKNOWN_COLOUR, Colour
 from lpn.explain import Evidence
 from lpn.models.contract import Contract
 
-# Pixels: the figure, its margin, a row of a part, and the ends of the bars.
+# In pixels: the figure, its margin, a part's row, and the ends of the bars.
 WIDTH = 1200
 _MARGIN, _ROW, _LEFT, _RIGHT = 24, 46, 420, WIDTH - 190
 _COLOURS = {"cells for": FOR, "cells against": AGAINST, "constant": UNKNOWN_COLOUR}
@@ -43,7 +43,7 @@ def draw(
         titles: captions of photo and tile.
         views: the branches that described photo and tile.
         areas: of the parts of photo and tile.
-        losses: of `lpn.explain.occlusion.occlude`; they are drawn on the photo in place of the evidence, and the tile has none.
+        losses: of `lpn.explain.occlusion.occlude`; they replace the photo's evidence, and the tile then has none.
     """
     width = (WIDTH - 3 * _MARGIN) // 2
     height = round(width * contract.input_size[0] / contract.input_size[1])
@@ -92,7 +92,7 @@ def draw(
 
 
 class _Figure:
-    """A picture with texts, which are as high above as below their `y`, and bars."""
+    """A picture with bars, and texts that are vertically centred at their `y`."""
 
     def __init__(self, height: int) -> None:
         self.image = Image.new("RGB", (WIDTH, height), DARK.background)
@@ -108,7 +108,7 @@ class _Figure:
         anchor: str = "lm",
         width: float = WIDTH,
     ) -> float:
-        """Write a text, cut to a width, and return where it ends."""
+        """Write a text, cut to a width, and return its end."""
         text = fitted(self.pen, text, size, width)
         self.pen.text((x, y), text, colour, font(size), anchor=anchor)
         return x + self.pen.textlength(text, font=font(size))
@@ -122,7 +122,7 @@ class _Figure:
             self.pen.rectangle((first, y - 9 - higher, last - 1, y + 9 + higher), fill=DARK.mark(colour))
 
     def shares(self, evidence: Evidence, noun: str, y: float) -> None:
-        """Draw the squared distance as the shares of the parts side by side, each with its number where it fits."""
+        """Draw the squared distance as the shares of the parts side by side, each with its number if that fits."""
         shares = evidence.contributions.tolist()
         total, end = sum(shares), float(_LEFT)
         title = f"shares of the {noun}s in the distance" if len(shares) > 1 else "distance"

@@ -1,7 +1,7 @@
 """The figure of a paper: a query and its tiles, the heat of each part, and the parts' shares of d², as PNG, SVG, or PDF.
 
-It is as wide as one column of a page or as both, and its letters are legible there. Matplotlib draws it: lines and texts of SVG
-and PDF are lines and texts.
+It is as wide as one column of a page or as both, with letters legible at that size. Matplotlib draws it, so that SVG and PDF
+have real lines and texts.
 """
 
 from __future__ import annotations
@@ -27,17 +27,17 @@ from lpn.models.partition import PartBox
 
 # Dots per inch of a PNG.
 DPI = 300
-# Widths in mm of a column and of a page, and the least width at which each part has a map of its own.
+# Widths in mm of a column and of a page, and the least width with a map for each part.
 COLUMN, PAGE, EACH_PART = 88.0, 180.0, 140.0
 _WIDTHS = (60.0, 400.0)
 _POINTS = 7
 # Left, top, width, height in mm.
 _Box = tuple[float, float, float, float]
 _MM = 1 / 25.4
-# In mm: the strip of titles at the left, the strip of names above, the scale below, gaps, bars, and the largest picture.
+# In mm: the strip of titles at the left, the strip of names at the top, the scale below, gaps, bars, and the largest picture.
 _LEFT, _TOP, _BELOW, _GAP, _BARS, _LARGEST = 8.0, 4.5, 7.0, 2.0, 31.0, 42.0
-# In mm: the line above bars, a letter of the names before them, the most that a name may take, a number, and the distance of a
-# frame from its picture.
+# In mm: the line above bars, a letter of the names before them, the maximum for a name, a number, and the distance from a
+# picture to its frame.
 _HEAD, _LETTER, _NAME, _NUMBER, _FRAME = 3.2, 1.3, 16.0, 9.5, 0.5
 
 
@@ -50,10 +50,10 @@ class FigureRow:
         picture: as the model partitions it, (H, W, 3) uint8.
         areas: of its parts.
         heat: the share of each cell in each part, (n, h, w).
-        heat_of: what the cells share, such as "the score".
+        heat_of: the quantity that the cells share, such as "the score".
         shares: of the parts, (n,); None draws no bars.
-        shares_of: what the parts share, which stands above the bars with their sum.
-        frame: its colour; None for none.
+        shares_of: the quantity that the parts share; it stands above the bars with their sum.
+        frame: its colour; None for no frame.
     """
 
     title: tuple[str, str]
@@ -77,7 +77,7 @@ class FigureRow:
     def of_query(
         cls, title: tuple[str, str], picture: UInt8Array, areas: PartAreas | None, evidence: Sequence[Evidence]
     ) -> FigureRow:
-        """Return the row of a query: its cells' shares of the score, and with two tiles of the lead of the first over the second.
+        """Return the row of a query with its cells' shares of the score, or with two tiles, of the first one's lead.
 
         Args:
             evidence: for one tile or for two.
@@ -96,7 +96,7 @@ class PaperFigure:
     Attributes:
         rows: the query, then its tiles.
         names: of the parts.
-        noun: what a part is called, such as "ring".
+        noun: the noun for a part, such as "ring".
         width: in mm.
     """
 
@@ -113,10 +113,10 @@ class PaperFigure:
             )
 
     def save(self, path: str | Path) -> None:
-        """Write the figure, folders included: a PNG of 300 dpi, an SVG, or a PDF, as the name ends.
+        """Write the figure, folders included: a PNG of 300 dpi, an SVG, or a PDF, by the ending of the name.
 
         Raises:
-            InputError: if the name ends otherwise.
+            InputError: if the name has another ending.
             MissingPackageError: if Matplotlib is not installed.
             OutputError: if the file cannot be written.
         """
@@ -130,7 +130,7 @@ class PaperFigure:
             plots = pyplot()
         except ModuleNotFoundError as error:
             raise missing_package(error) from error
-        # Texts of an SVG stay texts, and a PDF embeds the typeface, which is that of the user's settings, if there are some.
+        # Texts of an SVG stay texts, and a PDF embeds the typeface of the user's settings, if there are any.
         files = {"svg.fonttype": "none", "svg.hashsalt": "lpn", "pdf.fonttype": 42, "savefig.bbox": "standard"}
         with plots.rc_context(files | {"font.size": _POINTS, "text.usetex": False}):
             return encode(_Drawing(plots, self).figure, DPI, kind)
@@ -140,11 +140,7 @@ class PaperFigure:
 
 
 class _Drawing:
-    """Draws a figure; lengths are in mm, from its upper left corner.
-
-    Attributes:
-        figure: Matplotlib's.
-    """
+    """Draws a figure with Matplotlib; lengths are in mm, from its upper left corner."""
 
     def __init__(self, plots: Any, given: PaperFigure) -> None:
         self._given, n = given, len(given.names)
@@ -194,7 +190,7 @@ class _Drawing:
         self.figure.text(x / self._given.width, 1 - y / self._height, text, **style)
 
     def _panel(self, picture: UInt8Array, box: _Box, areas: PartAreas | None = None, parts: Sequence[int] = ()) -> Any:
-        """Draw a picture with the outlines of some parts in their colours, on a white line that dark ground shows."""
+        """Draw a picture with the outlines of some parts in their colours, on a white line that is visible on dark ground."""
         if areas is not None and not areas.straight and len(parts) == len(self._given.names):
             picture = overlays.with_parts(picture, areas)
         axes = self._axes(box)
@@ -228,7 +224,7 @@ class _Drawing:
             self._write(left + width, y, _number(value, most is None), ha="right")
 
     def _scale(self, limits: dict[str, float], y: float) -> None:
-        """Draw the colours of the heat, with what their ends mean: beside them, or below where the figure is narrow."""
+        """Draw the heat's colours, with the meaning of their ends beside them, or below in a narrow figure."""
         left, width, line = _LEFT + 12.0, 20.0, _BELOW / 4
         share = f"a cell's share: {', '.join(f'±{limit:.4f} of {what}' for what, limit in limits.items())}"
         above = y - line if not self._each else y
@@ -246,5 +242,5 @@ def _draw_border(axes: Any, border: PartBox, colour: Colour, points: float) -> N
 
 
 def _number(value: float, signed: bool) -> str:
-    rounded = round(value, 3) + 0.0  # no negative zero
+    rounded = round(value, 3) + 0.0  # avoids a negative zero
     return (f"{rounded:+.3f}" if signed else f"{rounded:.3f}").replace("-", "−")

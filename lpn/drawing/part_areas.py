@@ -1,4 +1,4 @@
-"""Where the parts of one picture lie: by a partition of every map, or by the cells of the picture."""
+"""The areas of one picture's parts: by a partition of every map, or by the cells of the picture."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from lpn.models.partition import PartBox, Partition
 from lpn.models.trace import Trace
 
 _WHOLE: PartBox = (0.0, 0.0, 1.0, 1.0)
-# Weights of a cell that differ by less than this share are alike.
+# Weights of a cell are equal if they differ by less than this share.
 _ALIKE = 1e-5
 
 
@@ -23,11 +23,11 @@ class PartAreas:
 
     Attributes:
         inside: the cells of each part, (n, rows, columns). Areas of a picture's cells may overlap; a part may have none.
-        labels: the part that weighs each cell most, (rows, columns); -1 if none does, or several weigh it alike.
+        labels: the part with the largest weight in each cell, (rows, columns); -1 for none, or for several of equal weight.
         boxes: the box around each part as (left, top, right, bottom) in fractions of the picture; the whole picture for a part
             without an area.
-        straight: the boxes are the borders of the parts.
-        outside_in: part 0 is the outermost.
+        straight: whether the boxes are the borders of the parts.
+        outside_in: whether part 0 is the outermost.
     """
 
     inside: BoolArray
@@ -47,7 +47,7 @@ class PartAreas:
 
         Args:
             map_size: (h, w) of the feature map.
-            trace: of the picture; None where it was not described, or the model gives no cells.
+            trace: of the picture; None if it was not described, or the model gives no cells.
         """
         partition = contract.partition(view)
         if partition is not None:

@@ -14,7 +14,7 @@ from lpn.core.files import cache_folder
 def pyplot() -> Any:
     """Return Matplotlib's pyplot with the backend that draws into memory.
 
-    Its list of fonts is kept in our cache, unless the user has a folder of settings for Matplotlib, which it then reads.
+    Its list of fonts is cached in our folder, unless the user has a folder of Matplotlib settings, which it then reads.
     """
     own = os.path.join(os.environ.get("XDG_CONFIG_HOME") or "~/.config", "matplotlib"), "~/.matplotlib"  # noqa: PTH118
     if not any(os.path.isdir(os.path.expanduser(folder)) for folder in own):  # noqa: PTH111, PTH112 (no home is no error)

@@ -1,4 +1,4 @@
-"""The scores of a map's windows as one small picture that is laid over the map."""
+"""The scores of a map's windows as one small picture over the map."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 
 from lpn.core.arrays import Float64Array
 
-# Most cells along the longer side.
+# Maximum of cells along the longer side.
 _MAX_CELLS = 1024
 
 
@@ -17,7 +17,7 @@ class ScoreMap:
     """Scores on a grid.
 
     Attributes:
-        cells: (rows, columns) from the north-west corner, NaN where there is no window.
+        cells: (rows, columns) from the north-west corner, NaN without a window.
         bounds: west, south, east, north in metres.
         low, high: the range of the scores.
     """
@@ -29,9 +29,9 @@ class ScoreMap:
 
 
 def score_map(places: Float64Array, sizes: Float64Array, values: Float64Array) -> ScoreMap | None:
-    """Paint each window's score over the ground about its centre, as far as half way to its neighbours of the same size.
+    """Paint each window's score over the ground about its centre, half way to its neighbours of equal size.
 
-    Where windows of several sizes lie, the highest score counts.
+    Of overlapping windows of several sizes, the highest score counts.
 
     Args:
         places: centres, (W, 2) metres; those of one size lie on a grid.

@@ -1,4 +1,4 @@
-"""The colours of the app, the reports, and the figures: each stands for one thing, in Python's pictures as in style sheets."""
+"""The colours of the app, the reports, and the figures, each with one meaning, in Python's pictures and in style sheets."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from typing import cast
 
 Colour = tuple[int, int, int]
 
-# The one table of colours, on dark ground; `tests/lpn/drawing/test_theme.py` measures them. Rings are cool, in turn light and
-# dark, so that neighbours differ for any colour vision; numerals say their order. Right and wrong stand with sign and word.
+# The table of all colours on dark ground; `tests/lpn/drawing/test_theme.py` measures them. Rings are cool, alternately light and
+# dark, so that neighbours differ for any colour vision; numerals state their order. Right and wrong also have a sign and a word.
 COLOURS: dict[str, Colour] = {
     "part-0": (242, 247, 255),
     "part-1": (74, 144, 240),
@@ -26,12 +26,12 @@ COLOURS: dict[str, Colour] = {
     "retrieval": (253, 219, 193),
     "sequence": (202, 179, 255),
     "registration": (83, 170, 85),
-    # A place by details that another answer, or the map away from the photo's middle, contradicts.
+    # A place whose details are contradicted by another answer, or by the map away from the photo's middle.
     "contradicted": (255, 30, 30),
-    # The accent marks controls and what is chosen.
+    # The accent marks controls and selections.
     "accent": (44, 199, 184),
 }
-# Those that are others on light ground.
+# Colours that differ on light ground.
 LIGHT_COLOURS: dict[str, Colour] = COLOURS | {
     "part-0": (16, 38, 63),
     "part-1": (58, 128, 224),
@@ -59,7 +59,7 @@ TEXT: Colour = (245, 247, 249)
 DIM: Colour = (170, 182, 192)
 # The contrast of text that WCAG 2 requires (level AA).
 MIN_CONTRAST = 4.5
-# The contrast of bars and lines, which have names beside them: at 3, those on white would look alike without red cones.
+# The contrast of bars and lines, which have names beside them. At 3, those on white would look alike to people without red cones.
 MARK_CONTRAST = 2.0
 
 
@@ -80,7 +80,7 @@ class Palette:
         return _mixed(colour, self.row, MIN_CONTRAST)
 
     def mark(self, colour: Colour) -> Colour:
-        """Return the colour of a bar or a line: as `ink`, with the smaller contrast that graphics need."""
+        """Return the colour of a bar or a line: as for `ink`, with the lower contrast that graphics need."""
         return _mixed(colour, self.background, MARK_CONTRAST)
 
 
@@ -108,12 +108,12 @@ def variables(palette: Palette) -> str:
 
 
 def mark(name: str) -> str:
-    """Return the CSS colour of bars and lines by a name of the table; it follows the page's palette, if the page has one."""
+    """Return the CSS colour of bars and lines by a name of the table; it follows the page's palette, if there is one."""
     return f"var(--mark-{name},{css(COLOURS[name])})"
 
 
 def css(colour: Colour) -> str:
-    """Return a colour as CSS has it."""
+    """Format a colour for CSS."""
     return "#{:02x}{:02x}{:02x}".format(*colour)
 
 

@@ -1,4 +1,4 @@
-"""Sentences that say what the numbers of an explanation mean."""
+"""Sentences about the numbers of an explanation."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ from lpn.tasks.task import Task
 _PICTURES = {"drone": "drone pictures", "satellite": "satellite pictures", "street": "street pictures"}
 _SIDES = ("right", "upper right", "top", "upper left", "left", "lower left", "bottom", "lower right")
 _COMPASS = ("east", "north-east", "north", "north-west", "west", "south-west", "south", "south-east")
-# Cells lie on one side if their mean is farther from the middle than this share of their mean distance from it.
+# Cells lie on one side if their mean offset from the middle exceeds this share of their mean distance from it.
 _ONE_SIDED = 0.25
-# A guessed heading is right, or roughly so, within so many degrees; a sweep goes in steps of 15.
+# A guessed heading is right, or roughly right, within this many degrees; a sweep goes in steps of 15.
 _RIGHT_HEADING, _ROUGH_HEADING = 15.0, 45.0
 
 
 def describe_position(cells: Float64Array, view: View) -> str:
-    """Say where in a picture the positive cells, of (h, w), lie: "upper right" or, on a satellite tile, "north-east".
+    """Describe the position of a picture's positive cells, (h, w): "upper right" or, on a satellite tile, "north-east".
 
-    "all around" means that they lie on no side. An unrolled tile, which is wide, does not have north at its top.
+    "all around" means no side. An unrolled tile, which is wide, does not have north at its top.
     """
     height, width = cells.shape
     side = _middle_of(np.maximum(cells, 0.0))
@@ -45,12 +45,12 @@ def compass(azimuth: float) -> str:
 
 
 def pictures_of(task: Task) -> str:
-    """Return what the gallery's pictures are in plain words."""
+    """Return the noun for the gallery's pictures in plain words."""
     return "pieces of the map" if task.of_map else _PICTURES[task.views[1]]
 
 
 def rounded_cosines(cosines: Sequence[float], taken: Sequence[float]) -> tuple[list[float], list[float]]:
-    """Return the parts' weighted cosines, and what CSLS takes from them, rounded so that each and both add up as shown."""
+    """Round the parts' weighted cosines, and the terms of CSLS, so that each and both add up as shown."""
     totals = rounded_to_sum([sum(cosines), sum(taken)])
     return rounded_to_sum(cosines, total=totals[0]), rounded_to_sum(taken, total=totals[1])
 
@@ -58,7 +58,7 @@ def rounded_cosines(cosines: Sequence[float], taken: Sequence[float]) -> tuple[l
 def describe_evidence(
     evidence: Evidence, names: Sequence[str], query_view: View, tile_view: View, noun: str = "part"
 ) -> str:
-    """Say which part, called `noun`, and which places of photo and tile a pair's score comes from; of one part, the places."""
+    """Say which part, called `noun`, and which places of photo and tile decide a pair's score; for one part, only the places."""
     weighted = evidence.weighted_cosines
     best, worst = int(np.argmax(weighted)), int(np.argmin(weighted))
     query_place = describe_position(evidence.query.cells[best], query_view)
@@ -95,7 +95,7 @@ def describe_evidence(
 
 
 def describe_lumps(lumps: Sequence[str], noun: str = "part") -> str:
-    """Name the parts of a picture that no cell belongs to; empty if there are none."""
+    """Name the parts of a picture without a dominated cell; empty if there are none."""
     if not lumps:
         return ""
     several = len(lumps) > 1
@@ -104,7 +104,7 @@ def describe_lumps(lumps: Sequence[str], noun: str = "part") -> str:
 
 
 def no_cells(contract: Contract) -> str:
-    """Say why a model without cells has no evidence."""
+    """Explain the lack of evidence for a model without cells."""
     form = "one vector" if contract.level == "one vector" else f"{contract.n_parts} parts"
     return (
         f"{contract.method} gives {form} for a picture and no cells ({contract.claim}), so its score cannot be split into "
@@ -113,7 +113,7 @@ def no_cells(contract: Contract) -> str:
 
 
 def describe_reweighting(weights: Float32Array | None, effect: Effect | None, noun: str = "part") -> str:
-    """State the smallest change of weights that puts the truth first, and its effect on all queries; `noun` is a part."""
+    """State the smallest change of weights that puts the truth first, and its effect on all queries; `noun` names a part."""
     if weights is None:
         return f"No choice of {noun} weights would put the truth first."
     percents = " : ".join(f"{100 * weight:.0f}" for weight in weights)
@@ -122,7 +122,7 @@ def describe_reweighting(weights: Float32Array | None, effect: Effect | None, no
 
 
 def describe_effect(effect: Effect) -> str:
-    """Say what other part weights do to all queries, as a clause."""
+    """Describe the effect of other part weights on all queries, as a clause."""
     verb = "helps" if effect.helps else "harms" if len(effect.lost) > len(effect.gained) else "neither helps nor harms"
     return (
         f"over all {effect.queries:,} queries it {verb}: {len(effect.gained)} gained, {len(effect.lost)} lost, "
@@ -131,7 +131,7 @@ def describe_effect(effect: Effect) -> str:
 
 
 def describe_heading(profile: SweepResult, views: tuple[View, View], known: float | None = None) -> str:
-    """Guess from the nearest tile alone where the top of the query points, and judge the guess if the heading is known.
+    """Guess from the nearest tile alone the direction of the query's top, and judge the guess if the heading is known.
 
     The text is empty unless a drone's picture, which has one heading, is compared with north-up satellite tiles.
 
@@ -163,7 +163,7 @@ def _place(picture: str, position: str) -> str:
 
 
 def _middle_of(weights: Float64Array) -> tuple[float, float] | None:
-    """Return the mean offset of weights, (h, w), to the right and up, in shares of the sides; None if they lie on no side."""
+    """Return the mean offset of weights, (h, w), to the right and up, in shares of the sides; None for no side."""
     height, width = weights.shape
     up = 0.5 - (np.arange(height)[:, None] + 0.5) / height
     right = (np.arange(width)[None, :] + 0.5) / width - 0.5

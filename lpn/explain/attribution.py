@@ -1,6 +1,6 @@
 """Exact evidence: the share of each part and of each cell in a pair's score.
 
-With parts q_i, g_i of norm 1/sqrt(n) and part weights w_i that sum to one, cos_i = n q_i . g_i and
+With parts q_i, g_i of norm 1/sqrt(n) and part weights w_i with sum one, cos_i = n q_i . g_i and
 
     score = sum_i w_i cos_i,        distance^2 = 2 - 2 score = sum_i 2 w_i (1 - cos_i).
 
@@ -9,14 +9,14 @@ constant:
 
     e_i = sum_p sum_x a_pi(x) A_i F_pi(x) + c_i.
 
-One pass is of the picture; LPN adds a second one, of its mirror. F_pi is the map of a pass, or of a part in it; the mirror's
+The first pass is of the picture; LPN adds one of its mirror. F_pi is the map of a pass, or of a part in it; the mirror's map
 is flipped back. If u_i is the tile's part i, scaled to norm one, then
 
     cos_i = sum_x <sum_p a_pi(x) A_i F_pi(x), u_i> / |e_i|  +  <c_i, u_i> / |e_i|,
 
-which is a signed map and one constant. The tile's side is analogous. What the contract says is held, and
+which is a signed map and one constant. The tile's side is analogous. Quantities that the contract holds, and
 the length of a subtracted mean descriptor (`Model.centring`, which joins c_i), are fixed at their values for this picture.
-Evidence accounts for the score as it is. `lpn.explain.occlusion` measures how the score changes without a cell.
+Evidence accounts for the actual score. `lpn.explain.occlusion` measures how the score changes without a cell.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ class SideEvidence:
 
     Attributes:
         cells: signed share of each cell in each part's cosine, (n, h, w); 0 where a cell does not belong to the part.
-        constants: the share of each part's cosine that comes from no cell, (n,).
+        constants: the share of each part's cosine that belongs to no cell, (n,).
     """
 
     cells: Float64Array
@@ -58,7 +58,7 @@ class Evidence:
     Attributes:
         cosines: of each part, (n,).
         weights: part weights that sum to one, (n,).
-        csls: what CSLS subtracts from each part's cosine for the query and for the tile, (n,) each; None without CSLS.
+        csls: CSLS's subtrahend of each part's cosine for the query and for the tile, (n,) each; None without CSLS.
     """
 
     cosines: Float64Array
@@ -74,12 +74,12 @@ class Evidence:
 
     @property
     def csls_shares(self) -> tuple[float, ...]:
-        """The shares of the score that CSLS takes for the query and for the tile, which belong to no cell; empty without CSLS."""
+        """The shares of the score that CSLS subtracts for query and tile; they belong to no cell. Empty without CSLS."""
         return () if self.csls is None else tuple(-float(terms @ self.weights) for terms in self.csls)
 
     @property
     def contributions(self) -> Float64Array:
-        """Each part's exact share of the squared distance, (n,), with its share of both terms of CSLS."""
+        """Each part's exact share of the squared distance, (n,), including its share of both terms of CSLS."""
         terms = 0.0 if self.csls is None else self.csls[0].astype(np.float64) + self.csls[1]
         return 2 * self.weights * (1 - self.cosines + terms)
 
@@ -111,14 +111,14 @@ class Evidence:
         return weight * self.query.cells[part], weight * self.tile.cells[part]
 
     def to_dict(self, names: Sequence[str], level: str = "exact") -> dict[str, Any]:
-        """The evidence as JSON values, as `lpn explain` writes them.
+        """Return the evidence as JSON values, the format of `lpn explain`.
 
         Args:
             names: of the parts.
-            level: how far the numbers are exact, see `Contract.claim`.
+            level: exactness of the numbers, see `Contract.claim`.
 
         A part's `weighted_cosine` is its weight times its cosine; they add up to the score. `cells` (a list of rows) and
-        `constant` are the query's and add up to the part's cosine. Those in `match` are the tile's and add up to the same cosine.
+        `constant` are the query's and add up to the part's cosine. Those in `match` are the tile's and also add up to it.
         """
         parts = [
             {
@@ -150,14 +150,13 @@ def side_evidence(trace: Trace, other: FloatingArray) -> SideEvidence:
 
 
 def spread_constants(side: SideEvidence, trace: Trace) -> Float64Array:
-    """Return the cells of a side with each part's constant spread over them, (n, h, w).
+    """Return the cells of a side with each part's constant spread over them by their pooling weights, (n, h, w).
 
-    It lies on the cells by their pooling weights. Where these add up to one, a cell then adds
-    a_i(x) <A_i F_i(x) + c_i, u_i> / |e_i|: the share of a part that shows nothing but this cell. The cells of a part add up to
-    its cosine. The constant of a part without cells stays without a place.
+    If the pooling weights add up to one, a cell then adds a_i(x) <A_i F_i(x) + c_i, u_i> / |e_i|: the share of a part that shows
+    nothing but this cell. The cells of a part add up to its cosine. The constant of a part without cells has no place.
 
     Args:
-        trace: of the picture whose side it is.
+        trace: of the side's picture.
     """
     weights = trace.cells.sum(axis=0, dtype=np.float64)
     totals = weights.sum(axis=(1, 2), keepdims=True)
@@ -168,8 +167,8 @@ def spread_constants(side: SideEvidence, trace: Trace) -> Float64Array:
 def lead_cells(trace: Trace, weights: Float32Array, leader: FloatingArray, follower: FloatingArray) -> Float64Array:
     """Return each cell's share of the lead of one tile over another in d², (h, w); positive cells speak for the leader.
 
-    The constants of both tiles are spread over the cells of their parts, see `spread_constants`, so that the cells of a part add
-    up to its term of the lead. Parts without cells, and the terms of CSLS, have no place.
+    The constants of both tiles are spread over the cells of their parts, see `spread_constants`, so that the cells of a part
+    add up to its term of the lead. Parts without cells, and the terms of CSLS, have no place.
 
     Args:
         trace: of the query.
@@ -190,10 +189,10 @@ def evidence(
 
     Args:
         csls: see `Evidence`.
-        weights: part weights that sum to one, see `part_weights`; equal by default.
+        weights: part weights with sum one, see `part_weights`; equal by default.
 
     Raises:
-        InputError: when the two were not described by one model.
+        InputError: when two models described the two pictures.
     """
     if query.embedding.shape != tile.embedding.shape:
         raise InputError(
@@ -213,10 +212,10 @@ def evidence(
 
 
 def cell_similarities(query: Trace, tile: Trace, part: int) -> Float32Array:
-    """The share of each pair of cells in a part's cosine, (h w, h' w').
+    """Return the share of each pair of cells in a part's cosine, (h w, h' w'): query cells by tile cells.
 
-    Rows are cells of the query, and columns are cells of the tile. The constants have no row or column. A row's sum
-    and the share of the tile's constant add up to the query cell's value in `Evidence.query`.
+    The constants have no row or column. A row's sum and the share of the tile's constant add up to the query cell's value in
+    `Evidence.query`.
     """
     norms = float(np.linalg.norm(query.embedding[part]) * np.linalg.norm(tile.embedding[part]))
     return cast(Float32Array, query.vectors(part) @ tile.vectors(part).T / np.float32(max(norms, 1e-12)))
@@ -238,7 +237,7 @@ class Correspondences:
 
 
 def correspondences(query: Trace, tile: Trace, weights: Float32Array) -> tuple[Correspondences, Correspondences]:
-    """The correspondences of the query's cells and of the tile's, among cells of the same part.
+    """Return the correspondences of the query's cells and of the tile's, among cells of one part.
 
     Args:
         weights: part weights that sum to one, (n,); a part of weight 0 does not count.
@@ -256,7 +255,7 @@ def correspondences(query: Trace, tile: Trace, weights: Float32Array) -> tuple[C
 
 
 def _take_best(correspondences: Correspondences, shares: Float32Array, rows: BoolArray, columns: BoolArray) -> None:
-    """Update correspondences with one part's shares: a cell of several parts keeps its largest share."""
+    """Update correspondences with one part's shares; a cell of several parts takes its largest share."""
     candidates = np.where(columns, shares, -np.inf)
     best = candidates.argmax(axis=1)
     largest = candidates[np.arange(len(best)), best]
@@ -265,5 +264,5 @@ def _take_best(correspondences: Correspondences, shares: Float32Array, rows: Boo
 
 
 def _part_cells(trace: Trace, part: int) -> BoolArray:
-    """True for the cells of a part, (h w,)."""
+    """Return the mask of a part's cells, (h w,)."""
     return cast(BoolArray, (trace.cells[:, part] != 0).any(axis=0).reshape(-1))

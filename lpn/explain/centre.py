@@ -19,7 +19,7 @@ _BATCH = 16
 
 
 def centre_shares(model: Model, pictures: Sequence[Picture], view: View) -> Iterator[float]:
-    """Yield the share of each picture's activation in the centre, see `centre_share`; its mirror is not used.
+    """Yield the share of each picture's activation in the centre, see `centre_share`; the mirror is not used.
 
     Raises:
         InputError: if the model has no cells.
@@ -36,7 +36,7 @@ def centre_shares(model: Model, pictures: Sequence[Picture], view: View) -> Iter
 def centre_share(activation: FloatingArray) -> float:
     """Return the share of a channel sum (h, w), see `Trace.activation`, that lies in the centre, from 0 to 1.
 
-    Negative sums count as 0. A map without any activation has the share of an even one.
+    Negative sums count as 0. A map without activation counts as uniform.
     """
     total = np.maximum(activation.astype(np.float64), 0)
     inside = centre_box(*total.shape)
@@ -44,9 +44,9 @@ def centre_share(activation: FloatingArray) -> float:
 
 
 def centre_box(height: int, width: int) -> BoolArray:
-    """Return the cells of a map whose centres lie in the middle half of its height and of its width, (h, w).
+    """Return the mask of cells whose centres lie in the middle half of a map's height and width, (h, w).
 
-    On the 16 x 16 map of a picture of 256 pixels it is the box of the two inner rings of n = 4, a quarter of the area.
+    On the 16 x 16 map of a picture of 256 pixels, it is the box of the two inner rings of n = 4, a quarter of the area.
     """
     rows, columns = (abs(2 * np.arange(length) + 1 - length) < length / 2 for length in (height, width))
     return rows[:, None] & columns[None, :]

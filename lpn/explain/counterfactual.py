@@ -1,7 +1,7 @@
 """Counterfactuals of one ranking: the margin by part, ranks without a part, and the smallest change of part weights.
 
-They are computed from the part cosines of the query, under CSLS less its terms, without the network. For part weights w_i that
-sum to one, a positive p, and a negative g:
+They are computed from the query's part cosines, less the terms of CSLS if it is used, without the network. For part weights
+w_i with sum one, a positive p, and a negative g:
 
     score(p) - score(g) = sum_i w_i (cos_i(p) - cos_i(g)),    margin = d^2(g) - d^2(p) = 2 (score(p) - score(g)).
 """
@@ -19,7 +19,7 @@ from lpn.retrieval import Ranking, scoring
 
 # Smallest lead in score over every negative in `smallest_change`. Rounding errors of float32 are smaller.
 MIN_SCORE_LEAD = 1e-5
-# Of `shortest`.
+# Tolerance and steps of `shortest`.
 _TOLERANCE, _STEPS = 1e-12, 1000
 
 
@@ -43,7 +43,7 @@ def ranks_without_parts(ranking: Ranking, tile: int | None = None) -> RanksWitho
     """Rank the nearest positive without each part, and by each part alone.
 
     Args:
-        tile: gallery position that counts as the only positive, in place of the true matches.
+        tile: gallery position of the only positive, in place of the true matches.
 
     Returns:
         None if the ranking has no true match, or the true matches are unknown.
@@ -58,7 +58,7 @@ def ranks_without_parts(ranking: Ranking, tile: int | None = None) -> RanksWitho
     nonempty = np.ones(n, bool) if ranking.lengths is None else ranking.lengths > 0
 
     def rank_by(values: FloatingArray) -> int | None:
-        # Empty parts give every tile the same score, so a rank by them would be meaningless.
+        # Empty parts give every tile one score, so a rank by them is meaningless.
         if not (values[nonempty] > 0).any():
             return None
         return _positive_rank(ranking, scoring.part_weights(n, values), positives, negatives)
@@ -76,11 +76,11 @@ def smallest_change(ranking: Ranking, tile: int | None = None) -> Float32Array |
     The result is the smallest solution over all positives, or no change if a positive is first already.
 
     Args:
-        tile: gallery position that counts as the only positive, in place of the true matches.
+        tile: gallery position of the only positive, in place of the true matches.
 
     Returns:
-        The part weights, 0 or more, summing to one, (n,). None if no weights put a positive first by `MIN_SCORE_LEAD`, or if
-        there is no known positive.
+        The part weights, 0 or more, with sum one, (n,). None if no weights put a positive first by `MIN_SCORE_LEAD`, or no
+        positive is known.
 
     Raises:
         InputError: when `tile` is not ranked.
@@ -116,9 +116,9 @@ class Effect:
 
     Attributes:
         before, after: Recall@1 in percent.
-        gained: positions of queries that are found only under the new weights, (K,).
-        lost: positions of queries that are found only under the old weights, (L,).
-        queries: the number of all queries whose truth is known.
+        gained: positions of queries that only the new weights find, (K,).
+        lost: positions of queries that only the old weights find, (L,).
+        queries: the number of queries with a known truth.
     """
 
     before: float
@@ -147,7 +147,7 @@ def _split(ranking: Ranking, tile: int | None) -> tuple[Int64Array, Int64Array]:
 
 
 def _positive_rank(ranking: Ranking, weights: Float32Array, positives: Int64Array, negatives: Int64Array) -> int:
-    """Return the 1-based rank that `retrieval.rank` would give: float32 scores, ties in gallery order."""
+    """Return the 1-based rank of `retrieval.rank`: by float32 scores, ties in gallery order."""
     scores = ranking.similarities @ weights
     index = positives[int(np.argmax(scores[positives]))]
     score, others = scores[index], scores[negatives]
@@ -156,15 +156,14 @@ def _positive_rank(ranking: Ranking, weights: Float32Array, positives: Int64Arra
 
 
 def shortest(rows: Float64Array, least: Float64Array, limit: float) -> Float64Array | None:
-    """The shortest x (d,) with rows (m, d) @ x >= least (m,); None when there is none of length `limit` or less.
+    """Return the shortest x (d,) with rows (m, d) @ x >= least (m,); None if none has length `limit` or less.
 
     This is least-distance programming by Lawson and Hanson (Solving Least Squares Problems, chapter 23): the non-negative
     least squares problem min over u >= 0 of |E u - f| with E = [rows^T; least^T] and f = (0, .., 0, 1) has the residual
-    r = f - E u, and x = -r[:-1] / r[-1]. The active set holds at most one row more than x has numbers, so that thousands of rows
-    cost little.
+    r = f - E u, and x = -r[:-1] / r[-1]. The active set holds at most d + 1 rows, so thousands of rows cost little.
 
-    Every u >= 0 proves the bound |x|^2 >= 1 / |r|^2 - 1 for all feasible x. When no x is feasible the bound grows without
-    limit, so that one sound test covers both cases of None.
+    Every u >= 0 proves the bound |x|^2 >= 1 / |r|^2 - 1 for all feasible x. If no x is feasible, the bound grows without limit,
+    so one sound test covers both cases of None.
     """
     columns = np.concatenate([rows.T, least[None]])
     columns = columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
@@ -182,7 +181,7 @@ def shortest(rows: Float64Array, least: Float64Array, limit: float) -> Float64Ar
             break
         active, shares = _enter(columns, target, [*active, entering], np.append(shares, 0.0))
         previous, residual = residual, target - columns[:, active] @ shares
-        if residual @ residual >= previous @ previous:  # only rounding errors are left
+        if residual @ residual >= previous @ previous:  # only rounding errors remain
             break
     return cast(Float64Array, -residual[:-1] / residual[-1])
 
@@ -196,7 +195,7 @@ def _enter(
         falling = wanted <= 0
         if not falling.any():
             return active, wanted
-        # Rounding may make the entering column, which starts from zero, fall; the step is then zero, and it leaves again.
+        # Rounding may make the entering column, which starts at zero, fall; the step is then zero, and it leaves again.
         step = float(np.min(shares[falling] / np.maximum(shares[falling] - wanted[falling], 1e-300)))
         shares = np.maximum(shares + step * (wanted - shares), 0.0)
         remaining = (shares > 0) & ~(falling & (shares <= shares[falling].min()))

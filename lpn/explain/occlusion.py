@@ -1,7 +1,7 @@
-"""Occlusion: the loss of a pair's score where a square of the picture is covered. It is measured, and so approximate.
+"""Occlusion: the loss of a pair's score by a covered square of the picture. It is measured, and so approximate.
 
-Occlusion needs only a model's descriptors and serves every model; `lpn.explain.attribution` is exact where a model gives cells.
-A covered picture is one that no camera took, and the receptive fields of cells reach beyond the covered square.
+Occlusion needs only a model's descriptors and serves every model; `lpn.explain.attribution` is exact for a model with cells.
+No camera takes a covered picture, and the receptive fields of cells reach beyond the covered square.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from lpn.core.views import View
 from lpn.models.base import Model
 from lpn.retrieval import scoring
 
-# Squares across and down that a picture is divided into.
+# Squares across and down.
 SQUARES = 8
 _BATCH = 8
 
@@ -25,12 +25,12 @@ _BATCH = 8
 def occlude(
     model: Model, picture: UInt8Array, view: View, other: Float32Array, rows: int = SQUARES, columns: int = SQUARES
 ) -> Iterator[tuple[int, Float32Array]]:
-    """Cover one square of a picture after the other, and measure the loss of each part's cosine with another picture.
+    """Cover each square of a picture in turn, and measure the loss of each part's cosine with another picture.
 
     Args:
         picture: (H, W, 3) uint8.
         other: the other picture's descriptor, (n, D).
-        rows, columns: squares that the network's input is divided into.
+        rows, columns: squares of the network's input.
 
     Yields:
         The number of measured squares, and the losses so far, (n, rows, columns), NaN for the other squares; a square with a
@@ -56,7 +56,7 @@ def occlude(
 def to_dict(
     cosines: FloatingArray, weights: Float32Array, losses: Float32Array, names: Sequence[str]
 ) -> dict[str, Any]:
-    """The values of the JSON file for a pair's losses (n, rows, columns), which have no meaningful sum.
+    """Return the JSON values for a pair's losses (n, rows, columns), which have no meaningful sum.
 
     Args:
         cosines: of the parts of the pair, (n,).
@@ -92,6 +92,6 @@ def mixed(picture: UInt8Array, blurred: UInt8Array, covered: BoolArray) -> UInt8
 
 
 def _cosines(model: Model, pictures: Sequence[UInt8Array], view: View, other: Float32Array) -> Float32Array:
-    """Each part's cosine of each picture, (B, n)."""
+    """Return each part's cosine of each picture, (B, n)."""
     batch = np.stack([model.normalise(picture) for picture in pictures])
     return scoring.part_cosines(other, model.descriptors(batch, view))

@@ -27,8 +27,8 @@ from lpn.descriptors.weather import WEATHERS, Weather
 from lpn.models.base import Model
 from lpn.retrieval import Ranking
 
-# The property that a sweep varies. Rotation is in degrees counter-clockwise. A shift to the right or down is in pixels
-# of the network's input. Zoom is a factor. A weather's number is its place among `WEATHERS`.
+# The property that a sweep varies. Rotation is in degrees counter-clockwise. A shift to the right or down is in pixels of the
+# network's input. Zoom is a factor. A weather's number is its place among `WEATHERS`.
 SweptProperty = Literal["rotation", "shift", "shift-down", "zoom", "weather"]
 UNITS: dict[SweptProperty, str] = {"rotation": "°", "shift": " px", "shift-down": " px", "zoom": " x", "weather": ""}
 # The field of `Change` that each sweep varies.
@@ -154,10 +154,9 @@ class SweepResult:
     def heading(self) -> float | None:
         """Estimate the heading of the query, 0 .. 360 degrees clockwise from north.
 
-        None unless the sweep is a rotation. The estimate needs no ground truth, but the gallery must be north-up. On
-        the demo, in steps of 15 degrees, the median error is 12 degrees for pictures from straight above and 33 for
-        tilted ones (chance: 90). The estimate points the opposite way for one in ten pictures from straight above, and
-        for four in ten tilted ones.
+        None unless the sweep is a rotation. The estimate needs no ground truth, but a north-up gallery. On the demo, in steps
+        of 15 degrees, the median error is 12 degrees for pictures from straight above and 33 for tilted ones (chance: 90). One
+        in ten estimates is opposite for pictures from straight above, and four in ten for tilted ones.
         """
         return -self.best_top_match.change.rotate % 360 if self.over == "rotation" else None
 
@@ -209,12 +208,11 @@ def changes_over(
 ) -> list[Change]:
     """Return the changes of a sweep from coarse to fine, so that the first points already show its shape.
 
-    The first one leaves the query as it is. Each further one is farthest from all earlier ones: a rotation goes 0, 180,
-    90, 270, 45, ...
+    The first one is the identity. Each further one is farthest from all earlier ones: a rotation goes 0, 180, 90, 270, 45, ...
 
     Args:
-        over: a rotation covers the full circle, shifts go both ways, and zooms go in and out by equal factors. The weathers are
-            those of `WEATHERS`, in this order.
+        over: a rotation covers the full circle, shifts go both ways, and zooms go in and out by equal factors. Weathers follow
+            the order of `WEATHERS`.
         step: degrees (default 15), pixels (default `side` / 32), or the factor between zooms (default 1.1).
         reach: largest shift in pixels (default `side` / 4), largest factor (default 2), or the weathers' strength (default 1);
             not for a rotation.
@@ -268,10 +266,7 @@ def _both_sides(count: int) -> list[int]:
 
 
 def _coarse_first(values: Sequence[float], circle: float | None = None) -> list[int]:
-    """Return the positions of values in farthest-point order, which starts at position 0.
-
-    Each next value is as far as possible from all values before it. Of equally far values, the first one is next.
-    """
+    """Return the positions of values in farthest-point order, which starts at position 0; of ties, the first comes next."""
     places = np.asarray(values, dtype=np.float64)
     order, nearest = [0], np.full(len(places), np.inf)
     while len(order) < len(places):
@@ -284,7 +279,7 @@ def _coarse_first(values: Sequence[float], circle: float | None = None) -> list[
 
 
 def _magnitude(over: SweptProperty, change: Change) -> float:
-    """Return the magnitude of a change; 0 if it leaves the query as it is."""
+    """Return the magnitude of a change; 0 for the identity."""
     number = swept_value(over, change)
     if over == "rotation":
         return min(number, 360 - number)

@@ -25,7 +25,7 @@ _SCHEME = f"{SCHEME}:"
 
 
 def is_index(where: str) -> bool:
-    """Return whether a folder or an address is that of an index, without opening it."""
+    """Return whether a folder or an address belongs to an index, without opening it."""
     return where.startswith(_SCHEME) or (Path(where) / MANIFEST).is_file()
 
 
@@ -59,7 +59,7 @@ def open_index(where: str | Path, fingerprint: str | None = None) -> Index:
 def create_index(
     where: str | Path, kind: DescriptorKind, engine: IndexEngine | None = None, structure: Structure | None = None
 ) -> Index:
-    """Make an empty index, or open an existing one of the same kind.
+    """Create an empty index, or open an existing one of the same kind.
 
     Args:
         where: a folder, or milvus://host:port/collection.

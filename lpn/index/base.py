@@ -1,12 +1,12 @@
 """The protocol of an index of tiles, and the arithmetic that all indexes share.
 
-With parts q_i, g_i of norm 1/sqrt(n) and weights w_i that sum to one, the score of a tile is
+With parts q_i, g_i of norm 1/sqrt(n) and weights w_i with sum one, the score of a tile is
 
     score = sum_i w_i cos_i = sum_i (w_i n q_i) . g_i,
 
 one inner product of the tile's descriptor with a rescaled query. One index therefore serves all weights. Scores are
-recomputed from the vectors that an engine returns, in float64 and in a fixed order of summation, so that equal tiles have
-equal scores whatever the engine's rounding.
+recomputed from the vectors that an engine returns, in float64 and in a fixed order of summation. So equal tiles have equal
+scores, whatever the engine's rounding.
 """
 
 from __future__ import annotations
@@ -37,13 +37,13 @@ _ROWS = 256
 
 @dataclass(frozen=True)
 class WindowsRecord:
-    """The windows of a map that an index is made for.
+    """The windows of a map in an index.
 
     Attributes:
         map: `Map.identity` of the map.
         sizes: their sides in metres, ascending.
-        overlap: share of a side that a neighbour covers, too.
-        turns: headings at which each window is described, evenly from 0 on.
+        overlap: share of a side that a neighbour also covers.
+        turns: number of headings at which each window is described, evenly spaced from 0 on.
         count: windows of the whole map, each counted once for all its turns.
     """
 
@@ -65,7 +65,7 @@ class DescriptorKind:
     Attributes:
         fingerprint: fingerprint of the model; descriptors of different models cannot be compared.
         n_parts, embedding: n and D.
-        windows: what it holds, if that is windows of a map.
+        windows: the record of a map's windows; None for other pictures.
     """
 
     fingerprint: str
@@ -236,7 +236,7 @@ class Index(ABC):
 
 
 def no_such_tile(name: str) -> InputError:
-    """Return the error for a name that is not in an index."""
+    """Return the error for a name that an index lacks."""
     return InputError(
         f"The index has no tile {printable(name)[:80]}; tiles are named by their path when they were added."
     )
@@ -298,7 +298,7 @@ def check_positions(positions: Sequence[Sequence[float]] | Float64Array | None, 
 
 
 def check_count(k: int, what: str = "number of tiles asked for") -> int:
-    """Check a number of tiles, or of something else; InputError unless it is a whole number of 1 or more."""
+    """Check a count; InputError unless it is a whole number of 1 or more."""
     if not isinstance(k, (int, float, np.integer, np.floating)) or not k >= 1 or k % 1:
         raise InputError(f"The {what} is {k}; expected 1 or more.")
     return int(k)

@@ -1,7 +1,6 @@
 """An index that compares every tile, in a folder, without extras.
 
 A float32 product finds the tiles that can be among the k best. These are scored in float64. Ties keep the order of insertion.
-
 A product of m numbers in float32, summed in any order after v is rounded, has an error of at most M u / (1 - M u) |v| |g| with
 M = m + 2 and u = 2^-24.
 """

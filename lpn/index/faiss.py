@@ -3,9 +3,9 @@
     0000012.faiss     the rows of the oldest parts, in their order; index.json names it and them
 
 faiss proposes candidates by compact codes, and the float32 vectors on disk score them. Tiles that faiss does not propose are
-missed. Newer parts are compared exhaustively, until their rows are more than those of the others: then all are learnt anew.
-There are inverted lists with a byte for each 32 numbers (pq, 64 bytes for 2048), or for each number if their number is no
-multiple of 32 (sq8). At 10^6 tiles pq finds as many of the true ten as sq8, and is far quicker.
+missed. Newer parts are compared exhaustively, until they have more rows than the coded parts: then the codes are learnt anew.
+Codes have a byte for each 32 numbers (pq, 64 bytes for 2048), or for each number if their count is no multiple of 32 (sq8).
+At 10^6 tiles pq finds as many of the true ten as sq8, and is far quicker.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from lpn.index.parts import Part, readable, sum_of
 _FEW = 4096
 # Maximum number of training vectors for each list.
 _SAMPLE = 64
-# Minimum number of training vectors for the codes, if there are as many.
+# Minimum number of training vectors for the codes, if the index has as many.
 _LEAST = 16384
 _ROUNDS = 10
 _ROWS = 16384
@@ -52,13 +52,13 @@ class FaissIndex(FolderIndex):
 
     engine = "faiss"
     nprobe, depth = 64, 16
-    # So many rows, at least, are compared exhaustively before codes are learnt.
+    # Up to this many rows are compared exhaustively, without codes.
     plain = 16384
 
     def __init__(self, folder: str | Path) -> None:
         self._faiss = cast(Any, import_module("faiss"))
         super().__init__(folder)
-        # The faiss index that is open, with its file's name and the identities of the parts that it covers.
+        # The open faiss index, with its file's name and the identities of its parts.
         self._codes: tuple[object, Any] = None, None
 
     @classmethod
@@ -85,7 +85,7 @@ class FaissIndex(FolderIndex):
             except StoreError:
                 if self._stamp() == state.stamp:
                     raise
-                continue  # another process has learnt anew, and removed the file
+                continue  # another process has learnt new codes, and removed the file
             return self._result(state, proposed, wanted, k)
 
     def close(self) -> None:
@@ -94,7 +94,7 @@ class FaissIndex(FolderIndex):
         super().close()
 
     def _proposed(self, state: IndexSnapshot, wanted: Float32Array, k: int, box: DegreeBox | None) -> Int64Array:
-        """Return the places of the candidates among all rows."""
+        """Return the positions of the candidates among all rows."""
         file, depth = state.manifest.codes, max(k * self.depth, k)
         covered = 0 if file is None else len(file.parts)
         rows = [state.chosen(number, box) for number in range(covered)]
@@ -123,7 +123,7 @@ class FaissIndex(FolderIndex):
     def _best_of(
         self, state: IndexSnapshot, first: int, wanted: Float32Array, depth: int, box: DegreeBox | None
     ) -> Int64Array:
-        """Return the best rows of the parts from a first one on; single precision reorders only ties in its last digits."""
+        """Return the best rows of the parts from `first` on; single precision reorders only ties in its last digits."""
         places, scores = state.scores(range(first, len(state.parts)), wanted, box)
         return places if len(places) <= depth else places[np.argpartition(scores, len(places) - depth)[-depth:]]
 
@@ -144,7 +144,7 @@ class FaissIndex(FolderIndex):
         return index
 
     def _with_engine_file(self, manifest: IndexManifest) -> IndexManifest:
-        """Learn the codes of all parts, if those without are more than those with."""
+        """Learn the codes of all parts if more rows lack codes than have them."""
         covered = 0 if manifest.codes is None else len(manifest.codes.parts)
         old, new = (sum(part.rows for part in some) for some in (manifest.parts[:covered], manifest.parts[covered:]))
         if new <= max(self.plain, old):

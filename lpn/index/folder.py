@@ -3,8 +3,8 @@
     index.json       format, engine, model fingerprint, n, D, the parts, oldest first, and a checksum
     0000012/ ...     parts, see `lpn.index.parts`
 
-An add writes a part that the manifest does not name yet, and replaces the manifest last. If it is killed, the index is as it was
-before, and the next add deletes what it left. A name in a newer part wins.
+An add first writes a part that the manifest does not name yet, and replaces the manifest last. After a kill, the index is
+unchanged, and the next add deletes the leftovers. A name in a newer part wins.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ _UNFINISHED = re.compile(re.escape(MANIFEST) + r"\.\d+-\d+\.part")
 _PART, _CODES = re.compile(r"\d{7,}"), re.compile(r"\d{7,}\.faiss")
 _ATTEMPTS = 20
 _ROWS_PER_READ = 1024
-# Chosen rows are read by themselves if they are at most 1 / _FEW of a part, else all of its rows are.
+# Up to 1 / _FEW of a part's rows are read one by one; for more, all of its rows are read.
 _FEW = 4
 
 
@@ -63,7 +63,7 @@ class PartEntry(msgspec.Struct, frozen=True):
     Attributes:
         name: its folder.
         rows: number of its tiles.
-        replaced: number of those whose names are in newer parts.
+        replaced: number of tiles whose names are in newer parts.
         sums: SHA-256 of each file.
     """
 
@@ -78,7 +78,7 @@ class EngineFile(msgspec.Struct, frozen=True):
 
     Attributes:
         name: of the file.
-        parts: the oldest parts of the index, which it covers.
+        parts: number of the oldest parts, which it covers.
         sum: its SHA-256.
     """
 
@@ -154,14 +154,14 @@ class IndexManifest(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def is_manifest(name: str) -> bool:
-    """Return whether a file of this name is an index's manifest, or one whose writing was interrupted."""
+    """Return whether a file of this name is an index's manifest, complete or interrupted."""
     return name == MANIFEST or _UNFINISHED.fullmatch(name) is not None
 
 
 def verify(folder: Path) -> tuple[int, int]:
     """Read an index in full and compare it with its checksums; return its tiles and its unfinished parts.
 
-    An unfinished part is one of an add that was interrupted or is still running, whose tiles are not in the index.
+    An unfinished part belongs to an interrupted or running add; its tiles are not in the index.
 
     Raises:
         StoreError: when the folder is not an index, or a file of it is damaged.
@@ -219,7 +219,7 @@ class IndexSnapshot:
     """One version of an index.
 
     Attributes:
-        alive: of each part, which rows no newer part replaced, (B,); None for all.
+        alive: masks of the rows of each part that no newer part replaced, (B,); None for all.
         stamp: identifies the version of the manifest's file.
     """
 
@@ -230,11 +230,11 @@ class IndexSnapshot:
 
     @property
     def starts(self) -> Int64Array:
-        """The place of each part's first row among the rows of all parts, and the number of all rows, (P + 1,)."""
+        """The position of each part's first row among all rows, and the number of all rows, (P + 1,)."""
         return np.cumsum([0, *(part.rows for part in self.parts)], dtype=np.int64)
 
     def chosen(self, number: int, box: DegreeBox | None) -> Int64Array | None:
-        """Return the rows of a part to be searched, ascending; None for all."""
+        """Return the searched rows of a part, ascending; None for all."""
         alive = self.alive[number]
         if box is None:
             return None if alive is None else np.flatnonzero(alive)
@@ -244,7 +244,7 @@ class IndexSnapshot:
     def scores(
         self, numbers: Sequence[int], asked: Float32Array, box: DegreeBox | None
     ) -> tuple[Int64Array, Float32Array]:
-        """Score the searched rows of some parts in float32, and return their places among all rows, (C,), and scores, (C,)."""
+        """Score the searched rows of some parts in float32; return their positions among all rows, (C,), and scores, (C,)."""
         places, scores = [np.zeros(0, np.int64)], [np.zeros(0, np.float32)]
         starts = self.starts
         for number in numbers:
@@ -260,7 +260,7 @@ class IndexSnapshot:
 
 
 class FolderIndex(Index):
-    """An index in a folder; subclasses define how it is searched.
+    """An index in a folder; subclasses define the search.
 
     Any number of processes may search while one adds, and see the new tiles at their next search. Adds take turns.
 
@@ -299,7 +299,7 @@ class FolderIndex(Index):
         """See `Index.read`."""
         vectors = np.empty((len(ids), self.kind.numbers), np.float32)
         positions, held = np.full((len(ids), 2), np.nan), np.zeros(len(ids), np.bool_)
-        for part in self._current().parts:  # a newer one replaces what an older one gave
+        for part in self._current().parts:  # a newer part replaces an older one's tile
             rows = part.find(ids)
             here = np.flatnonzero(rows >= 0)
             vectors[here], positions[here], held[here] = part.vectors[rows[here]], part.positions[rows[here]], True
@@ -324,10 +324,10 @@ class FolderIndex(Index):
 
     @abstractmethod
     def _with_engine_file(self, manifest: IndexManifest) -> IndexManifest:
-        """Return the manifest of an add with the engine's own file, which this may write."""
+        """Return the manifest of an add with the engine's own file, which this method may write."""
 
     def _change(self, change: Callable[[], IndexManifest]) -> None:
-        """Replace the manifest by that of `change` for the newest one; processes take turns."""
+        """Apply `change` to the newest manifest; processes take turns."""
         try:
             with exclusive_lock(self.folder, wait=True):
                 self._state = self._read()
@@ -345,8 +345,8 @@ class FolderIndex(Index):
         return self._state
 
     def _result(self, state: IndexSnapshot, places: Int64Array, wanted: Float64Array, k: int) -> SearchResult:
-        """Score candidates, by their places (C,) among the rows of all parts, and return the k best."""
-        places = np.sort(places)  # as they lie on the disk
+        """Score candidates, by their positions (C,) among all rows, and return the k best."""
+        places = np.sort(places)  # in their order on the disk
         scores = np.empty(len(places))
         for part, start, mine in _by_part(state, places):
             for i in range(0, len(mine), _ROWS_PER_READ):
@@ -407,7 +407,7 @@ class FolderIndex(Index):
         return IndexSnapshot(manifest, parts, alive, stamp)
 
     def _write(self, names: list[str], vectors: Float32Array, places: Float64Array) -> IndexManifest:
-        """Write the part of an add, and return the manifest that names it."""
+        """Write the part of an add, and return the manifest with it."""
         manifest, state = self._state.manifest, self._state
         covered = () if manifest.codes is None else manifest.codes.parts
         left, entries = set(names), []
@@ -426,10 +426,7 @@ class FolderIndex(Index):
         return replace(manifest, parts=(*reversed(entries), added), next=number + 1)
 
     def _clear(self) -> None:
-        """Delete files that the manifest does not name: replaced parts, and leftovers of a killed add.
-
-        A folder that also holds files of other programs is not touched.
-        """
+        """Delete files that the manifest does not name, unless the folder also holds files of other programs."""
         manifest = self._state.manifest
         named = {part.name for part in manifest.parts} | {manifest.codes.name if manifest.codes else MANIFEST}
         for path in self.folder.iterdir():
@@ -440,7 +437,7 @@ class FolderIndex(Index):
             elif _PART.fullmatch(path.name) and path.is_dir() and not path.is_symlink():
                 files = list(path.iterdir())
                 if all(file.name in FILES and file.is_file() and not file.is_symlink() for file in files):
-                    # Some systems do not delete files that another process has open.
+                    # Some systems cannot delete files that another process has open.
                     with suppress(OSError):
                         for file in files:
                             file.unlink()
@@ -448,7 +445,7 @@ class FolderIndex(Index):
 
 
 def _by_part(state: IndexSnapshot, places: Int64Array) -> Iterator[tuple[Part, int, Int64Array]]:
-    """Yield each part that holds some places among all rows, the place of its first row, and which of them it holds."""
+    """Yield each part that holds some of the positions, its first row's position, and a mask of the positions in it."""
     owners = np.searchsorted(state.starts, places, "right") - 1
     for number in np.unique(owners).tolist():
         yield state.parts[number], int(state.starts[number]), np.flatnonzero(owners == number)

@@ -1,7 +1,7 @@
-"""Windows of a map into an index, block by block: neither windows nor descriptors of a whole county are ever in memory.
+"""Windows of a map into an index, block by block, so that memory never holds all windows or descriptors of a whole county.
 
-A store of descriptors (`lpn.flight.locate.map_windows`) lists all windows in its manifest. Here a window is known by its name in
-the index only. So 10^7 windows need no more memory than 10^4.
+A store of descriptors (`lpn.flight.locate.map_windows`) lists all windows in its manifest. Here, only the index knows a
+window, by its name. So 10^7 windows need no more memory than 10^4.
 """
 
 from __future__ import annotations
@@ -21,17 +21,17 @@ from lpn.models.base import Model
 # Returns the descriptors (B, n, D) of windows.
 DescribeWindows = Callable[[Sequence[Window]], Float32Array]
 
-# Windows that are described and added together; a killed run repeats at most so many.
+# Windows that are described and added together; a killed run repeats at most this many.
 BLOCK = 1024
 
 
 def windows_record(basemap: Map, sizes: Sequence[float], overlap: float = 0.5, turns: int = 1) -> WindowsRecord:
-    """Return what an index of a map's windows holds, which it is made with.
+    """Return the record with which an index of a map's windows is made.
 
     Args:
         sizes, overlap: see `Map.pyramid`.
-        turns: headings at which each window is described, evenly spaced from north on. With 8 a photo of unknown heading
-            needs one description in place of eight, see `lpn.flight.locate.index_windows`.
+        turns: headings at which each window is described, evenly spaced from north on. With 8, a photo of unknown heading
+            needs one description instead of eight, see `lpn.flight.locate.index_windows`.
     """
     ascending = tuple(sorted(float(size) for size in sizes))
     return WindowsRecord(basemap.identity(), ascending, overlap, turns, basemap.count_pyramid(ascending, overlap))
@@ -45,22 +45,22 @@ def index_windows(
     replace: bool = False,
     box: DegreeBox | None = None,
 ) -> int:
-    """Describe the windows of a map that an index was made for and lacks, and add them under their names, with positions.
+    """Describe the windows that an index lacks of the map that it was made for, and add them by name, with positions.
 
-    It reports its progress, in which windows outside a box count as done. A killed run resumes, as windows whose names are in
-    the index are left out.
+    It reports its progress; windows outside a box count as done. A killed run resumes, because windows whose names are in the
+    index are skipped.
 
     Args:
         describe: see `window_describer`.
         block: windows that are described and added together.
         replace: describe all windows, also those that the index holds.
-        box: describe the windows whose centres lie in it only, so that several machines share a map.
+        box: describe only the windows with centres in it, so that several machines share a map.
 
     Returns:
-        The number of windows that were added.
+        The number of added windows.
 
     Raises:
-        PictureError: if a file of the map is damaged where a window lies.
+        PictureError: if a file of the map is damaged within a window.
         StoreError: if the index cannot be written.
     """
     record = index.kind.windows
@@ -85,7 +85,7 @@ def index_windows(
             if len(missing):
                 chosen = [named[i] for i in missing.tolist()]
                 degrees = np.array([(one.latitude, one.longitude) for one in chosen])
-                # The windows of the names, which are rounded, so that they are cut alike later.
+                # Names round the windows; the rounded windows are described, so that later cuts equal them.
                 rounded = NamedWindow.all_on(chosen, basemap.frame)
                 index.add([one.name for one in chosen], describe(rounded), degrees)
             added += len(missing)
@@ -95,7 +95,7 @@ def index_windows(
 
 
 def window_describer(model: Model, basemap: Map) -> DescribeWindows:
-    """Return what describes windows of a map by a model, mirror included; it raises PictureError where a file is damaged."""
+    """Return a function that describes windows of a map, mirror included; PictureError if a file is damaged."""
     side = max(model.input_size)
     model.check_view("satellite")
     parallel = model.for_parallel_inference()

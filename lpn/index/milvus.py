@@ -3,11 +3,11 @@
 A collection has the fields id (primary key: a 128-bit hash of the tile's name in hexadecimal, which needs no escaping in
 expressions), name, vector (n D numbers, inner product), latitude, and longitude. Its description holds the format.
 
-A search sees the writes of this process; what others wrote in the last seconds may be missing. When `add` returns, the tiles
-are in the server's log and survive its death. A lost connection is tried again for a while; `add` is an upsert, so a repeated
+A search sees the writes of this process; recent writes of others may be missing for seconds. When `add` returns, the tiles
+are in the server's log and survive its death. A lost connection is retried for a while; `add` is an upsert, so a repeated
 attempt loses and duplicates nothing.
 
-`flat` compares every vector. `hnsw` is approximate, and may return fewer tiles than are asked for, as in a box. Milvus returns
+`flat` compares every vector. `hnsw` is approximate, and may return too few tiles, as in a box. Milvus returns
 ties in any order; they are sorted by name.
 """
 
@@ -53,10 +53,10 @@ Structure = Literal["flat", "hnsw"]
 
 # Latitude and longitude of a tile without a position, outside of every box, as Milvus 2.3 has no null.
 _NOWHERE = 1000.0
-# Bytes of a message's vectors at most, far below a server's limit of 64 MB, and its rows.
+# Maximum of bytes of a message's vectors, far below a server's limit of 64 MB, and of its rows.
 _BYTES, _ROWS = 8 << 20, 1000
 _CALL = 30.0
-# Neighbours that hnsw visits, at least.
+# Minimum of neighbours that hnsw visits.
 _EFFORT = 128
 # Seconds between two attempts to reach a server.
 _PAUSE = 1.0
@@ -67,7 +67,7 @@ _BUILD: dict[Structure, dict[str, Any]] = {
 # Milvus's codes of permanent errors: a missing collection, or an invalid parameter.
 _REFUSED = {65, 100, 1100, 1101}
 _FORBIDDEN = {1400, 1401, 1800}
-# The names of the gRPC errors that 2.3 sends in place of these codes.
+# Names of the gRPC errors that Milvus 2.3 sends instead of these codes.
 _FORBIDDEN_NAMES = {"PERMISSION_DENIED", "UNAUTHENTICATED"}
 _COLLECTION = re.compile(r"[A-Za-z_][A-Za-z0-9_]{0,254}")
 _FIELDS = ["name", "vector", "latitude", "longitude"]
@@ -130,7 +130,7 @@ class MilvusIndex(Index):
         return index
 
     def _add(self, names: list[str], vectors: Float32Array, places: Float64Array) -> None:
-        """Add tiles; each message is atomic, so some of the tiles may be there after an error."""
+        """Add tiles. Each message is atomic, so an error may leave some of the tiles added."""
         degrees = np.where(np.isnan(places), _NOWHERE, places).tolist()
         for start in range(0, len(names), self._step):
             rows = [
@@ -215,7 +215,7 @@ class MilvusIndex(Index):
         return str(client.describe_collection(self._name, timeout=_CALL).get("description", ""))
 
     def _make(self, kind: DescriptorKind, structure: Structure, client: Any) -> None:
-        """Create the collection, with the description that identifies it, and then its index if it is missing."""
+        """Create the collection with its identifying description, and then its index if it is missing."""
         types = self._milvus.DataType
         if not client.has_collection(self._name, timeout=_CALL):
             description = json.dumps({"format": FORMAT, **asdict(kind), "structure": structure})
@@ -235,7 +235,7 @@ class MilvusIndex(Index):
     def _rows(
         self, keys: Sequence[str], fields: Sequence[str] = _FIELDS, level: str = "Strong"
     ) -> dict[str, dict[str, Any]]:
-        """Read fields of the tiles of some keys that are there, by their keys, in messages of a bounded size."""
+        """Read fields of existing tiles by their keys, in messages of bounded size."""
         rows: dict[str, dict[str, Any]] = {}
         for start in range(0, len(keys), self._step):
             asked = {"ids": list(keys[start : start + self._step]), "output_fields": ["id", *fields], **_level(level)}
@@ -244,14 +244,14 @@ class MilvusIndex(Index):
         return rows
 
     def _arrays(self, rows: Sequence[dict[str, Any]]) -> tuple[Float32Array, Float64Array]:
-        """Return the descriptors (B, n, D) and positions (B, 2) of rows."""
+        """Return descriptors (B, n, D) and positions (B, 2) of rows."""
         vectors = np.array([row["vector"] for row in rows], np.float32)
         places = np.array([(row["latitude"], row["longitude"]) for row in rows], np.float64).reshape(-1, 2)
         places[places == _NOWHERE] = np.nan
         return vectors.reshape(len(rows), self.kind.n_parts, self.kind.embedding), places
 
     def _call(self, task: Callable[[Any], _T]) -> _T:
-        """Run a task with a connected client, trying again for a while if the server does not answer."""
+        """Run a task with a connected client; retry for a while if the server does not answer."""
         until, again = time.monotonic() + self._patience, False
         while True:
             try:
@@ -259,7 +259,7 @@ class MilvusIndex(Index):
                     uri = f"http://{self._address}"
                     self._client = self._milvus.MilvusClient(uri=uri, token=self._token, timeout=_CALL)
                 if again and hasattr(self, "kind"):
-                    self._client.load_collection(self._name)  # a server that was started again has loaded none
+                    self._client.load_collection(self._name)  # a restarted server has loaded no collection
                 return task(self._client)
             except (StoreError, InputError):
                 raise
@@ -349,7 +349,7 @@ def _is_permanent(error: Exception) -> bool:
 
 
 def _denied(error: Exception) -> str | None:
-    """Return the server's message if it denies the user access or a right; None for any other error.
+    """Return the server's message if it denies access or a right; None for any other error.
 
     pymilvus reports a wrong password as an unreachable server, with the server's message among the causes.
     """

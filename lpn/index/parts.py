@@ -33,7 +33,7 @@ class Part:
         rows: number of tiles by the manifest.
 
     Attributes:
-        identity: of the files; others that are later written into this folder have another one.
+        identity: of the files; it changes if other files are written into this folder.
         vectors: (B, n D) float32.
         positions: (B, 2) float64.
 
@@ -62,7 +62,7 @@ class Part:
         return {name: row for row, name in enumerate(self.names)}
 
     def find(self, names: Sequence[str]) -> Int64Array:
-        """Return the row of each name, -1 where it is not in this part."""
+        """Return the row of each name, -1 for a name of another part."""
         return np.array([self.row_of.get(name, -1) for name in names], np.int64)
 
     def _mapped(self, name: str, shape: tuple[int, ...], dtype: npt.DTypeLike) -> AnyArray:
@@ -75,7 +75,7 @@ class Part:
 
 @contextmanager
 def readable(file: Path) -> Iterator[None]:
-    """Turn errors of reading a file of an index into sentences."""
+    """Turn errors of reading an index's file into sentences."""
     try:
         yield
     except FileNotFoundError as error:

@@ -20,7 +20,7 @@ from lpn.index.base import Index
 from lpn.models.base import Model
 from lpn.tasks.opening import choose_task, offered_tasks
 
-# Gallery pictures by which the described folder is found.
+# Gallery pictures that are compared to find the described folder.
 _SAMPLE = 50
 
 
@@ -31,15 +31,15 @@ class IndexQueries:
     Attributes:
         name: of the task, such as "drone-to-satellite".
         data_name: to display.
-        root: folder of the pictures; a person's notes are kept there.
+        root: folder of the pictures; the user's notes are stored there.
         pictures: the queries.
         descriptors: (Q, n, D).
-        places: what each query shows; None if no position is known.
-        listed: gallery pictures that the index holds, by their names in it, with their positions in the data set's gallery.
-        truth: of each query, by positions in the data set's gallery; None where labels or `spots` tell it.
+        places: the place on each query; None if no position is known.
+        listed: gallery pictures in the index, by their names in it, with their positions in the data set's gallery.
+        truth: of each query, by positions in the data set's gallery; None if labels or `spots` define it.
         gallery_size: number of pictures in the data set's gallery.
-        spots: metres in the frame of a map, (Q, 2), NaN where unknown: the windows that hold them are true.
-        folders: where the pictures of other tiles are looked for, by their names.
+        spots: metres in the frame of a map, (Q, 2), NaN if unknown; windows that contain them are true.
+        folders: folders of further tiles' pictures, searched by their names.
     """
 
     name: str
@@ -67,15 +67,15 @@ class IndexQueries:
 
 
 def unknown_truth(queries: Sequence[Picture]) -> list[Truth]:
-    """Return the truth of queries whose places nobody knows."""
+    """Return the truth of queries of unknown places."""
     return [Truth(np.zeros(0, np.int64), np.zeros(0, np.int64), known=False)] * len(queries)
 
 
 def dataset_queries(model: Model, dataset: Dataset, index: Index) -> IndexQueries:
-    """Return the test queries of a data set whose gallery an index holds: of the task of which it holds most pictures.
+    """Return the test queries of the data set's task of which an index holds most gallery pictures.
 
-    The names in the index are paths below the folder that was described, which is the data set's or one below it. Where it
-    holds none of the gallery, the queries' places are not known.
+    Names in the index are paths below the described folder: the data set's or one below it. If it holds none of the gallery, the
+    queries' places are unknown.
 
     Raises:
         InputError: when the names fit the pictures below several folders equally well.
@@ -109,10 +109,10 @@ def dataset_queries(model: Model, dataset: Dataset, index: Index) -> IndexQuerie
 
 
 def picture_queries(model: Model, folder: Path, index: Index, tiles: Path | None = None) -> IndexQueries:
-    """Return plain pictures below a folder as queries, whose places are not known.
+    """Return plain pictures below a folder as queries of unknown places.
 
     Args:
-        tiles: folder that the tiles' names are relative to; None if their pictures are not at hand.
+        tiles: folder of the tiles' pictures, below which their names are paths; None if there are none.
 
     Raises:
         StoreError: when the index holds descriptors of another model.
@@ -138,7 +138,7 @@ def picture_queries(model: Model, folder: Path, index: Index, tiles: Path | None
 
 
 def fitting_tasks(model: Model, names: Sequence[str], index: Index) -> list[str]:
-    """Return those of some tasks whose gallery an index holds; all of them unless the model's branches have roles.
+    """Return the tasks whose gallery an index may hold; all of them unless the model's branches have roles.
 
     Raises:
         StoreError: when the index holds descriptors of another model, or of queries.
@@ -153,7 +153,7 @@ def fitting_tasks(model: Model, names: Sequence[str], index: Index) -> list[str]
 
 
 def view_pair(model: Model) -> str:
-    """Return the task of pictures that no data set lists: from the drone's view to the satellite's, if the model has them."""
+    """Return the task of pictures without a data set: from the drone's view to the satellite's, if the model has them."""
     query = "drone" if "drone" in model.views else model.views[-1]
     return f"{query}-to-{'satellite' if 'satellite' in model.views else model.views[0]}"
 
@@ -161,7 +161,7 @@ def view_pair(model: Model) -> str:
 def _names_held(
     index: Index, root: Path, gallery: Sequence[Picture]
 ) -> tuple[list[str], dict[str, tuple[int, Picture]]]:
-    """Return the folders below the root that the names in an index fit best, and the gallery pictures of the first.
+    """Return the best-fitting folders below the root for the index's names, and the gallery pictures of the first.
 
     The pictures, with their positions in the gallery, are keyed by their names in the index. Without any, there is no folder.
     """

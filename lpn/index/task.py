@@ -1,6 +1,6 @@
-"""A task whose gallery is the tiles of an index: all of them, or those of a large index that its engine proposes.
+"""A task whose gallery is the tiles of an index: all of them, or the proposals of a large index's engine.
 
-An index has no pictures: those of its tiles are cut from a map, read from a folder, or placeholders.
+An index has no pictures. They are cut from a map, read from a folder, or placeholders.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from lpn.retrieval.saved import in_rows
 from lpn.tasks.gallery_geometry import GalleryGeometry
 from lpn.tasks.task import Task, descriptor_clauses
 
-# Largest number of tiles that are ranked for a query. Their descriptors of 2048 numbers take 1.6 GB.
+# Largest number of ranked tiles. Their descriptors of 2048 numbers take 1.6 GB.
 MOST_TILES = 200_000
 # Number of tiles that an engine proposes for each query.
 PROPOSED = 100
@@ -39,7 +39,7 @@ PROPOSED = 100
 
 # Side of a placeholder in pixels.
 _SIDE = 256
-# Labels of tiles that no data set names begin here.
+# Labels of tiles outside the data set begin here.
 _NO_PLACE = 1 << 40
 
 
@@ -51,7 +51,7 @@ class IndexGallery:
         names: in the index.
         descriptors: (G, n, D); those of a folder of one part stay on disk.
         degrees: latitude and longitude, (G, 2), NaN for a tile without a position.
-        chosen: how the tiles were chosen from a larger index, in words; empty for all tiles.
+        chosen: the selection of the tiles from a larger index, in words; empty for all tiles.
     """
 
     names: list[str]
@@ -61,7 +61,7 @@ class IndexGallery:
 
     @cached_property
     def windows(self) -> list[NamedWindow | None]:
-        """The window of a map that each name tells; None for other tiles."""
+        """The window of a map in each name; None for other tiles."""
         return list(map(NamedWindow.parse, self.names))
 
     @property
@@ -71,10 +71,10 @@ class IndexGallery:
 
 
 def open_gallery(index: Index, queries: IndexQueries) -> IndexGallery:
-    """Read all tiles of an index, or, of one that is large or does not list its tiles, those that matter to some queries.
+    """Read all tiles of an index, or for a large index, or one that does not list its tiles, only the relevant ones.
 
-    These are the tiles that the engine proposes for each query, and the true ones. Their ranks are those among all tiles
-    down to the last proposed one, as far as the engine misses none.
+    Relevant are the true tiles, and those that the engine proposes for each query. Their ranks equal those among all tiles down
+    to the last proposed one, if the engine misses none.
 
     Raises:
         InputError: if the index holds no tiles, or too many are proposed.
@@ -119,7 +119,7 @@ def index_task(
     queries: IndexQueries,
     basemap: Map | None = None,
 ) -> Task:
-    """Return the task of some queries over the tiles of an index, which may be closed then; see `open_gallery`.
+    """Return the task of some queries over the tiles of an index, which may be closed afterwards; see `open_gallery`.
 
     Args:
         model: describes queries; the index holds its descriptors.
@@ -159,7 +159,7 @@ def index_task(
 
 
 def _truth(gallery: IndexGallery, queries: IndexQueries, basemap: Map | None) -> list[Truth] | None:
-    """Return the truth by positions in the gallery of an index; None where labels tell it."""
+    """Return the truth by positions in the gallery of an index; None if labels define it."""
     if queries.spots is not None:
         assert basemap is not None
         xy, halves = basemap.frame.xy(*gallery.degrees.T), gallery.sizes[:, None] / 2
@@ -183,7 +183,7 @@ def _truth(gallery: IndexGallery, queries: IndexQueries, basemap: Map | None) ->
 def _geometry(
     gallery: IndexGallery, places: Sequence[Position | None], basemap: Map | None
 ) -> tuple[GalleryGeometry | None, str]:
-    """Return where tiles lie, and why that is not known, as a sentence; tiles without a position are left off."""
+    """Return the geometry of the tiles without those of unknown position, or a sentence with the reason why there is none."""
     degrees, sizes = gallery.degrees, gallery.sizes
     if np.isnan(degrees).any(axis=1).all():
         return (
@@ -211,11 +211,7 @@ def _geometry(
 
 
 def _tile_pictures(gallery: IndexGallery, queries: IndexQueries, basemap: Map | None, pixels: int) -> list[Picture]:
-    """Return the pictures of tiles: a data set's, cut from the map, read from a folder of the queries, or placeholders.
-
-    Args:
-        pixels: side of a picture that is cut from the map.
-    """
+    """Return the tiles' pictures: a data set's, cut from the map at `pixels` a side, from the queries' folders, or grey."""
     windows = [window for window in gallery.windows if window is not None]
     on_map = iter([] if basemap is None else NamedWindow.all_on(windows, basemap.frame))
     pictures = []
@@ -242,7 +238,7 @@ def _tile_pictures(gallery: IndexGallery, queries: IndexQueries, basemap: Map | 
 
 
 def _file(name: str, folders: Sequence[Path]) -> Path | None:
-    """Return the file of a tile's name in the first folder that has one; None without."""
+    """Return the file of a tile's name in the first folder that has it, or None."""
     with suppress(DataError, OSError):
         for folder in folders:
             if (file := folder / listed_path(name, "The index")).is_file():

@@ -1,4 +1,4 @@
-"""Read the tiles to be indexed, with their positions if known, from a store of descriptors or from the parts of many workers."""
+"""Tiles for an index, read with their known positions from a store of descriptors or from the parts of many workers."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from lpn.flight.maps.named_window import NamedWindow
 from lpn.index.base import DescriptorKind, check_names
 from lpn.models.contract import Role
 
-# Size of the descriptors that are added at once, in bytes; a killed run repeats at most this much.
+# Bytes of the descriptors that are added at once; a killed run repeats at most this much.
 _CHUNK_BYTES = 64 << 20
-# The name in `lpn.cluster.parts`, which needs an extra and is imported for parts only.
+# The name from `lpn.cluster.parts`, which needs an extra and is imported for parts only.
 _PLAN = "plan.json"
 
 
@@ -60,12 +60,11 @@ def open_tiles(where: str, data: Path | None = None) -> TileSource:
 
     Args:
         where: folder of a store, or folder or address of parts.
-        data: folder whose geo.csv replaces the positions of parts, by `lpn.datasets.geo.Positions.match`. Without one, it is a
-            data set that tells positions otherwise.
+        data: data set whose positions replace the parts': its geo.csv by `lpn.datasets.geo.Positions.match`, or its own lists.
 
     Raises:
         StoreError: when there is neither a complete store nor complete parts.
-        DataError: when `data` tells no positions, or they cannot be read.
+        DataError: when `data` has no positions, or they cannot be read.
         InputError: if an index cannot hold these tiles, or `data` has no position for any tile, or two for one.
     """
     folder = Path(where)
@@ -125,7 +124,7 @@ def _step(kind: DescriptorKind) -> int:
 
 
 def _window_positions(names: list[str]) -> Float64Array | None:
-    """Return the centres of windows of a map, (N, 2); None if a name is not that of a window."""
+    """Return the centres of windows of a map, (N, 2); None if a name names no window."""
     windows = [window for name in names if (window := NamedWindow.parse(name)) is not None]
     if not names or len(windows) < len(names):
         return None
@@ -147,7 +146,7 @@ def _positions(root: Path, names: list[str]) -> Float64Array:
 
 
 def _of_dataset(root: Path) -> geo.Positions:
-    """Return the positions of a data set that has no geo.csv, such as DenseUAV, UAV-VisLoc, or VIGOR."""
+    """Return the positions of a data set without a geo.csv, such as DenseUAV, UAV-VisLoc, or VIGOR."""
     reason = ""
     try:
         known = open_dataset(root).positions()

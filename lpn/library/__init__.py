@@ -1,4 +1,4 @@
-"""A folder of pictures as a gallery that answers pictures: the first lines of the library.
+"""A folder of pictures as a gallery that is searched with pictures: the entry to the library.
 
 It imports `drawing` and the packages below it.
 """

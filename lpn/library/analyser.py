@@ -28,14 +28,14 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, eq=False)
 class OwnPicture:
-    """A picture of the user's own, which is not in the data set and whose place is not known.
+    """A picture of the user's own, outside the data set and of unknown place.
 
     Attributes:
         picture: (H, W, 3) uint8.
         place: latitude and longitude of the camera in degrees; None if the file has none.
-        key: names it in the addresses of the page that holds it; empty where none does.
-        day: on which it was taken; None if its file does not tell.
-        facts: names and values that its file tells, for people.
+        key: its name in addresses of the page that holds it; empty without a page.
+        day: the day of the picture; None if its file lacks it.
+        facts: names and values from its file, for display.
     """
 
     name: str
@@ -48,16 +48,16 @@ class OwnPicture:
 
 @dataclass(frozen=True, eq=False)
 class QueryRequest:
-    """The query to analyse, and how.
+    """The query to analyse, and the options.
 
     Attributes:
         query: position among the task's queries, or a picture of the user's own.
         change: applied to the query before it is described.
         weights: part weights, see `scoring.part_weights`; None for equal ones.
-        region: cells of the query's feature map, row by row, that the search is restricted to; empty for all.
-        compare: the tile to compare with: a gallery position, "positive", or None for the top match. If that tile is not
-            ranked, the top match is used.
-        evidence, correspondences: True to compute them for the compared pair.
+        region: cells of the query's feature map, row by row, that restrict the search; empty for all.
+        compare: the tile to compare with: a gallery position, "positive", or None for the top match, which also replaces an
+            unranked tile.
+        evidence, correspondences: whether to compute them for the compared pair.
     """
 
     query: int | OwnPicture
@@ -71,7 +71,7 @@ class QueryRequest:
 
 @dataclass(frozen=True, eq=False)
 class _Photo:
-    """A query to describe: its pixels before the change, the zoom within that, and what identifies the changed picture."""
+    """A query to describe: its pixels before the change, the zoom within that, and the key of the changed picture."""
 
     own: OwnPicture | None
     index: int | None
@@ -82,18 +82,18 @@ class _Photo:
     key: Hashable
 
 
-# Returns a described picture by its key, or what the function returns.
+# Returns a described picture by its key, else the function's result.
 KeepDescribed = Callable[[Hashable, Callable[[], DescribedPicture]], DescribedPicture]
 
 
 def described_key(task: Task, query: int, change: Change) -> Hashable:
-    """Return what a described query of a task depends on; `change` is that of the picture, see `Change.for_picture`."""
+    """Return the key of a described query of a task; `change` is the picture's own, see `Change.for_picture`."""
     picture = task.queries[query]
     return picture.path, picture.box, task.key, change
 
 
 class _LastValue(Generic[T]):
-    """A cache of one value: that of the last key."""
+    """A cache of one value, for the last key."""
 
     def __init__(self) -> None:
         self._entry: tuple[Hashable, T] | None = None
@@ -110,8 +110,8 @@ class QueryAnalyser:
     Args:
         model: describes queries, as the task's `Model.for_task`; None if only stored descriptors are available.
         describe_tile: describes a tile of a task by its gallery position, see the function `describe_tile`; may use a cache.
-        load: reads a picture without regard to its box; may use a cache.
-        keep: returns a described query of the task by its `described_key`, or what describes it; may use a cache.
+        load: reads a picture without its box; may use a cache.
+        keep: returns a described query of the task by its `described_key`, else the function's result; may use a cache.
     """
 
     def __init__(
@@ -129,7 +129,7 @@ class QueryAnalyser:
         self._search: _LastValue[RankUnderWeights] = _LastValue()
 
     def describe_ahead(self, task: Task, requests: Sequence[QueryRequest]) -> None:
-        """Describe the queries of some requests in one batch, from which `analyse` takes each; errors as there."""
+        """Describe the queries of some requests in one batch for later calls of `analyse`; errors as there."""
         if self._model is None or not requests:
             return
         photos = [self._photo(task, request) for request in requests]
@@ -142,7 +142,7 @@ class QueryAnalyser:
 
         Args:
             k: number of matches.
-            tile: whether the compared tile is described at once; the evidence of a request needs it.
+            tile: whether to describe the compared tile at once; evidence needs it.
 
         Raises:
             InputError: when there is no such query, or no tile to rank.
@@ -200,7 +200,7 @@ class QueryAnalyser:
         )
 
     def _photo(self, task: Task, request: QueryRequest) -> _Photo:
-        """Read the query of a request, and say how it is changed."""
+        """Return the query of a request, and its change."""
         query = request.query
         own, index = (query, None) if isinstance(query, OwnPicture) else (None, query)
         if index is not None and not 0 <= index < len(task.queries):
@@ -217,14 +217,14 @@ class QueryAnalyser:
         )
 
     def _own_zoom(self, task: Task, own: OwnPicture) -> float:
-        """Return the zoom that the task's calibration chooses for the user's own picture; 1 without one."""
+        """Return the zoom that the task's calibration chooses for the user's own picture; 1 without a calibration."""
         if self._model is None or task.calibration is None:
             return 1.0
         return task.calibration.own_zoom(self._model, own.picture, task.query_view)
 
 
 def _errors_m(task: Task, index: int | None, own: OwnPicture | None) -> Float64Array | None:
-    """Return metres from a query's place to each tile, (G,); of the user's own picture, from its camera."""
+    """Return metres from a query's place, or the own picture's camera, to each tile, (G,)."""
     if task.geometry is None:
         return None
     if index is not None:
@@ -233,7 +233,7 @@ def _errors_m(task: Task, index: int | None, own: OwnPicture | None) -> Float64A
 
 
 def describe_tile(task: Task, index: int, model: Model | None) -> DescribedPicture:
-    """Describe a gallery picture; without a model, or without its picture, take its stored descriptor."""
+    """Describe a gallery picture; without a model or the picture, take its stored descriptor."""
     picture = task.gallery[index].load_zoomed()
     if model is None or task.gallery[index].missing:
         return DescribedPicture(picture, task.gallery_descriptors[index], None, None)
@@ -243,12 +243,12 @@ def describe_tile(task: Task, index: int, model: Model | None) -> DescribedPictu
 def start_search(
     task: Task, index: int | None, query: DescribedPicture, region: tuple[int, ...], weights: Float32Array
 ) -> RankUnderWeights:
-    """Compare a query with the gallery, by all of it or by a region.
+    """Compare a query, or a region of it, with the gallery.
 
     Args:
-        index: the query's position; None for a picture that is none of the task's queries.
+        index: the query's position; None for a picture outside the task.
         region: cells of the query's feature map, row by row; empty for all.
-        weights: part weights that sum to one, (n,); the descriptor of a region depends on them.
+        weights: part weights with sum one, (n,); the descriptor of a region depends on them.
     """
     if not region or query.trace is None:
         return task.start_search(index, query.descriptor)

@@ -1,4 +1,4 @@
-"""The answer to one query: the one object that the app, reports, stories, notebooks, and JSON render."""
+"""The answer to one query, the object that the app, reports, stories, notebooks, and JSON render."""
 
 from __future__ import annotations
 
@@ -27,17 +27,17 @@ from lpn.tasks import verdict
 from lpn.tasks.task import Task
 from lpn.tasks.verdict import Verdict
 
-# Matches that a notebook shows.
+# Matches in a notebook.
 SHOWN = 5
 _THUMBNAIL = 96
-# A notebook may be light or dark; the colours of parts are those of dark ground.
+# Notebooks are light or dark, but the colours of parts need dark ground.
 _GROUND = theme.css(DARK.background)
 _SIGNS = {True: "✓ ", False: "✗ ", None: ""}
 
 
 @dataclass(frozen=True)
 class NamedMatch(Match):
-    """A match with the name of its picture, which is its path below the gallery's folder."""
+    """A match with the name of its picture: its path below the gallery's folder."""
 
     name: str = ""
 
@@ -72,7 +72,7 @@ class PairEvidence:
     """The evidence for the score of a pair.
 
     Attributes:
-        correspondences: of the query's cells and of the tile's; None unless requested.
+        correspondences: of the query's and the tile's cells; None unless requested.
     """
 
     evidence: Evidence
@@ -81,25 +81,24 @@ class PairEvidence:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Answer:
-    """The gallery of a task in the order of its distance to one query, with a verdict; a notebook shows its first matches.
+    """The gallery of a task ordered by distance to one query, with a verdict; a notebook shows the first matches.
 
     Attributes:
-        task: the query's; its gallery was searched.
+        task: the query's task, whose gallery was searched.
         name: the query's name.
-        index: the query's position; None for a picture that is none of the task's queries.
+        index: the query's position; None for a picture outside the task.
         query: the query after its change, with its descriptor.
         ranking: of the gallery, under the part weights of the search.
         matches: the nearest tiles.
-        chosen: the tile that the query is compared with.
+        chosen: the tile to compare the query with.
         describe_tile: describes a tile of the task by its gallery position.
         source: the query's picture before the change, (H, W, 3) uint8.
-        tile: the compared tile, described; None where that waits until it is needed.
-        positive: the nearest positive; None if the query has none, or its place is not known.
-        errors_m: metres from the place that the query shows to each tile, (G,); of the user's own picture, from its camera. None
-            without positions.
-        zoom: of the query's picture, see `Picture.zoom`; of the user's own picture the one that a calibration chose.
+        tile: the compared tile, described; None until it is needed.
+        positive: the nearest positive; None if the query has none, or its place is unknown.
+        errors_m: metres from the query's place, or from the own picture's camera, to each tile, (G,); None without positions.
+        zoom: of the query's picture, see `Picture.zoom`, or the calibration's choice for an own picture.
         pair_evidence: of the compared tile; None if it was not requested, or there is no network.
-        seconds: time that the answer took.
+        seconds: duration of the analysis.
     """
 
     task: Task
@@ -120,18 +119,18 @@ class Answer:
 
     @cached_property
     def verdict(self) -> Verdict:
-        """Whether the first match is right, and which parts make it so."""
+        """Whether the first match is right, and the parts that decide it."""
         return verdict.judge(
             self.ranking, self.task.part_names, self.task.contract.part_noun, self.error_m(self.matches[0])
         )
 
     def error_m(self, match: Match) -> float | None:
-        """Return the metres from the place that the query shows to a tile; None where that is unknown."""
+        """Return the metres from the query's place to a tile; None if unknown."""
         error_m = math.nan if self.errors_m is None else float(self.errors_m[match.index])
         return error_m if math.isfinite(error_m) else None
 
     def ungraded(self) -> Self:
-        """Return the answer to a query whose place is not known."""
+        """Return this answer with the query's place unknown."""
         return replace(
             self,
             ranking=replace(self.ranking, relevant=None),
@@ -141,7 +140,7 @@ class Answer:
         )
 
     def top(self, k: int) -> list[NamedMatch]:
-        """The k nearest pictures, or all when there are fewer.
+        """Return the k nearest pictures, or all if there are fewer.
 
         A match has `rank` (1 for the nearest), `name`, `index` in the gallery, `score`, `distance2` (d², 0 .. 4), `cosines` of
         the parts (n,), and `contributions`, their shares of d² (n,), which add up to it.
@@ -153,17 +152,17 @@ class Answer:
 
         Raises:
             InputError: if there is no such rank, or the model gives no cells.
-            PictureError: if the picture cannot be read any more.
+            PictureError: if the picture can no longer be read.
         """
         return self._pair(self._match(rank))[1]
 
     @property
     def shares(self) -> Float32Array:
-        """Each part's share of d² of every ranked picture, nearest first, (k, n); a picture's add up to its d²."""
+        """Return each part's share of d² of every ranked picture, nearest first, (k, n); a picture's shares add up to its d²."""
         return np.stack([match.contributions for match in self.ranking.top(len(self.ranking.order))])
 
     def heat(self, rank: int = 1, of: Literal["query", "tile"] = "query") -> Float32Array:
-        """The share of each cell of the query, or of the picture at a rank, in their score: of each part, (n, h, w).
+        """Return each cell's share of the score of query and picture at a rank, by part, (n, h, w), for either of the two.
 
         With the constants of `evidence(rank)` under the part weights and the terms of CSLS, all cells add up to the score.
 
@@ -179,7 +178,7 @@ class Answer:
 
         Raises:
             InputError: if there is no such rank, or the model gives no cells.
-            PictureError: if the picture cannot be read any more.
+            PictureError: if the picture can no longer be read.
         """
         match, views = self._match(rank), self.task.views
         tile, evidence = self._pair(match)
@@ -198,7 +197,7 @@ class Answer:
         return picture, PartAreas.of(task.contract, view, task.map_sizes[view], described.trace)
 
     def described(self, match: Match) -> DescribedPicture:
-        """Return the picture of a match, described."""
+        """Return the described picture of a match."""
         if self.tile is not None and match.index == self.chosen.index:
             return self.tile
         return self.describe_tile(self.task, match.index)
@@ -206,16 +205,16 @@ class Answer:
     def paper_figure(
         self, true: int | str | None = None, wrong: int | str | None = None, width: float = PAGE
     ) -> PaperFigure:
-        """Draw the figure of a paper: the query, the true tile, a wrong tile, the heat of each part, and its shares.
+        """Draw a paper's figure: the query, the true tile, a wrong tile, the heat of each part, and its shares.
 
         Args:
-            true: a tile by its rank or its name; by default the nearest positive, and the nearest tile where that is not known.
+            true: a tile by its rank or its name; by default the nearest positive, or the nearest tile if no positive is known.
             wrong: likewise; by default the nearest other tile.
-            width: in mm, such as 88 for a column, or 180 for a page, where each part has a map of its own.
+            width: in mm, such as 88 for a column, or 180 for a page, which has a map for each part.
 
         Raises:
             InputError: if there is no such tile, both are one, the model gives no cells, or the width is out of range.
-            PictureError: if a picture cannot be read any more.
+            PictureError: if a picture can no longer be read.
         """
         second = None if wrong is None else self._match(wrong)
         positive = self.ranking.positive() if true is None else self._match(true)
@@ -236,7 +235,6 @@ class Answer:
         return PaperFigure([query, *rows], self.task.part_names, self.task.contract.part_noun, width)
 
     def _match(self, tile: int | str) -> Match:
-        """Return the match of a tile by its rank or its name."""
         order = self.ranking.order.tolist()
         if isinstance(tile, str):
             for index in order:
@@ -249,7 +247,7 @@ class Answer:
         return self.ranking.match(tile - 1)
 
     def _pair(self, match: Match) -> tuple[DescribedPicture, Evidence]:
-        """Return the tile of a match, described, and the evidence for it."""
+        """Return the described tile of a match, and the evidence for it."""
         tile = self.described(match)
         pair = pair_evidence(self.query, tile, self.ranking.weights, csls=self.ranking.csls_of(match.index))
         if pair is None:
@@ -257,7 +255,7 @@ class Answer:
         return tile, pair.evidence
 
     def to_dict(self, k: int = 10) -> dict[str, Any]:
-        """The answer as JSON values: the verdict, its k nearest tiles with each part's share of d², and the evidence, if any."""
+        """Return JSON values: the verdict, the k nearest tiles with each part's share of d², and the evidence, if any."""
         said, names = self.verdict, self.task.part_names
         rival = None if said.rival is None else self._listed(said.rival)
         judged: dict[str, Any] = {
@@ -336,7 +334,7 @@ def pair_evidence(
     correspondences: bool = False,
     csls: tuple[Float32Array, Float32Array] | None = None,
 ) -> PairEvidence | None:
-    """The evidence of a pair under part weights (n,) that sum to one; None without a network.
+    """Return the evidence of a pair under part weights (n,) with sum one; None without a network.
 
     Args:
         csls: see `Evidence`.

@@ -1,4 +1,4 @@
-"""Pictures of one view that are searched with pictures of another."""
+"""Pictures of one view, searched with pictures of another."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class Gallery:
     """Pictures of one view with their descriptors; its length is their number.
 
     Attributes:
-        model: it describes the queries, calibrated as the gallery is.
+        model: describes the queries, calibrated like the gallery.
         view: of the pictures.
         pictures: in the order of their paths.
         descriptors: of the pictures, (G, n, D).
@@ -60,14 +60,14 @@ class Gallery:
         calibrate: bool | None = None,
         csls: int = 0,
     ) -> Self:
-        """Describe all pictures below a folder; their descriptors are kept in the user's cache.
+        """Describe all pictures below a folder; the user's cache stores their descriptors.
 
         Args:
-            folder: it is searched to any depth; a picture's name is its path below it.
-            model: a model, or what `lpn.load` opens, such as the name of one that ships.
+            folder: searched to any depth; a picture's name is its path below it.
+            model: a model, or an argument of `lpn.load`, such as the name of a shipped one.
             view: of the pictures, "satellite", "street", or "drone".
-            queries: a folder of pictures such as will be searched for, which `calibrate` and `csls` take; no labels are needed.
-            query_view: of those.
+            queries: a folder of typical query pictures, for `calibrate` and `csls`; no labels are needed.
+            query_view: the view of the queries.
             calibrate, csls: see `lpn.open_task`; nothing ships with a folder.
 
         Raises:
@@ -119,8 +119,8 @@ class Gallery:
             change: applied to the picture first; a number turns it by that many degrees counter-clockwise.
 
         Raises:
-            InputError: if the picture has another shape, the model lacks the view, the gallery is calibrated for another, there
-                are not n weights, or the change leaves nothing of the picture.
+            InputError: if the picture has another shape, the model lacks the view, the gallery is calibrated for another
+                view, the number of weights is wrong, or the change leaves nothing of the picture.
         """
         if not isinstance(picture, np.ndarray) or picture.dtype != np.uint8 or picture.shape[2:] != (3,):
             kind = f"{picture.dtype} {picture.shape}" if isinstance(picture, np.ndarray) else type(picture).__name__
@@ -148,10 +148,10 @@ def answer_of(
     ranking: Ranking,
     name: str = "query",
 ) -> Answer:
-    """Return the answer to a described picture whose place is not known.
+    """Return the answer to a described picture of unknown place.
 
     Args:
-        model: it described query and pictures, as its `Model.for_task` of the views.
+        model: the model of query and pictures, as its `Model.for_task` of the views.
         views: of the query and of the pictures.
         descriptors_of: of the pictures, (G, n, D).
         ranking: of the pictures.

@@ -1,4 +1,4 @@
-"""The turn by which tiles lie like the query, so that a person sees that the two match."""
+"""The turn that aligns tiles with the query, so that a user sees that the two match."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from lpn.datasets.geo import Position
 from lpn.library.answer import Answer
 from lpn.models.trace import Trace
 
-# Degrees between two turns that are tried.
+# Degrees between two tried turns.
 STEP = 5
 
 
@@ -24,7 +24,7 @@ class MatchingTurn:
 
     Attributes:
         degrees: counter-clockwise, above -180 up to 180.
-        source: what tells it: the headings of both pictures, the registration of a photo, or the model's maps of the two.
+        source: its origin: the headings of both pictures, the registration of a photo, or the model's maps of the two.
     """
 
     degrees: float
@@ -32,15 +32,15 @@ class MatchingTurn:
 
 
 def matching_turn(answer: Answer, query: int | None, turned: float, registered: float | None) -> MatchingTurn | None:
-    """Return the turn at which the compared tile lies like the query as it is shown.
+    """Return the turn that aligns the compared tile with the query as shown.
 
     Args:
-        query: its position among the task's queries; None for the user's own picture, whose heading is not known.
+        query: its position among the task's queries; None for the user's own picture, whose heading is unknown.
         turned: degrees counter-clockwise by which the query is shown turned.
         registered: the heading of the query's picture, before `turned`, by a registration; None without one.
 
     Returns:
-        None where a picture is no square seen from above, and where nothing tells the turn.
+        None if a picture is no square seen from above, or the turn is unknown.
     """
     task = answer.task
     if "street" in task.views or any(task.contract.unrolled(view) for view in task.views):
@@ -60,15 +60,15 @@ def matching_turn(answer: Answer, query: int | None, turned: float, registered: 
 
 
 def _heading(place: Position | None, view: str) -> float | None:
-    """Return a picture's heading; a satellite's is north unless its position says another."""
+    """Return a picture's heading; a satellite's is north unless its position has another."""
     heading = None if place is None else place.heading
     return 0.0 if heading is None and view == "satellite" else heading
 
 
 def relative_turn(query: Trace, tile: Trace) -> int | None:
-    """Return the degrees counter-clockwise, 0 .. 355, by which the tile is to be turned to lie like the query.
+    """Return the degrees counter-clockwise, 0 .. 355, by which the tile must be turned to align it with the query.
 
-    Rings forget where in them a thing lies; the feature maps still hold it. With q_i and t_j the features of the query's cell i
+    Rings ignore positions along them; the feature maps still hold these. With q_i and t_j the features of the query's cell i
     and of the tile's cell j, each less its picture's mean, and with W(r) the bilinear interpolation that turns a map by r
     degrees, the fit is Σ_ij W_ij(r) q_i · t_j over the cells of the largest disc.
 
@@ -76,7 +76,7 @@ def relative_turn(query: Trace, tile: Trace) -> int | None:
     within 30 degrees.
 
     Returns:
-        None where the two maps are not squares of one size, or one of them is the same everywhere.
+        None if the two maps are not squares of one size, or one of them is constant.
     """
     height, width = query.size
     if height != width or tile.size != query.size or height < 2:
@@ -100,16 +100,13 @@ def _centred(trace: Trace) -> Float32Array:
 
 @lru_cache(maxsize=4)
 def _turns(side: int) -> tuple[Int64Array, Int64Array, Float64Array]:
-    """Return the M cells of the disc, and for each turn the four cells that each is interpolated from, with their shares.
-
-    The shapes are (M,), (turns, M, 4), and (turns, M, 4).
-    """
+    """Return the M cells of the disc, (M,), and for each turn their four source cells with shares, (turns, M, 4) each."""
     middle = (side - 1) / 2
     rows, columns = np.divmod(np.arange(side * side), side)
     up, right = middle - rows, columns - middle
     disc = np.flatnonzero(np.hypot(up, right) <= middle)
     angles = np.radians(np.arange(0, 360, STEP))[:, None]
-    # A cell of the turned map shows what lay clockwise from it.
+    # A cell of the turned map shows the original cell clockwise from it.
     sine, cosine = np.sin(angles), np.cos(angles)
     column = np.clip(middle + right[disc] * cosine + up[disc] * sine, 0, side - 1)
     row = np.clip(middle - up[disc] * cosine + right[disc] * sine, 0, side - 1)

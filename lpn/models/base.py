@@ -26,18 +26,18 @@ Floats = TypeVar("Floats", Float32Array, Float64Array)
 class Model(ABC):
     """A trained part-based model, ready to describe pictures.
 
-    A user's own model sets `contract` and defines `run`, and `heads` where it has static ones. Images are (B, 3, H, W)
-    float32, RGB, normalised as the contract says, as NumPy array or torch tensor.
+    A user's own model sets `contract` and defines `run`, and `heads` if it has static ones. Images are (B, 3, H, W)
+    float32, RGB, normalised by the contract, as NumPy array or torch tensor.
 
     Attributes:
-        contract: what the model says of itself.
+        contract: the model's description of itself.
         spec: the architecture of an LPN, for training and export; None for other models.
         precision: the precision of its convolutions, "float32" or "int8".
-        device: what it computes on, "cpu", "cuda", or another provider of ONNX Runtime.
+        device: the device of the computation, "cpu", "cuda", or another provider of ONNX Runtime.
         parallel: whether several threads can call it in parallel, each on one core.
         batch: the best batch size for `descriptors`.
-        means: the mean descriptor of a view, (n, D), that is subtracted from each of its descriptors; see `centred`.
-        whitening: the matrix that multiplies each part after that, (n, D, D); None for none.
+        means: the mean descriptor of a view, (n, D), subtracted from each of its descriptors; see `centred`.
+        whitening: the matrix that then multiplies each part, (n, D, D); None for none.
         branches: the role of each view in the task of `for_task`; empty before.
     """
 
@@ -53,10 +53,10 @@ class Model(ABC):
 
     @cached_property
     def fingerprint(self) -> str:
-        """A hexadecimal digest; only descriptors with the same fingerprint are comparable.
+        """A hexadecimal digest; only descriptors of equal fingerprints are comparable.
 
-        A model of a file sets that of the file. Otherwise it is the digest of the contract and of what the model answers to
-        one picture of noise in each view.
+        A model from a file sets the file's digest. Otherwise it is the digest of the contract and of the model's output for one
+        picture of noise in each view.
         """
         digest = hashlib.sha256(repr(self.contract).encode())
         noise = np.random.default_rng(0).standard_normal((1, 3, *self.input_size)).astype(np.float32)
@@ -97,7 +97,7 @@ class Model(ABC):
         """Run one forward pass of images (B, 3, H, W)."""
 
     def heads(self, view: View) -> Heads:
-        """Return what is the same for all pictures of a view; nothing by default.
+        """Return the terms that are equal for all pictures of a view; empty by default.
 
         Raises:
             InputError: if the model lacks the view.
@@ -114,7 +114,7 @@ class Model(ABC):
     def for_task(self, query: View, gallery: View) -> Self:
         """Return this model for the queries and the gallery of one task.
 
-        Only where branches have roles is it another model: its `role` of each view is that of the task.
+        It is another model only if branches have roles: `role` is then the view's role in the task.
 
         Raises:
             InputError: if branches have roles, and queries and gallery are of one view.
@@ -135,9 +135,9 @@ class Model(ABC):
         return bound
 
     def in_role(self, view: View, role: Role | None) -> Self:
-        """Return this model for the pictures of one view, which are the queries or the gallery of a task with another view.
+        """Return this model for the pictures of one view, the queries or gallery of a task with another view.
 
-        Its fingerprint is that of `for_task`.
+        Its fingerprint equals that of `for_task`.
 
         Args:
             role: None for the role of the view outside of a task.
@@ -156,7 +156,7 @@ class Model(ABC):
         return self.for_task(view, other) if role == "query" else self.for_task(other, view)
 
     def role(self, view: View) -> Role:
-        """Return the role of a view where branches have roles; outside of a task, see `Contract.default_role`."""
+        """Return the role of a view if branches have roles; outside of a task, see `Contract.default_role`."""
         return self.branches.get(view, self.contract.default_role(view))
 
     def to_input_size(self, picture: UInt8Array, view: View) -> UInt8Array:
@@ -170,7 +170,7 @@ class Model(ABC):
         return self.to_input_size(picture, view) if self.contract.unrolled(view) else picture
 
     def normalise(self, picture: UInt8Array) -> Float32Array:
-        """Normalise a picture of the input size as the contract says: (H, W, 3) uint8 to (3, H, W) float32."""
+        """Normalise a picture of the input size by the contract: (H, W, 3) uint8 to (3, H, W) float32."""
         return pictures.normalise(picture, self.contract.mean, self.contract.std)
 
     def prepare(self, picture: UInt8Array, view: View) -> Float32Array:
@@ -210,8 +210,8 @@ class Model(ABC):
     def centred(self, means: Mapping[View, Float32Array], whitening: Float32Array | None = None) -> Self:
         """Return this model with descriptors from which the mean of their view is subtracted, part by part.
 
-        The parts are whitened then, and scaled to norm 1/sqrt(n) again. The fingerprint changes with means and whitening. The
-        contract says that the length of the mean's term is held, see `centring`.
+        The parts are then whitened, and scaled to norm 1/sqrt(n) again. The fingerprint changes with means and whitening. The
+        contract adds the length of the mean's term to the held quantities, see `centring`.
 
         Args:
             means: mean descriptors (n, D) by view; a view without one is not centred.
@@ -230,7 +230,7 @@ class Model(ABC):
         return moved
 
     def centring(self, raw: Float32Array, view: View) -> Float32Array:
-        """Return what is added to raw part embeddings (..., n, D), mirror included, before they are scaled: (..., n, D).
+        """Return the summand of raw part embeddings (..., n, D), mirror included, before they are scaled: (..., n, D).
 
         It is -sqrt(n) |e_i| m_i for an embedding e_i and the view's mean m_i, as q_i = e_i / (sqrt(n) |e_i|); 0 without a mean.
         """
@@ -250,7 +250,7 @@ class Model(ABC):
             raise InputError(f"This model has no {view!r} view; it has {', '.join(self.views)}.")
 
     def _parts(self, images: Float32Array, view: View) -> Float32Array:
-        """Return the part embeddings of one chunk; overridden by models that can skip the feature map."""
+        """Return the part embeddings of one chunk; a model may override it to skip the feature map."""
         outputs = self.run(images, view)
         check_parts(self.contract, outputs.parts, len(images))
         return outputs.parts

@@ -46,13 +46,13 @@ log = logging.getLogger(__name__)
 
 FORMAT = "lpn-explorer/1"
 WeightType = Literal["float32", "float16", "int8"]
-# Behind the name of kernels of 8 bits, the name of their scales.
+# Suffix of the name of 8-bit kernels for the name of their scales.
 _SCALE = ".scale"
 _AGAIN = "copy it again from where it came, or make it again"
 
 
 class TorchModel(Model):
-    """An LPN that runs in PyTorch, on the CPU or the GPU the network was put on."""
+    """An LPN that runs in PyTorch, on the device of its network."""
 
     spec: ModelSpec
 
@@ -80,7 +80,6 @@ class TorchModel(Model):
         return cast(Float32Array, self._forward(images, view)[0].cpu().numpy())
 
     def _forward(self, images: Float32Array, view: View) -> tuple[Tensor, Tensor, Tensor | None]:
-        """Return the network's outputs on its device."""
         with exact_inference():
             return self.network.embed(torch.tensor(images, device=self._device), view)
 
@@ -106,8 +105,8 @@ def exact_inference() -> Iterator[None]:
     """Compute without gradients, on a GPU by cuDNN in full float32.
 
     By default cuDNN convolves in TF32, whose ten-bit mantissa changes descriptors by more than 1e-4. cuDNN's settings belong
-    to the whole process, so another thread that uses cuDNN meanwhile has them as well. Its algorithms are not timed: torch keeps
-    the fastest for each thread alone, and batches come from many threads.
+    to the whole process, so they also apply to other threads meanwhile. Its algorithms are not timed: torch caches the fastest
+    for each thread alone, and batches come from many threads.
     """
     with torch.inference_mode(), torch.backends.cudnn.flags(enabled=True, benchmark=False, allow_tf32=False):
         yield
@@ -128,7 +127,7 @@ def load_torch(path: str | Path, device: torch.device | str = "cpu") -> TorchMod
 
 
 def from_state(state: StateDict, options: dict[str, Any], path: Path, device: torch.device | str = "cpu") -> TorchModel:
-    """Return the LPN of a published state dict and the options beside it, see `load_torch`."""
+    """Return the LPN of a published state dict and its options, see `load_torch`."""
     state = with_named_branch(state, options, path.name)
     spec = infer_spec(state, options, path.name)
     with torch.device("meta"):
@@ -150,7 +149,7 @@ def holds_safetensors(path: Path) -> bool:
     """Return whether a file holds a `.safetensors` rather than a PyTorch file, whatever its ending.
 
     Raises:
-        ModelFileError: if it is missing, or holds neither, with what it is instead.
+        ModelFileError: if it is missing, or is another kind of file, which the message names.
     """
     held = contents_of(path)
     if held not in ("pytorch", "safetensors"):
@@ -195,7 +194,7 @@ def save(network: LPN, path: str | Path, extra: dict[str, str] | None = None, st
     Args:
         extra: further metadata (recipe, figures).
         storage: of the weights in the file. float16 stores matrices and kernels in half; int8 stores kernels in a quarter, with
-            one scale per output channel, and matrices in half. Neither stores the class layers, which retrieval does not use.
+            a scale for each output channel, and matrices in half. Neither stores the class layers, which retrieval does not use.
 
     Raises:
         InputError: if a weight exceeds the range of float16.
@@ -211,7 +210,7 @@ def save(network: LPN, path: str | Path, extra: dict[str, str] | None = None, st
 
 
 def _narrow(key: str, tensor: Tensor, storage: WeightType) -> list[tuple[str, Tensor]]:
-    """Return the tensors that store one of a network in fewer bits, by name."""
+    """Return the tensors, by name, that store a tensor of a network in fewer bits."""
     if tensor.ndim < 2:  # the statistics of BatchNorm are few and span more than the range of float16
         return [(key, tensor)]
     if storage == "int8" and tensor.ndim == 4 and bool(tensor.isfinite().all()):
@@ -223,7 +222,7 @@ def _narrow(key: str, tensor: Tensor, storage: WeightType) -> list[tuple[str, Te
 
 
 def to_eight_bits(kernels: Float32Array) -> tuple[Int8Array, Float32Array]:
-    """Round kernels to 8 bits, each output channel by the largest of its own values.
+    """Round kernels to 8 bits, each output channel by its own largest value.
 
     Args:
         kernels: (O, I, h, w).
@@ -244,7 +243,7 @@ def _with_sorted_header(data: bytes) -> bytes:
 
 
 def recipe_of(path: Path) -> dict[str, Any]:
-    """Return the recipe that a model of ours was trained by, as JSON values; empty if unknown."""
+    """Return the training recipe of one of our models as JSON values; empty if unknown."""
     try:
         return cast(dict[str, Any], json.loads(_read_tensors(path)[1]["recipe"]))
     except (ModelFileError, OSError, KeyError, ValueError):
@@ -324,17 +323,17 @@ def load_backbone(network: LPN, path: str | Path) -> tuple[int, int, list[str]]:
 
 
 def _of_timm(network: LPN, state: StateDict) -> StateDict:
-    """Return the weights of one network of timm under the names of a branch; those of a whole model as they are."""
+    """Return the weights of one network of timm under the names of a branch; those of a whole model unchanged."""
     if any(key.startswith("model_1.model.") for key in state):
         return state
     return cast(TimmMap, network.branch(network.spec.views[0]).model).with_own_names(state)
 
 
 def load_heads(network: LPN, path: str | Path) -> str:
-    """Fill the heads of the parts from a whole model with the same parts, without class layers.
+    """Fill the heads of the parts from a whole model with equal parts, without class layers.
 
     Returns:
-        A sentence that says whether they were filled, and if not, why.
+        A sentence on whether they were filled, with the reason if not.
 
     Raises:
         ModelFileError: if the file cannot be read.
@@ -400,7 +399,7 @@ def _fill(network: LPN, state: StateDict, name: str) -> None:
 
 
 def check_opens(path: Path) -> None:
-    """Check that a `.safetensors`, `.pth`, or `state.pt` can be read and has not lost its seal.
+    """Check that a `.safetensors`, `.pth`, or `state.pt` is readable, and has its seal.
 
     Raises:
         ModelFileError: if the check fails.
@@ -412,9 +411,9 @@ def check_opens(path: Path) -> None:
 
 
 def is_own(path: Path) -> bool:
-    """Return whether a `.safetensors` file says that it is one of ours, without reading its tensors.
+    """Return whether a `.safetensors` file claims to be ours, without reading its tensors.
 
-    A missing or broken file counts as ours; `load_torch` tells what is wrong with it.
+    A missing or broken file counts as ours; `load_torch` reports its fault.
     """
     try:
         with safe_open(str(path), framework="pt") as file:
@@ -426,9 +425,8 @@ def is_own(path: Path) -> bool:
 def read_state(path: Path) -> StateDict:
     """Read the state dict of a PyTorch or `.safetensors` file without the prefix `module.`; only tensors are unpickled.
 
-    A checkpoint of a training may hold it as `state_dict`, `model_state_dict`, `model`, or another of the usual names beside
-    other things, or under any name if nothing else in it is a dictionary of tensors. Numbers and texts between tensors are left
-    out.
+    A checkpoint may hold it beside other objects as `state_dict`, `model_state_dict`, `model`, or another usual name, or under
+    any name if nothing else in it is a dictionary of tensors. Numbers and texts between tensors are dropped.
 
     Raises:
         ModelFileError: if the file is missing, truncated, or holds no named tensors.
@@ -466,7 +464,7 @@ def _read_tensors(path: Path) -> tuple[StateDict, dict[str, str]]:
 
 def _widened(state: StateDict, name: str) -> StateDict:
     """Return a file's tensors with kernels of 8 bits as float32, see `save`."""
-    # A network may have parameters of its own that are called scale.
+    # A network may have its own parameters named scale.
     widened = {key: tensor for key, tensor in state.items() if not key.endswith(f".weight{_SCALE}")}
     for key in state.keys() - widened.keys():
         kernels, scale = state.get(key.removesuffix(_SCALE)), state[key]

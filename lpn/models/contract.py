@@ -1,12 +1,12 @@
-"""The contract of a part-based model: what it says of itself, and what one forward pass returns.
+"""The contract of a part-based model: its description of itself, and the result of one forward pass.
 
-For the passes p (the picture, and its mirror where the test adds it) and the part i, the raw embedding is
+For the passes p (the picture, and its mirror if the test adds it) and the part i, the raw embedding is
 
     e_i = sum_p s_pi * [ sum_x a_pi(x) A_i F_pi(x) + c_pi ]
 
 over the cells x of a map. F_p is one map for all parts or one for each part. A_i is a static head, or the identity. a_pi are
-the weights of the cells, c_pi a constant, and s_pi the slopes of an activation after the head, 1 without one. What may
-differ from picture to picture beside the map is held at its value for this picture, and `Contract.held` names it.
+the weights of the cells, c_pi is a constant, and s_pi are the slopes of an activation after the head, 1 without one. Other
+quantities that differ between pictures are held at their value for this picture; `Contract.held` names them.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ from lpn.models.partition import Partition
 AccountLevel = Literal["exact", "exact, with held", "parts only", "one vector"]
 Resize = Literal["bicubic", "linear", "area", "bilinear"]
 Mirror = Literal["sum", "none"]
-# Pixels of a side, and parts, numbers of a part, height, and width, far beyond any sensible network; a file that claims more
-# would take all memory.
+# Maxima of a side in pixels, and of parts, length of a part, height, and width, far beyond any sensible network. A larger claim
+# in a file would take all memory.
 MAX_SIDE = 4096
 _MAXIMA = (256, 1 << 17, MAX_SIDE, MAX_SIDE)
-# Bounds of mean and std, far inside float32's range; of a network for values 0 .. 255 the std is 1/255.
+# Bounds of mean and std, far inside float32's range; for values 0 .. 255, the std is 1/255.
 _MAX_MEAN, _STD_RANGE = 1e3, (1e-4, 1e4)
 # The branch of a model whose branches have roles: the first describes queries, the second the gallery.
 Role = Literal["query", "gallery"]
@@ -47,8 +47,8 @@ class Contract:
         views: the views that it describes, in the order satellite, street, drone.
         input_size: (height, width) of the network input in pixels.
         n_parts, embedding: n and D of a descriptor (n, D).
-        level: how far numbers of evidence are exact, see `claim`.
-        held: what is held at its value for each picture, such as "the regions of each picture"; only with "exact, with held".
+        level: exactness of evidence, see `claim`.
+        held: quantities held at their values for each picture, such as "the regions of each picture"; "" for other levels.
         groups: the views that share weights; by default all in one group, or each in its own if branches have roles.
         roles: "view" if the view chooses the branch. "role" if one branch describes queries and the other the gallery, see
             `Model.for_task`; there are two views then.
@@ -57,9 +57,9 @@ class Contract:
         mean, std: of red, green, and blue, for values 0 .. 1.
         mirror: "sum" if the raw parts of the mirrored picture are added before normalisation.
         normalisation: "parts": each part has norm 1/sqrt(n), which is plain L2 for n = 1.
-        partitions: by view, how parts divide every map; a view without one has parts that differ from picture to picture.
+        partitions: by view, the partition of every map; a view without one has parts that differ between pictures.
         part_names: by view; by default those of its partition, else numbers.
-        polar: the views whose pictures are unrolled around their centre first, see `images.polar`.
+        polar: the views whose pictures are first unrolled around their centre, see `images.polar`.
 
     Raises:
         InputError: if the values contradict each other.
@@ -144,13 +144,13 @@ class Contract:
         return "parts only: the model gives no cells" if self.level == "parts only" else self.level
 
     def with_held(self, what: str) -> Contract:
-        """Return this contract of a model that holds one more thing at its value for each picture; unchanged without cells."""
+        """Return this contract with one more held quantity; unchanged without cells."""
         if not self.has_cells:
             return self
         return replace(self, level="exact, with held", held=f"{self.held} and {what}" if self.held else what)
 
     def partition(self, view: View) -> Partition | None:
-        """Return how parts divide every map of a view; None if they are drawn from the cells of each picture."""
+        """Return the partition of every map of a view; None if each picture's cells define its parts."""
         return self.partitions.get(view)
 
     def names(self, view: View) -> list[str]:
@@ -162,16 +162,16 @@ class Contract:
 
     @property
     def part_noun(self) -> str:
-        """What a part is called: "ring" if the first view is divided into several rings, else "part"."""
+        """The noun for a part: "ring" if the first view is divided into several rings, else "part"."""
         partition = self.partition(self.views[0])
         return "ring" if partition is not None and partition.kind == "rings" and partition.n > 1 else "part"
 
     def default_role(self, view: View) -> Role:
-        """Return the role of a view outside of a task: the first of the views is the gallery, as the satellite is."""
+        """Return the role of a view outside of a task: the first view, such as the satellite, is the gallery."""
         return "gallery" if view == self.views[0] else "query"
 
     def unrolled(self, view: View) -> bool:
-        """Return whether pictures of `view` are unrolled around their centre first."""
+        """Return whether pictures of `view` are first unrolled around their centre."""
         return view in self.polar
 
 
@@ -186,12 +186,12 @@ def part_names(partition: Partition) -> list[str]:
 
 @dataclass(frozen=True)
 class Heads:
-    """The terms of the module's equations that are the same for all pictures of a view.
+    """The terms of the module's equations that are equal for all pictures of a view.
 
     Attributes:
         weight: A, (n, D, C) float32; None for the identity, with D = C.
         bias: c, (n, D) float32; None for 0.
-        cells: the weight of each cell in each part, (n, h, w) float32; None if it differs from picture to picture.
+        cells: the weight of each cell in each part, (n, h, w) float32; None if it differs between pictures.
     """
 
     weight: Float32Array | None = None
@@ -205,7 +205,7 @@ class ForwardPass(NamedTuple):
     Attributes:
         parts: raw parts, (B, n, D).
         features: a map for all parts, (B, C, h, w), or one for each part, (B, n, C, h, w); None without cells.
-        cells: the weight of each cell in each part, (B, n, h, w); None for those of the heads.
+        cells: the weight of each cell in each part, (B, n, h, w); None for the heads' cells.
         constants: (B, n, D), in place of the heads' bias; None for the heads' bias.
         slopes: of an activation after the head, (B, n, D); None without one.
     """
@@ -218,21 +218,21 @@ class ForwardPass(NamedTuple):
 
 
 def check_parts(contract: Contract, parts: Float32Array, count: int) -> None:
-    """Refuse raw parts of `count` pictures whose shape contradicts the contract (ModelFileError)."""
+    """Raise ModelFileError if raw parts of `count` pictures contradict the contract by their shape."""
     if parts.shape != (count, contract.n_parts, contract.embedding):
         check_shapes(contract, {"pictures": (count,), "parts": parts.shape})
 
 
 def check_fixed_cells(contract: Contract, cells: Float32Array, size: tuple[int, ...]) -> None:
-    """Refuse cells of the heads that do not fit the contract and a map of this size, (h, w) (ModelFileError)."""
+    """Raise ModelFileError if cells of the heads do not fit the contract and a map of this size, (h, w)."""
     check_shapes(contract, {"features": (1, 1, *size), "the heads' cells": cells.shape}, channels=False)
 
 
 def check_pass(contract: Contract, outputs: ForwardPass, heads: Heads) -> None:
-    """Refuse a forward pass of a model with cells whose shapes contradict its contract, or whose numbers are not finite.
+    """Refuse a forward pass with cells whose shapes contradict its contract, or whose numbers are not finite.
 
     Raises:
-        ModelFileError: with the shapes that were found and those that were expected, or with what is not finite.
+        ModelFileError: with actual and expected shapes, or the name of the output that is not finite.
     """
     if outputs.features is None:
         raise ModelFileError(
@@ -255,12 +255,12 @@ def check_shapes(contract: Contract, found: Mapping[str, Sequence[int]], channel
     """Refuse shapes that contradict the contract or each other.
 
     Args:
-        found: shapes by the names of `ForwardPass`, of "the heads' weight", "the heads' bias", and "the heads' cells", and as
-            "pictures" the number of pictures where that is not the parts'.
-        channels: False to leave the channels of the features out.
+        found: shapes by the names of `ForwardPass`, of "the heads' weight", "the heads' bias", and "the heads' cells", and
+            as "pictures" the number of pictures if it differs from the parts'.
+        channels: whether to check the channels of the features.
 
     Raises:
-        ModelFileError: with the shape that was found and the one that was expected.
+        ModelFileError: with actual and expected shape.
     """
     n, size = contract.n_parts, contract.embedding
     count = found.get("pictures", found.get("parts", (1,)))[0]

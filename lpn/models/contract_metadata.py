@@ -19,10 +19,10 @@ from lpn.models.partition import Partition
 from lpn.models.spec import ModelSpec
 
 FORMAT = "lpn-explorer-onnx/2"
-# The format of the shipped models, which state the architecture of an LPN in place of a contract.
+# The format of the shipped models, which state an LPN's architecture instead of a contract.
 SHIPPED = "lpn-explorer-onnx/1"
 REQUIRED = ("method", "views", "resize", "mirror")
-# Characters of a text that are kept.
+# Maximum of characters of a text.
 _SHOWN = 200
 
 

@@ -34,7 +34,7 @@ from lpn.models.shipped import model_file
 from lpn.models.spec import SLOPES
 from lpn.models.token_pooling import TokenPooling
 
-# The submodules that compute a model's map or tokens, or a vector as the network itself pools it.
+# The submodules that compute a model's map or tokens, or a vector by the network's own pooling.
 _TRUNK_MODULES = ("branch", *(f"network.{vector}{own}" for vector in ("", "vector.") for own in ("trunk", "network")))
 
 
@@ -55,7 +55,7 @@ class _AccountGraph(nn.Module):
 
 
 class _SafaGraph(nn.Module):
-    """SAFA at test time for one view: its parts are sums over maps of their own."""
+    """SAFA at test time for one view; each part is a sum over its own maps."""
 
     outputs = ("parts", "features", "cells")
 
@@ -108,13 +108,13 @@ def export(
 ) -> list[Path]:
     """Export a `.pth` or `.safetensors` model for ONNX Runtime.
 
-    The first group of views is written to `out`; further groups, such as the street view, to files beside it (`out` with the
-    views' names before the suffix). A graph returns the parts and what their account needs, and its metadata state the contract
+    The first group of views is written to `out`. Further groups, such as the street view, get files beside it: `out` with the
+    views' names before the suffix. A graph returns the parts and the data for their account; its metadata state the contract
     (docs/contract.md).
 
     Args:
-        storage: of the weights in the file. float16 halves the file; int8 stores convolutions in a quarter, with one scale
-            per output channel, and the rest in half. Either is converted to float32 on opening, so neither is faster.
+        storage: of the weights in the file. float16 halves the file; int8 stores convolutions in a quarter, with a scale for
+            each output channel, and the rest in half. Either is converted to float32 on opening, so neither is faster.
         kind, pooling: see `lpn.load`.
 
     Returns:
@@ -156,7 +156,7 @@ def difference(model: str | Path, exported: Path, kind: Kind | None = None, pool
 
 
 def _trained(model: str | Path, kind: Kind | None, pooling: str | None) -> Model:
-    """Open the model in PyTorch that is exported."""
+    """Open the model to export in PyTorch."""
     network, file = timm_file(model) or (None, model_file(model, trained=True))
     if file.suffix == ".onnx":
         raise InputError(f"{file.name} is exported already; give the .safetensors or .pth it was made from.")
@@ -219,7 +219,7 @@ def _remove_origin(proto: onnx.ModelProto) -> None:
 
 
 def _name_trunk(graph: onnx.GraphProto) -> None:
-    """Mark by their names the nodes that the exporter made of a model's trunk."""
+    """Mark the nodes of a model's trunk by their names."""
     for number, node in enumerate(graph.node):
         scopes = next((entry.value for entry in node.metadata_props if entry.key == "pkg.torch.onnx.name_scopes"), "")
         of_trunk = any(repr(module) in scopes for module in _TRUNK_MODULES)
@@ -229,19 +229,15 @@ def _name_trunk(graph: onnx.GraphProto) -> None:
 def _behind_trunk(graph: onnx.GraphProto) -> set[str]:
     """Return the tensors that nodes after the trunk read, except the graph's outputs.
 
-    The exporter derives constants of one weight, such as its transpose for the parts and its sums for the account. Rounded one
-    by one, they would contradict each other.
+    The exporter derives constants of one weight, such as its transpose for the parts and its sums for the account. Separate
+    rounding would make them contradict each other.
     """
     read = {name for node in graph.node if not node.name.startswith(TRUNK) for name in node.input}
     return read - {output.name for output in graph.output}
 
 
 def _shrink(proto: onnx.ModelProto, storage: WeightType, kept: Collection[str] = ()) -> None:
-    """Store weights in fewer bits, behind nodes that convert them to the float32 of the graph.
-
-    Args:
-        kept: names of weights that stay as they are.
-    """
+    """Store weights in fewer bits, with nodes that convert them to the graph's float32, except for those named `kept`."""
     graph = proto.graph
     widening: list[onnx.NodeProto] = []
     for weight in list(graph.initializer):
@@ -250,7 +246,7 @@ def _shrink(proto: onnx.ModelProto, storage: WeightType, kept: Collection[str] =
             continue
         name, stored = weight.name, f"{weight.name}.stored"
         narrow: npt.NDArray[np.float16] | Int8Array
-        # Heads and cells get no scale: the constants that the graph returns must be those it computes with.
+        # Heads and cells get no scale: the graph must compute with the constants that it returns.
         if storage == "float16" or values.ndim != 4:
             widened, narrow = name, values.astype(np.float16)
         else:

@@ -1,4 +1,4 @@
-"""Kinds of files that are given as models, by their first bytes; nothing is unpickled, and no torch or safetensors is needed."""
+"""Kinds of model files by their first bytes; nothing is unpickled, and neither torch nor safetensors is needed."""
 
 from __future__ import annotations
 
@@ -24,15 +24,15 @@ _AGAIN = "download or copy the file again"
 _POINTER = re.compile(rb"version https://(git-lfs|hawser)")
 _PAGE = re.compile(rb"(?i)(\xef\xbb\xbf)?\s*(<\?xml[^>]*>\s*)?<(!doctype\s+html|html|head|body|script|!--|meta)")
 _TITLE = re.compile(rb"(?is)<title[^>]*>\s*(.*?)\s*</title>")
-# Bytes at the begin of a file that are looked at, and those that a refusal shows.
+# Bytes at the beginning of a file that are read, and bytes that a refusal shows.
 _READ, _SHOWN = 1 << 16, 16
 
 
 def check_contents(path: Path, expected: FileFormat) -> None:
-    """Check that a file begins as one of a kind does; its end may still be missing.
+    """Check that a file begins like one of its kind; its end may be missing.
 
     Raises:
-        ModelFileError: if it does not, with what the file is, as far as that is known, and what to do; or if it is unreadable.
+        ModelFileError: if it does not, with its actual kind, if known, and a remedy; or if it is unreadable.
     """
     held = contents_of(path)
     if held == expected or {held, expected} == {"pytorch", "safetensors"}:
@@ -43,7 +43,7 @@ def check_contents(path: Path, expected: FileFormat) -> None:
     start = _start(path)
     known = _known(path, start)
     if known is None and expected == "onnx":
-        return  # nothing prescribes the order of its fields
+        return  # its fields may have any order
     what, remedy = known or (
         f"not {_TITLES[expected][0]}: it begins with {printable(repr(start[:_SHOWN])[1:])}",
         f"{_AGAIN}, unpack it if it is an archive, or give weights as PyTorch's state_dict, a .safetensors, or an exported .onnx",
@@ -69,7 +69,7 @@ def contents_of(path: Path) -> FileFormat | None:
 
 
 def is_model_name(name: str) -> bool:
-    """Return whether a file of this name can hold a model; the hidden companions that macOS writes do not."""
+    """Return whether a file of this name can hold a model; macOS's hidden companion files cannot."""
     return name.lower().endswith(ENDINGS) and not name.startswith(".")
 
 
@@ -77,7 +77,7 @@ def check_trained_file(path: Path) -> None:
     """Check a model file's first bytes, without torch or safetensors installed.
 
     Raises:
-        ModelFileError: if it does not, or is missing or unreadable.
+        ModelFileError: if they are wrong, or the file is missing or unreadable.
     """
     if contents_of(path) != "safetensors":
         check_contents(path, "safetensors" if path.suffix == ".safetensors" else "pytorch")
@@ -98,7 +98,7 @@ def _start(path: Path) -> bytes:
 
 
 def _entries(path: Path) -> list[str] | None:
-    """Return the entries of a ZIP archive; None without the list of them at its end."""
+    """Return the entries of a ZIP archive; None without its directory at the end."""
     try:
         with zipfile.ZipFile(path) as archive:
             return archive.namelist()
@@ -107,7 +107,7 @@ def _entries(path: Path) -> list[str] | None:
 
 
 def _known(path: Path, start: bytes) -> tuple[str, str] | None:
-    """Return what a file is in place of a model, and what to do; None if that is not known."""
+    """Return the actual kind of a file, and the remedy; None if it is unknown."""
     if not start.strip(b"\0"):
         return ("full of zeros" if start else "empty"), f"its download or copy broke off, so {_AGAIN}"
     if start.startswith(b"PK") and _entries(path) is None:

@@ -1,4 +1,4 @@
-"""The model file in a folder, as released code chooses it: the newest `net_*.pth` of the one run there."""
+"""The model file in a folder, chosen like in released code: the newest `net_*.pth` of the only run there."""
 
 from __future__ import annotations
 
@@ -14,26 +14,26 @@ from lpn.models.file_contents import is_model_name
 
 log = logging.getLogger(__name__)
 
-# Names that trainings give to one checkpoint an epoch. Released code sorts them as texts, so that `net_last.pth` comes last.
+# Names of checkpoints of each epoch. Released code sorts them as texts, so that `net_last.pth` comes last.
 _EPOCH = re.compile(r"net_(last|\d{1,9})\.pth")
-# The models of a training of this project, the better one first, beside which it keeps other files.
+# The models of our own training, the better one first; other files lie beside them.
 _OWN = ("best.safetensors", "last.safetensors")
-# Files that trainings save beside a model, to be resumed from.
+# Files beside a model from which a training resumes.
 _STATE = re.compile(
     r"state\.pt|(optimizer|scheduler|scaler|sampler|rng_state|random_states|training_args)(_\d{1,6})?\.(pt|pth|bin)"
 )
-# Folders below one that are searched, such as model/NAME in the folder of the released code.
+# Depth of the searched folders below one, such as model/NAME in the released code's folder.
 _MAX_DEPTH = 2
 _SHOWN = 5
 
 
 def file_in(folder: Path) -> Path:
-    """Return the one model file in a folder or in the one run below it.
+    """Return the only model file in a folder or in the only run below it.
 
-    Several files `net_*.pth` are checkpoints of one run, of which the newest is taken, and the log says which.
+    Of several checkpoints `net_*.pth` of one run, the newest is taken, and logged.
 
     Raises:
-        ModelFileError: if there is none, or if it is not clear which is meant, with their names.
+        ModelFileError: if there is none, or several are possible; the message names them.
     """
     level = [folder]
     for _ in range(_MAX_DEPTH + 1):
@@ -68,7 +68,7 @@ def _chosen(folder: Path, files: list[str]) -> Path:
 
 
 def _without_groups(files: list[str]) -> list[str]:
-    """Return the files but those of further views of an exported model, `lpn.street.onnx` beside `lpn.onnx`."""
+    """Return the files without those of further views of an exported model, such as `lpn.street.onnx` beside `lpn.onnx`."""
     stems = {name.removesuffix(".onnx") for name in files if name.endswith(".onnx")}
     return [
         name for name in files if name not in {f"{stem}.onnx" for stem in stems if stem.rpartition(".")[0] in stems}

@@ -1,6 +1,6 @@
 """A check of ONNX files before ONNX Runtime opens them, without the package onnx.
 
-A file is a Protocol Buffers message; the fields that matter here are named by their numbers in onnx.proto.
+A file is a Protocol Buffers message; its relevant fields are named by their numbers in onnx.proto.
 """
 
 from __future__ import annotations
@@ -29,14 +29,14 @@ _MAX_DEPTH = 30
 
 
 def external_files(path: Path, remedy: str) -> list[Path]:
-    """Return the files beside a model that hold weights of it, such as `model.onnx.data`.
+    """Return the files beside a model that hold its weights, such as `model.onnx.data`.
 
     Args:
-        remedy: what to do about a damaged file, as the end of a sentence.
+        remedy: the remedy for a damaged file, as the end of a sentence.
 
     Raises:
-        ModelFileError: if one is missing or lies elsewhere, which could be any file on this machine; or if the model is no ONNX
-            file, or truncated.
+        ModelFileError: if one is missing, or lies outside the folder and so could be any file on this machine; or if the model
+            is truncated or no ONNX file.
     """
     size = path.stat().st_size
     damaged = f"{path.name} is not an ONNX model or is truncated; {remedy}."
@@ -79,7 +79,7 @@ def _fields(data: mmap.mmap, position: int, end: int) -> Iterator[tuple[int, int
     """Yield each field's number and wire type, and the begin and end of its value."""
     while position < end:
         key, position = _varint(data, position, end)
-        # Protocol Buffers truncates a key to 32 bits, so it would read another field number than this code.
+        # Protocol Buffers truncates a key to 32 bits, and would then read another field number than this code.
         if not 8 <= key < 2**32:
             raise ValueError("it has a field of no number")
         kind = key & 7

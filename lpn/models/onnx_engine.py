@@ -1,7 +1,7 @@
 """A model on ONNX Runtime: an exported LPN, or any graph with a contract in its metadata.
 
 A model is one graph for each group of views that share weights. Each graph also yields its heads as constant outputs, so
-evidence can be computed with ONNX Runtime alone.
+ONNX Runtime alone suffices for evidence.
 """
 
 from __future__ import annotations
@@ -33,15 +33,15 @@ log = logging.getLogger(__name__)
 
 # The metadata entry of a quantised file, see `lpn.models.quantize`.
 COMPUTE = "compute"
-# The prefix of the names of the nodes up to a model's map or tokens, from which parts and account both come.
+# Prefix of the names of the nodes up to a model's map or tokens, the common source of parts and account.
 TRUNK = "trunk/"
-# Outputs of a graph beside `parts`: those of each picture, and those that are the same for all.
+# Outputs of a graph beside `parts`: those of each picture, and those common to all.
 _PASS_OUTPUTS = ("features", "cells", "constants", "slopes")
 _CONSTANT_OUTPUTS = ("head_weight", "head_bias", "cells")
-# Pixels of a batch of a fixed size, far beyond any sensible network; see `MAX_SIDE`.
+# Maximum of pixels of a batch of fixed size, far beyond any sensible network; see `MAX_SIDE`.
 _MAX_PIXELS = 1 << 26
 _AGAIN = "copy it again from where it came, or export the model again"
-# ONNX Runtime's words about a file that was written for a later one.
+# ONNX Runtime's messages about a file for a later version.
 _NEWER = re.compile(r"Unsupported model IR version: \d+, max supported IR version: \d+|Opset \d+ is under development")
 
 
@@ -51,12 +51,12 @@ class Engine(Model):
     Args:
         path: the file written by `lpn export`; files of further view groups lie beside it.
         threads: threads per forward pass on the CPU; default: all usable cores.
-        provider: "auto" is LPN_PROVIDER if that is set, else CUDA if it works, else the CPU, which also computes models in
-            8 bits. Another execution provider of ONNX Runtime is taken by its name.
+        provider: "auto" is LPN_PROVIDER if that is set, else CUDA if it works, else the CPU, which always computes 8-bit models.
+            Another execution provider of ONNX Runtime is selected by its name.
 
     Raises:
-        ModelFileError: if a file is missing or damaged, states no contract, or contradicts what it states.
-        InputError: if the provider that is named is missing or does not work.
+        ModelFileError: if a file is missing or damaged, or states no contract or a wrong one.
+        InputError: if the named provider is missing or does not work.
     """
 
     def __init__(self, path: str | Path, threads: int | None = None, provider: ProviderName = "cpu") -> None:
@@ -103,9 +103,9 @@ class Engine(Model):
         return fingerprint(*(one for file in self._files for one in (file, *external_files(file, _AGAIN))))
 
     def _move_to_provider(self, provider: ProviderName) -> None:
-        """Replace the sessions by those of another provider; with "auto" the CPU stays where CUDA does not work."""
+        """Replace the sessions by those of another provider; with "auto", the CPU stays if CUDA does not work."""
         wanted: ProviderName = "cuda" if provider == "auto" else provider
-        # 8 bits are for the CPU: a GPU may round them otherwise.
+        # 8-bit models are for the CPU: a GPU may round differently.
         if provider == "auto" and (self.precision != "float32" or wanted not in providers.available()):
             return
         try:
@@ -132,7 +132,7 @@ class Engine(Model):
         return parts.reshape(len(parts), self.n_parts, -1)
 
     def for_parallel_inference(self) -> Model:
-        """Return the same model with one thread per forward pass; on a GPU, itself."""
+        """Return this model with one thread per forward pass; on a GPU, itself."""
         if self.parallel or self.device != "cpu":
             return self
         twin = self._with_one_thread()
@@ -144,13 +144,13 @@ class Engine(Model):
         return Engine(self._path, threads=1)
 
     def map_size(self, view: View) -> tuple[int, int]:
-        """Return (h, w) of the feature map, as the graph declares it if it does."""
+        """Return (h, w) of the feature map, from the graph's declaration if possible."""
         self.check_view(view)
         height, width = (_fixed(side) for side in _declared(self._session(view)).get("features", [1, 1])[-2:])
         return super().map_size(view) if height is None or width is None else (height, width)
 
     def heads(self, view: View) -> Heads:
-        """Return the affine heads and cell weights, as far as the graph has them."""
+        """Return the affine heads and cell weights that the graph has."""
         self.check_view(view)
         session = self._session(view)
         if session not in self._heads:
@@ -160,7 +160,7 @@ class Engine(Model):
         return self._heads[session]
 
     def _session(self, view: View) -> ort.InferenceSession:
-        """Return the graph that describes a view; where branches have roles, that of its role in the task."""
+        """Return the graph of a view; if branches have roles, the graph of its role in the task."""
         if self.contract.roles == "view":
             return self._sessions[view]
         # Outside of a task, each of the two views has the role of its own graph.
@@ -206,7 +206,7 @@ def open_session(path: Path, options: ort.SessionOptions | None = None) -> ort.I
     """Open any ONNX file on the CPU, by default for one thread.
 
     Raises:
-        ModelFileError: if it is missing, damaged, no ONNX file, or newer than the installed ONNX Runtime.
+        ModelFileError: if it is missing, damaged, no ONNX file, or too new for the installed ONNX Runtime.
     """
     if options is None:
         options = ort.SessionOptions()
@@ -220,7 +220,7 @@ def open_session(path: Path, options: ort.SessionOptions | None = None) -> ort.I
         raise ModelFileError(f"{path} cannot be read ({error.strerror}); check that it is readable.") from error
     try:
         session = ort.InferenceSession(str(path), options, providers=["CPUExecutionProvider"], enable_fallback=0)
-        # Malformed texts raise only when they are read.
+        # Malformed texts raise errors only when they are read.
         _ = session.get_modelmeta().custom_metadata_map, _declared(session)
     except Exception as error:  # ONNX Runtime's errors have no common base
         if newer := _NEWER.search(str(error)):
@@ -235,7 +235,6 @@ def open_session(path: Path, options: ort.SessionOptions | None = None) -> ort.I
 
 
 def _metadata(session: ort.InferenceSession, path: Path) -> dict[str, str]:
-    """Return the metadata of a graph with a contract."""
     metadata = cast("dict[str, str]", session.get_modelmeta().custom_metadata_map)
     if is_newer(stated := metadata.get("format"), FORMAT):
         raise ModelFileError(newer_version(path.name, str(stated), FORMAT))
@@ -257,7 +256,7 @@ def _metadata(session: ort.InferenceSession, path: Path) -> dict[str, str]:
 
 
 def _declared(session: ort.InferenceSession) -> dict[str, Sequence[Any]]:
-    """Return the shapes of the input and of the outputs by name; sides that the graph leaves open are names or None."""
+    """Return the shapes of the input and of the outputs by name; open sides are names or None."""
     return {value.name: value.shape for value in (*session.get_inputs(), *session.get_outputs())}
 
 
@@ -267,7 +266,7 @@ def _check_outputs(session: ort.InferenceSession, needed: Sequence[str], name: s
 
 
 def _known_shapes(session: ort.InferenceSession, name: str) -> dict[str, Sequence[int]]:
-    """Return the shapes of the input and of the outputs; those that the graph leaves open are measured on a blank picture."""
+    """Return the shapes of the input and of the outputs; open sides are measured on a blank picture."""
     declared = _declared(session)
     height, width = (_fixed(side) for side in [*declared["images"], None, None][2:4])
     if len(declared["images"]) != 4 or height is None or width is None:
@@ -298,7 +297,7 @@ def _known_shapes(session: ort.InferenceSession, name: str) -> dict[str, Sequenc
 
 
 def _check_batch(declared: Mapping[str, Sequence[Any]], name: str) -> int | None:
-    """Return the number of pictures in a batch, None if it is free; refuse a batch that would take all memory."""
+    """Return the number of pictures in a batch, None if it is open; refuse a batch that would take all memory."""
     shape = next(iter(declared.values()), ())
     batch, _, height, width = (_fixed(side) or 1 for side in [*shape, None, None, None, None][:4])
     if max(height, width) > MAX_SIDE or batch * height * width > _MAX_PIXELS:
@@ -310,7 +309,6 @@ def _check_batch(declared: Mapping[str, Sequence[Any]], name: str) -> int | None
 
 
 def _fixed(side: Any) -> int | None:
-    """Return a side of a declared shape; None if the graph leaves it open."""
     return side if isinstance(side, int) and side > 0 else None
 
 

@@ -1,4 +1,4 @@
-"""ONNX files that return tokens, or a map, pooled by name: the graph as it is, and four lines of NumPy behind it."""
+"""ONNX files that return tokens or a map: the unchanged graph, and a pooling by name in NumPy."""
 
 from __future__ import annotations
 
@@ -23,19 +23,19 @@ from lpn.models.transformers_files import PICTURES, read_configuration, stated_n
 
 log = logging.getLogger(__name__)
 
-# The names under which exporters return tokens, the more common first.
+# Usual names of token outputs, the more common first.
 _NAMES = ("last_hidden_state", "tokens", "x_norm_patchtokens", "patch_tokens", "features")
-# The size of pictures of a graph that takes any, and sides of patches that are tried.
+# The input size of a graph with open sides, and the tried patch sizes.
 _SIZE, _PATCHES = (224, 224), range(4, 65)
-# Tokens in front of the cells, beyond which a number of tokens fits no map.
+# Maximum of prefix tokens; more do not fit a map.
 _MOST_IN_FRONT = 16
 
 
 class PooledEngine(Engine):
-    """A network that returns tokens (B, T, C) or a map (B, C, h, w) on ONNX Runtime, with a pooling by name behind it.
+    """A network on ONNX Runtime that returns tokens (B, T, C) or a map (B, C, h, w), with a pooling by name.
 
     The size of pictures is the graph's, else `h` and `w` of an opts.yaml beside the file, else that of a
-    preprocessor_config.json, else 224 x 224. Mean and standard deviation are those of the latter file, else ImageNet's.
+    preprocessor_config.json, else 224 x 224. Mean and standard deviation come from the latter file, else from ImageNet.
 
     Args:
         pooling: of the tokens.
@@ -43,7 +43,7 @@ class PooledEngine(Engine):
 
     Raises:
         ModelFileError: if the file is damaged, or returns no tokens that fit a map.
-        InputError: if it has parts of its own, or no class token for the pooling.
+        InputError: if it has parts of its own, or lacks a class token for the pooling.
     """
 
     def __init__(
@@ -120,7 +120,6 @@ class PooledEngine(Engine):
 
 
 def _size(session: ort.InferenceSession, path: Path, pictures: dict[str, Any]) -> tuple[int, int]:
-    """Return the size (height, width) of pictures."""
     inputs = session.get_inputs()
     shape = inputs[0].shape if inputs else []
     if len(inputs) != 1 or len(shape) != 4 or inputs[0].type != "tensor(float)" or shape[1] not in (3, *_names(shape)):
@@ -138,12 +137,12 @@ def _size(session: ort.InferenceSession, path: Path, pictures: dict[str, Any]) -
 
 
 def _names(shape: list[Any]) -> list[Any]:
-    """Return the sides that the graph leaves open."""
+    """Return the names of open sides."""
     return [side for side in shape if not isinstance(side, int)]
 
 
 def _tokens(session: ort.InferenceSession, name: str, size: tuple[int, int], batch: int) -> tuple[str, tuple[int, ...]]:
-    """Find the output of tokens or of a map, by what a graph returns for a blank picture, and its shape."""
+    """Return the output of tokens or of a map, and its shape, from the graph's results for a blank picture."""
     try:
         values = session.run(None, {session.get_inputs()[0].name: np.zeros((batch, 3, *size), np.float32)})
     except Exception as error:  # ONNX Runtime's errors have no common base
@@ -171,7 +170,7 @@ def _fits(shape: tuple[int, ...], size: tuple[int, int]) -> bool:
 
 
 def _grid(shape: tuple[int, ...], size: tuple[int, int]) -> tuple[tuple[int, int], int]:
-    """Return the (h, w) of the cells of an output and the number of tokens in front; of several patches the fewest in front."""
+    """Return the (h, w) of an output's cells, and the number of prefix tokens; of several patch sizes, the fewest of these."""
     if len(shape) == 4:
         return (shape[2], shape[3]), 0
     grids = [(size[0] // side, size[1] // side) for side in _PATCHES if size[0] % side == size[1] % side == 0]

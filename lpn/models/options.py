@@ -16,13 +16,13 @@ from lpn.models.contract import MAX_SIDE
 
 log = logging.getLogger(__name__)
 
-# The largest opts.yaml in bytes (usual ones have some forty lines), and characters of a value that are kept.
+# The largest opts.yaml in bytes (usual ones have some forty lines), and the most characters of a value.
 _MOST_BYTES, _SHOWN = 100_000, 1000
 _COUNT = (Annotated[int, msgspec.Meta(ge=1, le=1 << 31)], "a whole number")
 # YAML's words for no value.
 _NOTHING = ("", "~", "null", "None")
 _SWITCH = (bool, "true or false")
-# The options that are used, each with its type and that in words.
+# The supported options, each with its type, also in words.
 _TYPES: dict[str, tuple[Any, str]] = {
     **dict.fromkeys(("h", "w", "stride", "block", "views", "heads"), _COUNT),
     **dict.fromkeys(("LPN", "share", "use_vgg16"), _SWITCH),
@@ -33,11 +33,11 @@ _TYPES: dict[str, tuple[Any, str]] = {
 def read_options(path: Path) -> dict[str, Any]:
     """Read the `opts.yaml` of a published checkpoint; empty if there is none.
 
-    All values are texts but for those of the options that are used. Tags, such as `!!python/tuple`, are passed over, so that
-    nothing in the file runs.
+    All values are texts except for supported options. Tags, such as `!!python/tuple`, are ignored, so that nothing in the
+    file runs.
 
     Raises:
-        ModelFileError: if it cannot be read, or an option that is used has an invalid value.
+        ModelFileError: if it cannot be read, or a supported option has an invalid value.
     """
     if not path.is_file():
         return {}
@@ -51,7 +51,7 @@ def read_options(path: Path) -> dict[str, Any]:
         raise ModelFileError("The opts.yaml beside the model is not a list of options; correct or remove it.")
     known: dict[str, Any] = {key: value for key, value in options.items() if value not in _NOTHING}
     for key, value in known.items():
-        # The text of lists of lists may be huge.
+        # The text of nested lists may be huge.
         known[key] = printable(value[:_SHOWN]) if isinstance(value, str) else f"a {type(value).__name__}"
         if key in _TYPES:
             try:
@@ -75,7 +75,7 @@ def picture_size(
 
     Args:
         name: of the model's file, for messages.
-        tell: log that the default is assumed.
+        tell: whether to log the use of the default.
         step: both sides are multiples of it.
 
     Raises:

@@ -1,4 +1,4 @@
-"""Read the weights of a PyTorch file without running its code, whatever else a checkpoint holds."""
+"""The weights of a PyTorch file, read without running its code, whatever else a checkpoint holds."""
 
 from __future__ import annotations
 
@@ -23,24 +23,24 @@ log = logging.getLogger(__name__)
 
 _AGAIN = "copy it again from where it came, or make it again"
 _SAVE_AGAIN = "save the network's state_dict by torch.save where it was trained"
-# Keys under which checkpoints keep the weights, in order of preference. Averaged weights (EMA) come last, because the released
-# test code of the known methods uses the weights that are not averaged.
+# Keys of the weights in checkpoints, in order of preference. Averaged weights (EMA) come last, because the released test code of
+# the known methods does not use them.
 _WEIGHTS = (
     *("state_dict", "model_state_dict", "model", "model_state", "net", "network", "module", "params", "weights"),
     *("state_dict_ema", "model_ema", "ema_state_dict", "ema", "params_ema"),
 )
-# Depth of nested dictionaries to which weights are searched.
+# Depth of nested dictionaries that are searched.
 _MAX_DEPTH = 4
-# How torch tells the first name in a pickle that it does not allow.
+# torch's message about the first forbidden name in a pickle.
 _NAMED = re.compile(r"GLOBAL ([\w.]+)")
-# Of the tensors that are read; others, such as DTensor and those of torchao, have no values of their own.
+# Types of the tensors that are read; others, such as DTensor and torchao's, have no values of their own.
 _PLAIN = ("torch.Tensor", "torch.nn.parameter.Parameter", "torch.nn.parameter.Buffer")
-# torch keeps one list of allowed names for the whole process.
+# torch has one list of allowed names for the whole process.
 _ALLOWING = threading.Lock()
 
 
 class _StandIn:
-    """Stands for a type or function of NumPy that a pickle names, and for the value that it would make.
+    """A stand-in for a type or function of NumPy in a pickle, and for its result.
 
     Values of NumPy beside the weights are not needed, so NumPy reads no bytes of the file.
     """
@@ -65,10 +65,10 @@ def _of_numpy() -> tuple[str, ...]:
 
 
 def unpickle(path: Path) -> Any:
-    """Return the contents of a PyTorch file; only tensors are unpickled, and values of NumPy are passed over.
+    """Return the contents of a PyTorch file; only tensors are unpickled, and NumPy's values are ignored.
 
     Raises:
-        ModelFileError: if it is damaged, or names other objects; the message tells the first of them.
+        ModelFileError: if it is damaged, or contains other objects; the message names the first of them.
     """
     check_entries(
         path, f"{_AGAIN}, or save it again where it was saved with torch.serialization.set_crc32_options(False)"
@@ -77,7 +77,7 @@ def unpickle(path: Path) -> Any:
     try:
         with warnings.catch_warnings(), _ALLOWING, torch.serialization.safe_globals(stand_ins):
             warnings.simplefilter("ignore")
-            # torch goes by this ending.
+            # torch decides by this ending.
             file = io.BytesIO(path.read_bytes()) if path.suffix == ".safetensors" else path
             return torch.load(file, map_location="cpu", weights_only=True)
     except Exception as error:  # the unpickler may raise anything
@@ -94,10 +94,10 @@ def unpickle(path: Path) -> Any:
 
 
 def find_state(loaded: Any, path: Path) -> dict[str, Tensor]:
-    """Return the named tensors in the result of `unpickle`. If there are several state dicts, a warning says which one is read.
+    """Return the named tensors in the result of `unpickle`. With several state dicts, a warning names the chosen one.
 
     Raises:
-        ModelFileError: if there are none, or it is not clear which are the model.
+        ModelFileError: if there are none, or several are equally likely.
     """
     state = _inner(loaded) if isinstance(loaded, dict) else {}
     items = {key: value for key, value in state.items() if isinstance(value, Tensor)}
@@ -130,7 +130,7 @@ def _inner(loaded: dict[Any, Any], depth: int = _MAX_DEPTH) -> dict[Any, Any]:
 
 
 def _states(loaded: dict[Any, Any], depth: int = _MAX_DEPTH) -> dict[Any, dict[Any, Any]]:
-    """Return the state dicts among the values of a dictionary, those of the usual names first."""
+    """Return the state dicts among the values of a dictionary, those with usual names first."""
     if not depth:
         return {}
     states = {}

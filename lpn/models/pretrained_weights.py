@@ -1,4 +1,4 @@
-"""ImageNet weights of a backbone on this machine, in the folders where torch and timm keep them. Nothing is downloaded."""
+"""ImageNet weights of a backbone on this machine, in the folders of torch and timm. Nothing is downloaded."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from lpn.core.errors import ModelFileError
 from lpn.models.spec import TIMM, is_timm
 from lpn.models.timm_networks import import_timm
 
-# The word that `--init` takes in place of a file to have one found.
+# The value of `--init` that searches for a file.
 AUTO = "auto"
 # The names of timm's files on Hugging Face.
 _HUB_FILES = ("model.safetensors", "pytorch_model.bin")
@@ -37,7 +37,7 @@ def find_weights(backbone: str) -> Found:
         backbone: one of `spec.BACKBONES`, or "timm:" and the name of a network of timm.
 
     Raises:
-        ModelFileError: if there are none; the message says where they are looked for and how to get them.
+        ModelFileError: if there are none; the message names the searched folders and a remedy.
         InputError: if the network is timm's, and timm is missing or lacks it.
     """
     return _of_timm(backbone.removeprefix(TIMM)) if is_timm(backbone) else _of_torch(backbone)

@@ -1,4 +1,4 @@
-"""ONNX Runtime's execution providers: which of them work on this machine, and the settings of each."""
+"""ONNX Runtime's execution providers, their availability on this machine, and the settings of each."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from lpn.core.errors import InputError
 from lpn.core.files import printable
 from lpn.core.resources import COMPUTE_ON_CPU, PROVIDER_ENDING, ProviderName
 
-ort.disable_telemetry_events()  # builds for apps of Windows do not read the variable that `lpn` sets
+ort.disable_telemetry_events()  # builds for Windows apps ignore the variable that `lpn` sets
 
 # The batch size of descriptors on a GPU.
 GPU_BATCH = 64
 INSTALL = "pip uninstall -y onnxruntime, then pip install 'onnxruntime-gpu[cuda,cudnn]>=1.21'"
-# It sends graphs to a service, and computes none here.
+# This provider sends graphs to a service, and computes none here.
 _REMOTE = "azure"
 # An exhaustive search would stall the first picture of each batch size, and a doubling arena takes memory from others. TF32's
 # ten-bit mantissa changes descriptors by more than 1e-4.
@@ -27,13 +27,13 @@ _CUDA = {"use_tf32": "0", "cudnn_conv_algo_search": "HEURISTIC", "arena_extend_s
 
 
 def available() -> list[ProviderName]:
-    """Return the providers that the installed ONNX Runtime was built with; their libraries may still be missing."""
+    """Return the providers of the installed ONNX Runtime's build; their libraries may be missing."""
     built = (name.removesuffix(PROVIDER_ENDING).lower() for name in ort.get_available_providers())
     return sorted(name for name in built if name != _REMOTE)
 
 
 def settings(provider: ProviderName) -> list[tuple[str, dict[str, str]]]:
-    """Return the providers of a session with their options, in order of preference; the CPU is the last."""
+    """Return the providers of a session with their options, in order of preference, with the CPU last."""
     cpu: tuple[str, dict[str, str]] = (f"CPU{PROVIDER_ENDING}", {})
     return [cpu] if provider == "cpu" else [(_full_name(provider), _CUDA if provider == "cuda" else {}), cpu]
 
@@ -74,13 +74,13 @@ def open_on_provider(path: Path, provider: ProviderName, input_size: tuple[int, 
 
 
 def _full_name(provider: ProviderName) -> str:
-    """Return ONNX Runtime's name of a provider; an unknown one as it was given."""
+    """Return ONNX Runtime's name of a provider; an unknown name is unchanged."""
     known = ort.get_all_providers()
     return next((name for name in known if name.lower() == f"{provider}{PROVIDER_ENDING}".lower()), provider)
 
 
 def _load_libraries() -> None:
-    """Load the CUDA libraries that pip installs beside ONNX Runtime, where the system does not look for them."""
+    """Load the CUDA libraries that pip installs beside ONNX Runtime; the system does not search there."""
     if hasattr(ort, "preload_dlls"):  # from 1.21 on
         with redirect_stdout(io.StringIO()):
             ort.preload_dlls()

@@ -20,12 +20,12 @@ log = logging.getLogger(__name__)
 
 StateDict = dict[str, Tensor]
 
-# Words in the options of models that were trained on panoramas.
+# Words in the options of models trained on panoramas.
 _PANORAMAS = ("cvusa", "cvact")
 
-# Entries of layers that the published code keeps and does not use.
+# Entries of layers that the published code contains but does not use.
 UNUSED = re.compile(r"model_\d\.model\.(fc|classifier|avgpool2?|maxpool2)\.")
-# Further ones, by which a checkpoint may differ from the network without being of another method.
+# Further entries that a checkpoint may add without belonging to another method.
 _BESIDE = re.compile(
     r"num_batches_tracked$|^classifier\d*\.classifier\.|^model_\d\.model\.(network\.)?(head|_fc|_bn1|_conv_head)\.|^logit_scale$"
 )
@@ -34,17 +34,16 @@ _BESIDE = re.compile(
 def infer_spec(state: StateDict, options: dict[str, Any], name: str = "the file") -> ModelSpec:
     """Infer the architecture of a published state dict from its keys and the options of its `opts.yaml`.
 
-    Three branches are University-1652's. Model_1 and model_3 are satellite and drone, with University-1652's rings, see also
+    Three branches are University-1652's. Model_1 and model_3 are satellite and drone, with University-1652's rings; see also
     `with_named_branch`. Model_1 and model_2 are
-
     - one network for all three views, with University-1652's rings, if they are equal;
     - else satellite and street with the layout "cvusa" of the released CVUSA and CVACT models, since the released code trains
-      no other LPN of two views. So they are, even if equal, where the options `data_dir` or `name` mention these data sets,
+      no other LPN of two views. Equal branches are read so, too, if the options `data_dir` or `name` mention these data sets,
       `model_2` says street, or `share` is false.
 
-    How they are read is logged where no option confirms it, and so is the input size where none states it.
+    Readings without a confirming option are logged, and so is a default input size.
 
-    A backbone of timm is named by the option `backbone`, such as "timm:convnext_tiny".
+    The option `backbone` names a backbone of timm, such as "timm:convnext_tiny".
 
     Raises:
         ModelFileError: if it is not an LPN or baseline, or contradicts its options.
@@ -108,7 +107,7 @@ def with_named_branch(state: StateDict, options: Mapping[str, Any], name: str) -
     """Return a state dict whose second branch is the drone's if the option `model_2` says so.
 
     Raises:
-        ModelFileError: if the option is neither street nor drone, or the file has a drone's branch besides.
+        ModelFileError: if the option is neither street nor drone, or the file also has a drone's branch.
     """
     stated = options.get("model_2", "street")
     if stated not in ("street", "drone"):
@@ -124,12 +123,12 @@ def with_named_branch(state: StateDict, options: Mapping[str, Any], name: str) -
 
 
 def unknown_entries(state: StateDict, known: Collection[str]) -> list[str]:
-    """Return the names of a state dict's entries that are neither of an LPN's network nor such as its code keeps unused."""
+    """Return the names of entries that neither an LPN's network nor its unused layers explain."""
     return [key for key in state if key not in known and not UNUSED.match(key) and not _BESIDE.search(key)]
 
 
 def name_unknown(name: str, method: str, unknown: Sequence[str]) -> None:
-    """Log the entries that are not read and the method's released code does not have: the file may be of one built on it."""
+    """Log entries that are not read and that the method's released code lacks: a later method may have written the file."""
     if unknown:
         log.warning(
             "%s has entries that %s's released code does not have, %d in number (%s); they are not read, so if descriptors "
@@ -183,7 +182,7 @@ def _check_options(options: dict[str, Any], name: str, views: tuple[View, ...], 
 
 
 def _tell_views(options: dict[str, Any], name: str, panoramas: bool) -> None:
-    """Log how the branches model_1 and model_2 are read unless the options confirm it."""
+    """Log the reading of the branches model_1 and model_2 unless the options confirm it."""
     if "model_2" in options or any(data in _trained_on(options) for data in (_PANORAMAS if panoramas else ("1652",))):
         return
     if panoramas:

@@ -1,9 +1,9 @@
 """Quantization of an exported float32 model to 8-bit integers, calibrated on real pictures.
 
-Convolutions, linear layers, and what lies between convolutions are quantised: weights by output channel, activations by their
+Convolutions, linear layers, and operations between convolutions are quantised: weights by output channel, activations by their
 range on the calibration pictures. That ends at the trunk's maps or tokens, from which all outputs are computed. Pooling,
-regions, gates, norms of pooled values, and heads stay in float32 behind it, so parts and their account come from the same
-numbers and evidence stays exact.
+regions, gates, norms of pooled values, and heads after it stay in float32. So parts and their account come from equal
+numbers, and evidence stays exact.
 """
 
 from __future__ import annotations
@@ -33,12 +33,12 @@ from lpn.models.shipped import model_file
 
 # Calibration pictures for each group of views that share weights.
 PICTURES = 128
-# Mean cosine with the float32 descriptors below which a model is not written.
+# Least mean cosine with the float32 descriptors; below it, no model is written.
 LEAST_COSINE = 0.98
-# Calibration pictures of each group on which both models are compared.
+# Calibration pictures of each group for the comparison of both models.
 _COMPARED = 64
 # In a trunk with LayerNorms, such as a vision transformer or a ConvNeXt, Softmax, LayerNorm, GELU, and products of attention stay
-# in float32. So does the residual stream, whose few large channels would take the range of the others.
+# in float32. So does the residual stream: its few large channels would take the range of the others.
 _QUANTISED, _QUANTISED_CONVOLUTIONAL = (
     frozenset({"Conv", "MatMul", "Gemm"}),
     frozenset({"Relu", "Clip", "Add", "MaxPool"}),
@@ -47,12 +47,12 @@ _FLOAT_OUTPUTS = ["MatMul", "Gemm"]
 
 
 class Agreement(NamedTuple):
-    """How close an 8-bit model is to its float32 model, on calibration pictures.
+    """The agreement of an 8-bit model with its float32 model on calibration pictures.
 
     Attributes:
         cosines: for each view, the mean cosine (-1 .. 1) between both models' descriptors of a picture.
-        same_first: share (0 .. 1) of the queries for which both models rank the same picture of the gallery first; None where
-            the pictures are of one view alone.
+        same_first: share (0 .. 1) of the queries for which both models rank one gallery picture first; None if the pictures
+            have only one view.
         queries, gallery: numbers of pictures behind `same_first`; 0 without it.
     """
 
@@ -78,11 +78,11 @@ def quantize(
         out: the file to write; further view groups get files beside it.
         pictures: the number of calibration pictures for each group of views.
         provider: computes the calibration, see `Engine`; before ONNX Runtime 1.21, the CPU does. The 8-bit model is always
-            compared on the CPU, as it is made for it.
+            compared on the CPU, for which it is made.
         least_cosine: nothing is written if a view's mean cosine is below it, from -1 (never) to 1.
 
     Returns:
-        The files written, and how close they are to the model on calibration pictures.
+        The written files, and their agreement with the model on calibration pictures.
 
     Raises:
         InputError: if `out` does not end in .onnx or is `model`, `model` is not stored as float32, there are no pictures,
@@ -103,7 +103,7 @@ def quantize(
     check_writable(out)
     engine = Engine(model, provider=provider)
     groups = list(engine.contract.groups)
-    # Where branches have roles, each of them describes all views.
+    # If branches have roles, each of them describes all views.
     calibrated = [engine.views if engine.contract.roles == "role" else group for group in groups]
     chosen = [calibration_pictures(dataset, views, pictures) for views in calibrated]
     check_whole([picture.path for some in chosen for _, picture in some], f"pictures of {dataset.root.name}")
@@ -220,7 +220,7 @@ def _quantised(file: Path, engine: Engine, pictures: Sequence[tuple[View, Pictur
 
 
 def _quantisable(graph: onnx.GraphProto) -> list[str]:
-    """Return the names of the trunk's nodes that are computed in 8 bits."""
+    """Return the names of the trunk's nodes to quantise."""
     trunk = [node for node in graph.node if node.name.startswith(TRUNK)]
     weights = {weight.name: weight.dims for weight in graph.initializer}
     convolved = {name for node in trunk if node.op_type == "Conv" for name in node.output}
@@ -231,7 +231,7 @@ def _quantisable(graph: onnx.GraphProto) -> list[str]:
     def fits(node: onnx.NodeProto) -> bool:
         # A head has a matrix for each part, and a product of attention has no weights.
         linear = node.op_type not in ("MatMul", "Gemm") or len(weights.get(node.input[1], ())) == 2
-        # ReLU6 is a Clip; another one, as in a pooling layer, is none.
+        # ReLU6 is a Clip; another Clip, as in a pooling layer, is no activation.
         activation = node.op_type != "Clip" or node.input[0] in convolved
         return node.op_type in types and linear and activation
 

@@ -1,4 +1,4 @@
-"""Models by name: those of other packages, by the entry points of the group `lpn.models`, and `timm:NAME:FILE`; no torch here."""
+"""Models by name: other packages' entry points of the group `lpn.models`, and `timm:NAME:FILE`; no torch here."""
 
 from __future__ import annotations
 
@@ -16,13 +16,12 @@ GROUP = "lpn.models"
 
 
 def open_registered(model: str) -> Model | None:
-    """Open the model that a package registers: "NAME", or "NAME:FILE" with a file of weights; None if no package does.
+    """Open a registered model: "NAME", or "NAME:FILE" with a file of weights; None if no package registers it.
 
-    The entry point is a function, or a class, that returns a `Model`. It is called without an argument, or with the path of the
-    file.
+    The entry point is a function or a class that returns a `Model`. It is called without an argument, or with the file's path.
 
     Raises:
-        ModelFileError: if there is no such file, or what is registered does not return a model.
+        ModelFileError: if there is no such file, or the entry point does not return a model.
     """
     name, colon, file = model.partition(":")
     point = next(iter(entry_points(group=GROUP, name=name)), None)

@@ -1,4 +1,4 @@
-"""The parts of SAFA (Shi et al. 2019) and SAFA + LPN: sums over the cells of each strip, under weights of the picture's own."""
+"""The parts of SAFA (Shi et al. 2019) and SAFA + LPN: sums over each strip's cells, under weights from the picture itself."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from lpn.models.spec import ModelSpec
 class SpatialAware(nn.Module):
     """The spatial-aware layers for one part of P cells.
 
-    Each of M weight maps is computed from the maximum over channels by two linear layers without an activation between
-    them, P to P/2 to P.
+    Each of M weight maps is computed from the maximum over channels by two linear layers without an activation between them,
+    P to P/2 to P.
     """
 
     def __init__(self, cells: int, maps: int) -> None:
@@ -53,7 +53,7 @@ def spatial_aware_layers(spec: ModelSpec, partition: Partition, backbone: nn.Mod
 
 
 def check_embedding(spec: ModelSpec, channels: int) -> None:
-    """Refuse a spec whose embedding is not that of its maps."""
+    """Raise InputError unless a spec's embedding fits its maps."""
     if spec.embedding != spec.maps * channels:
         raise InputError(
             f"The model's embedding is {spec.embedding}; SAFA with {spec.maps} maps of {channels} channels has "
@@ -80,14 +80,14 @@ def weigh(features: Tensor, attention: Tensor) -> Tensor:
 
 
 def by_part(features: Tensor, attention: Tensor) -> tuple[Tensor, Tensor]:
-    """Return the account of the parts: a map of M C channels for each part, and the cells that it has (0 or 1).
+    """Return the account of the parts: a map of M C channels for each part, and its cells (0 or 1).
 
     Args:
         features: (B, C, h, w).
         attention: (B, n, M, h, w).
 
     Returns:
-        Maps (B, n, M C, h, w), of which each part is the sum, and cells (B, n, h, w).
+        Maps (B, n, M C, h, w), whose sums are the parts, and cells (B, n, h, w).
     """
     weighted = attention.unsqueeze(3) * features[:, None, None]
     return weighted.flatten(2, 3), (attention != 0).any(dim=2).to(features.dtype)

@@ -1,6 +1,6 @@
-"""The models that ship, by name: one card for each, `models/NAME.json` in the assets.
+"""The shipped models by name, with one card for each, `models/NAME.json` in the assets.
 
-A card tells what its model was trained on, by which commands, its figures with their sources, its limits, and its licence.
+A card has its model's training data, commands, figures with their sources, limits, and licence.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class CardFigures(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         task: such as "drone-to-satellite".
         queries, gallery: numbers of pictures.
         percent: each measure in percent, as the value, and the lower and upper end of its 95 % interval.
-        command, commit: what measured them.
+        command, commit: the source of the figures.
     """
 
     data: str
@@ -42,18 +42,18 @@ class CardFigures(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class ModelCard(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """The card of a model that ships.
+    """The card of a shipped model.
 
     Attributes:
-        name: what `--model` and `lpn.load` take.
+        name: for `--model` and `lpn.load`.
         summary: one sentence.
         network: backbone and number of parts.
         exported, trained: its files below the assets: an `.onnx`, and a `.safetensors` to train from, empty without one.
         trained_on: the training pictures.
-        commands: what made it, in their order.
+        commands: the commands of its training and export, in order.
         seeds: of the trainings.
         figures: measured, each with its source.
-        limits: what it is bad at.
+        limits: its weaknesses.
         licence: of the weights.
     """
 
@@ -89,11 +89,7 @@ class ModelCard(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 @cache
 def model_cards() -> tuple[ModelCard, ...]:
-    """Return the cards of all models that ship, in order of their names.
-
-    Raises:
-        ModelFileError: if a card is damaged.
-    """
+    """Return the cards of all shipped models, in order of their names; ModelFileError if a card is damaged."""
     return tuple(_card(file) for file in sorted(CARDS.glob("*.json")))
 
 
@@ -110,16 +106,16 @@ def model_card(name: str) -> ModelCard:
 
 
 def model_file(model: str | Path, trained: bool = False) -> Path:
-    """Return the file that a path, or the name of a model that ships, stands for; a file of that name comes first.
+    """Return the file of a path, or of a shipped model's name; an existing file comes first.
 
-    A folder stands for the model in it, see `file_in`. The name of a model that ships comes before a folder of that name,
-    which is `./NAME`.
+    A folder stands for the model in it, see `file_in`. A shipped model's name comes before a folder of that name, which is
+    `./NAME`.
 
     Args:
-        trained: True for the `.safetensors` of a model that ships, from which training and export start, instead of the `.onnx`.
+        trained: whether to return a shipped model's `.safetensors`, the start of trainings and exports, instead of its `.onnx`.
 
     Raises:
-        ModelFileError: if a name without folder and ending is neither a file nor a model that ships, or a folder does not hold
+        ModelFileError: if a name without folder and ending is neither a file nor a shipped model, or a folder does not hold
             exactly one model.
     """
     path = Path(model)

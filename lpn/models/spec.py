@@ -36,11 +36,11 @@ _ALLOWED: dict[str, tuple[Any, ...]] = {
 
 # The methods that `ModelSpec` describes.
 METHODS = ("LPN", "Baseline", "SAFA", "SAFA + LPN")
-# The names of timm's networks begin with this. They are our backbones, not the paper's.
+# Prefix of timm's networks. They are our backbones, not the paper's.
 TIMM = "timm:"
 _TIMM_NAME = re.compile(r"timm:[A-Za-z0-9_]{1,80}")
 
-# Far beyond any sensible network; a file that claims more would take all memory.
+# Far beyond any sensible network; a larger claim in a file would take all memory.
 _MAXIMA = {"n_parts": 256, "embedding": 1 << 17, "classes": 1 << 24, "last_stride": 8, "maps": 256, "input_size": 4096}
 
 
@@ -49,8 +49,8 @@ class ModelSpec:
     """The architecture of an LPN.
 
     Attributes:
-        backbone: one of `BACKBONES`, or "timm:" and the name of a network of timm, of which the last map is taken.
-        last_layer: of a ResNet: "layer4" for the whole network, or "layer3" for the stages that have stride 16 by themselves.
+        backbone: one of `BACKBONES`, or "timm:" and the name of a network of timm, whose last map is taken.
+        last_layer: of a ResNet: "layer4" for the whole network, or "layer3" for its stages of stride 16.
         last_stride: stride of a ResNet's layer4: 1 (published, the map stays at 1/16) or 2 (as ImageNet's weights were trained,
             1/32).
         views: the views with a branch, in the order satellite, street, drone.
@@ -63,7 +63,7 @@ class ModelSpec:
             overlap if n does not divide the map, and a VGG-16 keeps the last row and column of odd maps.
         maps: weighted sums per part with "safa", as released 8 for SAFA and 1 for SAFA + LPN; the embedding then has
             maps x channels numbers.
-        polar: whether satellite tiles are unrolled around their centre first, by `images.polar`.
+        polar: whether satellite tiles are first unrolled around their centre, by `images.polar`.
         weighting: the average over a ring, see `Partition`.
         activation: between BatchNorm and Dropout in the head: "none" as released, "relu" as the paper draws it, or
             "leaky_relu", an option of the released code.
@@ -134,7 +134,7 @@ class ModelSpec:
         return Partition("rings", self.n_parts, self.weighting)
 
     def owner(self, view: View) -> View:
-        """Return the view whose branch holds the weights used for `view`."""
+        """Return the view whose branch owns the weights for `view`."""
         if not self.shared or view == "satellite" or "satellite" not in self.views:
             return view
         return "satellite" if view == "drone" or "drone" not in self.views else view
@@ -153,7 +153,7 @@ class ModelSpec:
         return "Baseline" if self.n_parts == 1 else "LPN"
 
     def contract(self) -> Contract:
-        """Return what a model of this architecture says of itself."""
+        """Return the contract of a model of this architecture."""
         held = "the slopes of the activation" if self.activation != "none" else ""
         held = "the weights of each picture's cells" if self.pooling == "safa" else held
         return Contract(
@@ -178,11 +178,7 @@ class ModelSpec:
 
     @classmethod
     def from_json(cls, text: str) -> ModelSpec:
-        """Read the output of `to_json`.
-
-        Raises:
-            ModelFileError: if the text is not such a description.
-        """
+        """Read the output of `to_json`; ModelFileError if the text is not such a description."""
         try:
             values = msgspec.json.decode(text, type=dict[str, Any])
             if unknown := sorted(set(values) - {field.name for field in fields(cls)}):
@@ -203,7 +199,7 @@ class ModelSpec:
 
 
 def is_timm(backbone: Any) -> bool:
-    """Return whether a backbone is named as a network of timm; only timm knows whether it has it."""
+    """Return whether a backbone has the name of a network of timm; only timm knows whether it exists."""
     return isinstance(backbone, str) and _TIMM_NAME.fullmatch(backbone) is not None
 
 

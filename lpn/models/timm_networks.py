@@ -1,8 +1,8 @@
 """Networks of timm, built without weights: by name, or from the shapes of a checkpoint's entries.
 
-timm imports torchvision for augmentations and data sets, of which nothing is needed here. Torchvision's compiled operators fit
-one build of torch only, and beside another one it cannot be imported. Then timm is imported with empty stand-ins for the
-modules of torchvision; they are removed again afterwards, so that no other package meets them.
+timm imports torchvision for augmentations and data sets, which are not needed here. Torchvision's compiled operators fit
+only one build of torch; with another one, its import fails. Then timm is imported with empty stand-ins for torchvision's
+modules. They are removed afterwards, so that no other package meets them.
 """
 
 from __future__ import annotations
@@ -33,9 +33,9 @@ _STAND_INS = (
     "torchvision.transforms.functional",
     "torchvision.datasets",
 )
-# Layers behind the last map or tokens; they are not needed.
+# Layers after the last map or tokens; they are not needed.
 _BEHIND = ("head", "fc_norm", "pre_logits")
-# The rotary vision transformers of timm that Game4Loc is trained from, by width and depth.
+# timm's rotary vision transformers that Game4Loc starts from, by width and depth.
 _ROTARY = {
     (512, 12): "vit_medium_patch16_rope_reg1_gap_256",
     (512, 20): "vit_mediumd_patch16_rope_reg1_gap_256",
@@ -79,7 +79,7 @@ class _StandIn(types.ModuleType):
         if name.startswith("__"):
             raise AttributeError(name)
         if name == "InterpolationMode":
-            # timm makes a table of these names when it is imported.
+            # timm builds a table of these names at its import.
             return enum.Enum(name, "NEAREST BILINEAR BICUBIC BOX HAMMING LANCZOS")
         made = type(name, (nn.Module,), {})
         setattr(self, name, made)
@@ -111,7 +111,7 @@ def convnext(
 
     Args:
         second: ConvNeXt V2, with a global response norm in each block in place of its scale.
-        convolutional: whether the linear layers of blocks are convolutions of one pixel.
+        convolutional: whether linear layers of blocks are convolutions of one pixel.
     """
     import_timm()
     from timm.models.convnext import ConvNeXt
@@ -174,9 +174,9 @@ def vision_transformer(
 
 
 def rotary_transformer(width: int, depth: int, size: tuple[int, int]) -> tuple[nn.Module, Any]:
-    """Build a ViT with rotary positions and register tokens, and return it with timm's configuration of it.
+    """Build a rotary ViT with register tokens, and return it with its timm configuration.
 
-    `forward_features` gives all tokens, the registers first, without a norm after the last block, for pictures of any size.
+    `forward_features` gives all tokens, registers first, without a norm after the last block, for pictures of any size.
 
     Raises:
         InputError: if timm has no such network of this width and depth.
@@ -193,10 +193,10 @@ def rotary_transformer(width: int, depth: int, size: tuple[int, int]) -> tuple[n
 
 
 def normalisation(name: str) -> tuple[Triple, Triple]:
-    """Return the mean and the standard deviation of pictures that a network of timm was pretrained with.
+    """Return the mean and the standard deviation of the pretraining pictures of a network of timm.
 
     Args:
-        name: such as "vit_base_patch16_384.augreg_in21k_ft_in1k"; what stands before a slash is left out.
+        name: such as "vit_base_patch16_384.augreg_in21k_ft_in1k"; a prefix up to a slash is ignored.
 
     Raises:
         InputError: if timm has no such network.
@@ -215,13 +215,12 @@ def normalisation(name: str) -> tuple[Triple, Triple]:
 class TimmMap(nn.Module):
     """A network of timm up to its last map or tokens: (B, 3, H, W) -> (B, C, h, w).
 
-    Tokens are put on the grid of their patches, without class and register tokens in front of them. Entries have timm's names
-    behind `network.`.
+    Tokens are put on the grid of their patches, without prefix tokens. Entries have timm's names after `network.`.
 
     Args:
         name: one of timm's, such as "convnext_tiny".
         size: (height, width) of the pictures. Networks with positions take no other size, unless timm resamples them.
-        network: one that is built and keeps the layers behind its map; None to build it without them.
+        network: a built network with the layers after its map; None to build it without them.
 
     Raises:
         InputError: if timm is missing, has no network of that name, or that network gives no map of such pictures.
@@ -251,7 +250,7 @@ class TimmMap(nn.Module):
         self.grid = (rows, columns) if patch is None else (size[0] // patch[0], size[1] // patch[1])
 
     def without_head(self) -> TimmMap:
-        """Return this network without the layers behind its last map or tokens."""
+        """Return this network without the layers after its last map or tokens."""
         for behind in _BEHIND:
             if hasattr(self.network, behind):
                 setattr(self.network, behind, nn.Identity())
@@ -261,21 +260,21 @@ class TimmMap(nn.Module):
         return self.as_map(cast(Tensor, self.network.forward_features(images)), images)  # type: ignore[operator]
 
     def as_map(self, features: Tensor, images: Tensor) -> Tensor:
-        """Return what the network gives for pictures as a map (B, C, h, w)."""
+        """Return the network's output for pictures as a map (B, C, h, w)."""
         if self.patch is None:
             return features.permute(0, 3, 1, 2) if self.channels_last else features
         cells = features[:, self.prefix :].transpose(1, 2)
         return cells.reshape(*cells.shape[:2], images.shape[2] // self.patch[0], images.shape[3] // self.patch[1])
 
     def with_own_names(self, state: Mapping[str, Tensor]) -> dict[str, Tensor]:
-        """Return weights of timm under this network's names, with positions resampled to its size; see `renamed`."""
+        """Return timm's weights under this network's names, with positions resampled to its size; see `renamed`."""
         return {f"network.{key}": value for key, value in renamed(self.network, state).items()}
 
 
 def renamed(network: nn.Module, state: Mapping[str, Tensor]) -> dict[str, Tensor]:
-    """Return weights of a network under timm's names, with positions resampled to its size.
+    """Return a network's weights under timm's names, with positions resampled to its size.
 
-    Files of other origin, such as those of torch.hub, are renamed as far as timm knows how; otherwise they stay as they are.
+    Files of other origin, such as torch.hub's, are renamed as far as timm can, and otherwise unchanged.
     """
     module = sys.modules[type(network).__module__]
     try:
@@ -285,7 +284,7 @@ def renamed(network: nn.Module, state: Mapping[str, Tensor]) -> dict[str, Tensor
 
 
 def norm_behind(network: Any) -> nn.LayerNorm | None:
-    """Return the LayerNorm that a network has behind its mean over the cells."""
+    """Return the LayerNorm after a network's mean over the cells, or None."""
     for norm in (getattr(network, "fc_norm", None), getattr(getattr(network, "head", None), "norm", None)):
         if isinstance(norm, nn.LayerNorm) and norm.weight is not None and norm.bias is not None:
             return norm
@@ -293,7 +292,7 @@ def norm_behind(network: Any) -> nn.LayerNorm | None:
 
 
 def _features_shape(network: nn.Module, name: str, size: tuple[int, int]) -> tuple[int, ...]:
-    """Return the shape of what a network gives for one picture, without computing it."""
+    """Return the output shape of a network for one picture, without computing it."""
     try:
         with torch.device("meta"), torch.inference_mode():
             shadow: Any = copy.deepcopy(network).to("meta").eval()
@@ -318,7 +317,7 @@ def _unknown(name: str) -> InputError:
 
 
 def base_name(name: str) -> str:
-    """Return a network's name without what stands before a slash and without the tag of its weights."""
+    """Return a network's name without a prefix up to a slash, and without the tag of its weights."""
     return name.rpartition("/")[2].partition(".")[0]
 
 
@@ -329,7 +328,7 @@ def has_fixed_size(name: str) -> bool:
 
 
 def trained_size(name: str) -> tuple[int, int]:
-    """Return the size (height, width) of the pictures that a network of timm was pretrained with.
+    """Return the size (height, width) of the pretraining pictures of a network of timm.
 
     Raises:
         InputError: if timm has no such network.
@@ -344,7 +343,7 @@ def named_network(name: str, size: tuple[int, int], own_size: bool = False) -> n
     """Build a network of timm with its pooling and without a classifier; (B, 3, H, W) -> (B, C).
 
     Args:
-        own_size: build its positions for that size, in place of resampling them for each picture.
+        own_size: whether to build its positions for that size, instead of resampling them for each picture.
 
     Raises:
         InputError: if timm has no such network, or it takes no pictures of that size.
@@ -358,7 +357,7 @@ def named_network(name: str, size: tuple[int, int], own_size: bool = False) -> n
     for attempt in attempts:
         try:
             return cast(nn.Module, timm.create_model(name, pretrained=False, num_classes=0, **attempt))
-        except TypeError:  # of an option that the network does not take
+        except TypeError:  # the network does not take an option
             continue
         except Exception as error:  # networks refuse sizes in many ways
             raise _refused(name, size, error) from error

@@ -1,4 +1,4 @@
-"""Poolings of a network's tokens into a descriptor, by their names on the command line; no torch here.
+"""Poolings of a network's tokens into a descriptor, by their command-line names; no torch here.
 
 With the tokens F(x) of the cells x of a map (C channels, N cells), and the vector f of the class token:
 
@@ -28,7 +28,7 @@ from lpn.models.partition import Partition
 
 PoolingName = Literal["mean", "gem", "cls", "cls+mean", "rings"]
 FORMS = "mean, gem, gem:POWER, cls, cls+mean, or rings:N"
-# Below it a token's number counts as this in GeM, whose power needs positive numbers.
+# Lower bound of a token's number in GeM, whose power needs positive numbers.
 EPSILON = 1e-6
 _MOST_RINGS, _POWERS = 64, (0.5, 100.0)
 _WRITTEN = re.compile(r"(mean|cls|cls\+mean)|(gem)(?::([0-9]+(?:\.[0-9]+)?))?|(rings):([0-9]{1,4})")
@@ -50,11 +50,7 @@ class TokenPooling:
 
     @classmethod
     def parse(cls, text: str) -> TokenPooling:
-        """Read a pooling as a person writes it, such as "rings:4".
-
-        Raises:
-            InputError: if it is none of `FORMS`.
-        """
+        """Parse a user's pooling, such as "rings:4"; InputError if it is none of `FORMS`."""
         match = _WRITTEN.fullmatch(text)
         if match is None:
             raise InputError(f"The pooling is {printable(text)[:40]!r}; expected {FORMS}, such as rings:4.")
@@ -77,7 +73,7 @@ class TokenPooling:
 
     @property
     def partition(self) -> Partition | None:
-        """How parts divide the map; None without cells."""
+        """The partition of the map into parts; None without cells."""
         if self.name == "cls":
             return None
         return Partition("rings", self.rings) if self.rings > 1 else Partition("whole", 1)
@@ -94,25 +90,25 @@ class TokenPooling:
 
     @property
     def level(self) -> AccountLevel:
-        """How far evidence is exact, see `Contract`."""
+        """The exactness of evidence, see `Contract`."""
         if self.name == "cls":
             return "one vector"
         return "exact" if self.name in ("mean", "rings") else "exact, with held"
 
     @property
     def held(self) -> str:
-        """Return what the account holds at its value for each picture."""
+        """Return the quantities that the account holds at their values for each picture."""
         if self.name == "gem":
             return "the power means of GeM (Euler's split of its power)"
         return "the class token" if self.name == "cls+mean" else ""
 
     def embedding(self, channels: int) -> int:
-        """Return the numbers of a part of tokens with this many channels."""
+        """Return the length of a part for tokens with this many channels."""
         return 2 * channels if self.name == "cls+mean" else channels
 
 
 def pooled(pooling: TokenPooling, features: Float32Array, first: Float32Array | None) -> ForwardPass:
-    """Pool the tokens of cells; the weights of the cells in the parts are those of the pooling's partition.
+    """Pool the tokens of cells; the weights of the cells in the parts come from the pooling's partition.
 
     Args:
         features: (B, C, h, w).

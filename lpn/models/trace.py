@@ -19,9 +19,9 @@ class Trace:
     """The intermediate results from which exact evidence is computed, in the terms of `lpn.models.contract`.
 
     Attributes:
-        embedding: part embeddings, the mirror's and `Model.centring` added, and whitened, (n, D).
-        features: the map of each of P passes, (P, C, h, w), or of each part of each pass, (P, n, C, h, w); the mirror's flipped
-            back.
+        embedding: part embeddings with the mirror's and `Model.centring` added, whitened, (n, D).
+        features: the map of each of P passes, (P, C, h, w), or of each part of each pass, (P, n, C, h, w); the mirror's is
+            flipped back.
         cells: the weight of each cell in each part of each pass, (P, n, h, w).
         weight: the heads, (n, D, C); None for the identity.
         slopes: the activation's slope for each number of each pass's embedding, (P, n, D); None without an activation.
@@ -42,7 +42,7 @@ class Trace:
         """Return the trace of a forward pass of a picture, or of a picture and its mirror as a batch of two.
 
         Raises:
-            InputError: if the model's contract says that it gives no cells.
+            InputError: if the model's contract has no cells.
             ModelFileError: if the shapes contradict the contract.
         """
         contract, heads, passes = model.contract, model.heads(view), len(outputs.parts)
@@ -85,18 +85,18 @@ class Trace:
 
     @property
     def nbytes(self) -> int:
-        """The bytes of the maps and cells, without the heads, which traces share."""
+        """The bytes of maps and cells, without the heads, which traces share."""
         return self.features.nbytes + self.cells.nbytes
 
     @property
     def activation(self) -> Float32Array:
-        """The channel sum of the picture's map, (h, w); of a map for each part, the sum over the parts that hold the cell."""
+        """The channel sum of the picture's map, (h, w); with a map for each part, the sum over the parts of each cell."""
         total = self.part_totals
         return total[0] if len(total) == 1 else cast(Float32Array, (total * (self.cells[0] != 0)).sum(axis=0))
 
     @property
     def part_totals(self) -> Float32Array:
-        """The channel sum of the picture's map, (1, h, w), or of that of each part, (n, h, w)."""
+        """The channel sum of the picture's map, (1, h, w), or of each part's map, (n, h, w)."""
         total = cast(Float32Array, self.features[0].sum(axis=-3))
         return total[None] if total.ndim == 2 else total
 
@@ -137,7 +137,7 @@ class Trace:
     def errors(self) -> Float64Array:
         """Return the largest error of cells plus constants in each part, as a share of the part's largest value, (n,).
 
-        The share is infinite where a sum is no finite number.
+        The share is infinite if a sum is not finite.
         """
         everywhere = np.ones(self.size, bool)
         with np.errstate(over="ignore", invalid="ignore"):
@@ -150,11 +150,11 @@ class Trace:
         """Return the query of a region, (n, D), which ranks a gallery by the region's share of the scores.
 
         Parts without a cell in the region are zero, and the constants are left out. The query is scaled to
-        sum_i w_i n |q_i|^2 = 1, so that 2 - 2 score is a squared distance as for whole queries.
+        sum_i w_i n |q_i|^2 = 1, so that 2 - 2 score is a squared distance, as for whole queries.
 
         Args:
             cells: the region, (h, w).
-            weights: part weights that sum to one, (n,).
+            weights: part weights with sum one, (n,).
 
         Raises:
             InputError: if its shape is not the feature map's, or no cell belongs to a part that counts.
@@ -170,5 +170,5 @@ class Trace:
 
 
 def _upright(values: Float32Array) -> Float32Array:
-    """Flip the columns of the second pass, which is of the mirrored picture."""
+    """Flip the columns of the second pass, the mirrored picture's."""
     return values if len(values) == 1 else np.concatenate([values[:1], values[1:, ..., ::-1]])

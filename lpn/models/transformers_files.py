@@ -1,4 +1,4 @@
-"""The configurations that transformers writes beside its weights: config.json and preprocessor_config.json; no torch here."""
+"""The configurations beside the weights of transformers: config.json and preprocessor_config.json; no torch here."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def read_configuration(folder: Path, name: str) -> dict[str, Any]:
 
 
 def stated_size(pictures: Mapping[str, Any]) -> tuple[int, int] | None:
-    """Return the size (height, width) of pictures that a preprocessor_config.json says; None if it says none."""
+    """Return the size (height, width) of pictures in a preprocessor_config.json; None if it has none."""
     return next((size for key in ("crop_size", "size") if (size := _sides(pictures.get(key))) is not None), None)
 
 
@@ -51,7 +51,7 @@ def _sides(value: Any) -> tuple[int, int] | None:
 
 
 def stated_normalisation(pictures: Mapping[str, Any], default: tuple[Triple, Triple]) -> tuple[Triple, Triple]:
-    """Return the mean and the standard deviation of pictures that a preprocessor_config.json says, else the default."""
+    """Return the mean and the standard deviation of pictures in a preprocessor_config.json, else the default."""
     found = tuple(pictures.get(key) for key in ("image_mean", "image_std"))
     if all(isinstance(one, list) and len(one) == 3 and all(isinstance(v, int | float) for v in one) for one in found):
         mean, std = (tuple(map(float, cast("list[float]", one))) for one in found)

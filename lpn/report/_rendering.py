@@ -20,7 +20,7 @@ _THUMBNAIL = 60
 
 
 def render(template: str, **context: object) -> Markup:
-    """Fill a template of the report; every value that is no markup is escaped, and no control character is left."""
+    """Fill a template of the report; values are escaped unless they are markup, and control characters removed."""
     return Markup(printable(_environment().get_template(template).render(context), TYPED))
 
 
@@ -49,5 +49,5 @@ def _environment() -> Environment:
 
 
 def table_page(title: str, tables: Sequence[TextTable]) -> bytes:
-    """Return tables as UTF-8 HTML, without a script or anything from the network."""
+    """Return tables as UTF-8 HTML, without scripts and external resources."""
     return render("table_page.html.j2", title=title, tables=tables, style=style_sheet()).encode()

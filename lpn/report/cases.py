@@ -1,4 +1,4 @@
-"""The analysis of the queries of a report, without its HTML; each picture is read, and each pair of pictures described, once."""
+"""The analysis behind a report, without its HTML; each picture is read once, and each pair described once."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from lpn.retrieval import DescribedPicture, Match, describe_pictures
 from lpn.tasks.query_outcomes import picture_columns
 from lpn.tasks.task import Task
 
-# Queries that are analysed together, and described tiles that are kept for later ones.
+# Queries that are analysed together, and described tiles in the cache for later ones.
 _TOGETHER, _KEPT = 4, 64
 
 
@@ -32,11 +32,11 @@ class Options:
 
     Attributes:
         matches: number of tiles listed for each query, 1 or more.
-        change: the change that is applied to each query first.
-        selection: how the queries were chosen, for the report's header.
-        doubtful: queries of the task for which no tile is right for certain; they are not graded, nor counted in its figures.
-        title: of a report that tells a story, which has no figures of all queries; empty for a report on queries.
-        captions: what a story says of each answer.
+        change: the change applied to each query first.
+        selection: the selection of the queries, for the report's header.
+        doubtful: queries without a certainly right tile; they are not graded, nor counted in its figures.
+        title: of a story's report, which has no figures of all queries; empty for a report on queries.
+        captions: a story's text for each answer.
     """
 
     matches: int = 5
@@ -53,13 +53,13 @@ class Options:
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """A described picture as a report draws it.
+    """A described picture for a report.
 
     Attributes:
-        picture: on which parts are drawn, (H, W, 3) uint8, see `Answer.drawn`.
+        picture: the ground of the drawn parts, (H, W, 3) uint8, see `Answer.drawn`.
         areas: of its parts; None if neither a partition nor its cells are known.
         heat: its activation, (h, w), 0 to 1; None without cells.
-        match: the entry in the ranking of a tile; None for the query.
+        match: a tile's entry in the ranking; None for the query.
         evidence: of the query's score with this tile; None for the query, and without cells.
     """
 
@@ -72,18 +72,18 @@ class Seen:
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """One query: its answer, and what a report adds to it.
+    """One query: its answer, and a report's additions to it.
 
     Attributes:
-        doubtful: no tile is right for certain, so it is not graded.
+        doubtful: whether no tile is certainly right, so that it is not graded.
         matches: the nearest tiles, then the nearest positive if it is not among them.
         thumbnails: of listed tiles by their positions, as data URIs.
-        facts: names and values of the query's metadata, or of the file of the user's own picture.
+        facts: names and values of the query's metadata, or of an own picture's file.
         query: the query's picture.
-        tiles: the compared tile, then its rival if there is one: of a true tile the nearest wrong one, of another tile the
-            nearest true one, and of an answer whose truth is not known the next tile.
+        tiles: the compared tile, then its rival, if any: the nearest wrong tile for a true one, the nearest true tile for another
+            one, and the next tile if the truth is unknown.
         comparison: of the nearest positive with a wrong tile; None if no positive is known, or no tile is wrong.
-        effect: what the smallest change of weights does to all queries; None in a story.
+        effect: of the smallest change of weights on all queries; None in a story.
     """
 
     answer: Answer
@@ -112,7 +112,7 @@ class Cases:
         self._analyser = QueryAnalyser(task.model, lambda _, index: self._tiles[index])
 
     def make(self, queries: Sequence[int | OwnPicture | Answer]) -> Generator[Case]:
-        """Answer the queries, or take the answers that are given; while one is drawn, the next ones are described."""
+        """Answer the queries, or take given answers; while one is drawn, the next ones are described."""
         together = [queries[start : start + _TOGETHER] for start in range(0, len(queries), _TOGETHER)]
         with ThreadPoolExecutor(1, "report") as thread:
             made = thread.submit(self._answer, together[0])
@@ -143,12 +143,12 @@ class Cases:
         return [self._case(*each) for each in zip(answers, compared, listed, facts, strict=True)]
 
     def _listed(self, answer: Answer) -> list[Match]:
-        """Return the nearest tiles, and the nearest positive behind them."""
+        """Return the nearest tiles, and the nearest positive if it is farther away."""
         k, positive = self._options.matches, answer.positive
         return [*answer.ranking.top(k), *([] if positive is None or positive.rank <= k else [positive])]
 
     def _see(self, listed: Collection[int], compared: Collection[int]) -> None:
-        """Draw the thumbnails of tiles, and describe those that are compared, in one batch."""
+        """Draw the thumbnails of tiles, and describe the compared ones, in one batch."""
         task, gallery, pictures = self._task, self._task.gallery, {}
         self._tiles |= {index: self._tiles.pop(index) for index in compared if index in self._tiles}
         for index in sorted(listed):
@@ -199,7 +199,7 @@ class Cases:
 
 
 def _rival(answer: Answer) -> list[Match]:
-    """Return the tile that the compared one stands beside, if there is one."""
+    """Return the tile beside the compared one, if there is one."""
     ranking, chosen = answer.ranking, answer.chosen
     rival = ranking.hardest_negative() if chosen.true else answer.positive
     if rival is None and chosen.true is None:
@@ -210,6 +210,6 @@ def _rival(answer: Answer) -> list[Match]:
 def _seen(answer: Answer, match: Match) -> Seen:
     tile, ranking = answer.described(match), answer.ranking
     pair = None
-    if ranking.lengths is None:  # a search by a region has no evidence of the whole picture beside its shares
+    if ranking.lengths is None:  # a region's search has no evidence of the whole picture
         pair = pair_evidence(answer.query, tile, ranking.weights, csls=ranking.csls_of(match.index))
     return Seen(*answer.drawn(tile, 1), tile.activation, match, None if pair is None else pair.evidence)

@@ -1,4 +1,4 @@
-"""The page of a report: what was measured, a table of contents, and a section for each query."""
+"""The page of a report: the figures, a table of contents, and a section for each query."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from lpn.report.sections import section
 from lpn.tasks.measure import sentence
 from lpn.tasks.task import Task
 
-# Queries in one report; browsers open the file of more of them slowly.
+# Maximum of queries in one report; browsers open larger files slowly.
 MOST = 200
 
 
@@ -33,9 +33,9 @@ def build(
     Each query and each compared tile is described once, several together.
 
     Args:
-        queries: positions among the task's queries, pictures that are no queries, or answers, in the order of the report.
-        progress: called after each query with the numbers of finished and of all queries; what it raises ends the work.
-        made: date and time that the report bears, by default now.
+        queries: positions among the task's queries, own pictures, or answers, in the order of the report.
+        progress: called after each query with the numbers of finished and of all queries; its exception ends the work.
+        made: date and time in the report, by default now.
 
     Raises:
         InputError: when there are no queries, more than 200, or one that does not exist.
@@ -48,7 +48,7 @@ def build(
     lines, sections, signs, own = [], [], [], False
     with closing(cases.make(queries)) as made_cases:
         for number, case in enumerate(made_cases, 1):
-            # A case holds pictures and a whole ranking, so only its HTML is kept.
+            # A case holds pictures and a whole ranking, so only its HTML is stored.
             lines.append(render("line.html.j2", number=number, case=case, thumbnail=thumbnail(case.answer.source)))
             sections.append(section(case, number))
             signs.append(case.answer.verdict.sign)
@@ -64,7 +64,7 @@ def build(
         noun=task.contract.part_noun,
         gallery=verdicts.pictures_of(task),
         options=options,
-        # A share of chosen pictures, such as the worst ones, would be read as the accuracy.
+        # A share of selected pictures, such as the worst ones, would be read as the accuracy.
         complete=len(queries) == len(task.queries),
         found=signs.count(True),
         graded=len(signs) - signs.count(None),
@@ -90,7 +90,7 @@ def _figures(task: Task) -> list[tuple[str, float, str]]:
 
 
 def _facts(task: Task, options: Options, count: int, made: datetime) -> list[tuple[str, str]]:
-    """List what the report is about as names and values."""
+    """List the subject of the report as names and values."""
     facts = [
         ("Model", task.model_name),
         ("", "saved descriptors, no network" if task.model is None else task.model.describe()),

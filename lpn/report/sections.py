@@ -23,12 +23,12 @@ from lpn.tasks.task import Task
 
 # Pixels of a picture's height.
 _HIGH = 320
-# A strip's crop, which is else a line, is at most this many times as wide as it is high.
+# Maximum of width by height of a strip's crop, which is otherwise a line.
 _MOST_WIDE = 2.5
 
 
 class _Outline(NamedTuple):
-    """A part of a picture 100 units high: its cells as a path, the box that its crop shows, and its strongest cell."""
+    """A part of a picture 100 units high: its cells as a path, the box of its crop, and its strongest cell."""
 
     path: str
     left: float
@@ -43,12 +43,12 @@ class _Picture:
     """A picture of the section.
 
     Attributes:
-        title, name: what it is, and its name.
+        title, name: its kind, and its name.
         true: whether a tile is right; None for the query, and if that is unknown.
-        source: itself, a data URI.
+        source: the picture as a data URI.
         width: in hundredths of its height.
         heat: colours of its cells, a data URI; empty without cells.
-        straight: the boxes are the borders of the parts.
+        straight: whether the boxes are the borders of the parts.
     """
 
     title: str
@@ -173,7 +173,7 @@ def _outline(areas: PartAreas, part: int, across: float, heat: Float32Array | No
 
 @lru_cache(maxsize=256)
 def _path(inside: bytes, rows: int, columns: int, across: float) -> str:
-    """Return cells as an SVG path: the runs of each row, as high as the rows below are alike."""
+    """Return cells as an SVG path: the runs of each row, joined with equal rows below."""
     path, x, y, top = "", across / columns, 100 / rows, 0
     for alike, cells in groupby(inside[row * columns : (row + 1) * columns] for row in range(rows)):
         height = len(list(cells))
@@ -186,7 +186,7 @@ def _path(inside: bytes, rows: int, columns: int, across: float) -> str:
 
 
 def _rows(case: Case) -> list[_Row]:
-    """Return the row of each part, and that of the sum; the gains add up to the difference of the shown distances."""
+    """Return each part's row, and the sum's; the gains add up to the difference of the shown distances."""
     matches = [tile.match for tile in case.tiles if tile.match is not None]
     shares = [rounded_to_sum(match.contributions.tolist(), total=round(match.distance2, 3)) for match in matches]
     sums = [match.distance2 for match in matches]
@@ -206,13 +206,13 @@ def _full(case: Case) -> float:
 
 
 def _limit(case: Case) -> float:
-    """Return the end of the colour scale that the maps of all pairs share; 0 without cells."""
+    """Return the common end of the colour scale of all pairs' maps; 0 without cells."""
     maps = list(chain(*(tile.evidence.cell_maps() for tile in case.tiles if tile.evidence)))
     return overlays.evidence_limit(*maps) if maps else 0.0
 
 
 def _evidence(case: Case) -> list[_PairEvidence]:
-    """Draw the evidence of each pair; the list is empty without cells."""
+    """Draw the evidence of each pair; none without cells."""
     limit, task = _limit(case), case.answer.task
     pairs = [tile.evidence for tile in case.tiles if tile.evidence]
     span, drawn = charts.evidence_span(pairs), []

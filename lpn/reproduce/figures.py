@@ -28,7 +28,7 @@ def heatmaps(
     Args:
         models: name and network.
         view: view of the queries, drone for (a) and street for (b).
-        names: queries to show; without any, `count` spread over the list.
+        names: the shown queries; without any, `count` spread over the list.
 
     Raises:
         InputError: when there is no such query.
@@ -62,7 +62,7 @@ def retrievals(model: Model, dataset: Dataset, views: Sequence[View], names: Seq
 
     Args:
         views: the views of the queries. Satellite queries search drone pictures, all others search tiles.
-        names: queries of the first view to show; the other views show the same places.
+        names: the shown queries of the first view; the other views show their places.
         top: number of nearest pictures.
 
     Raises:

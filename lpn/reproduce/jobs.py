@@ -1,6 +1,6 @@
 """The trainings of a reproduction, each in its own folder and resumable.
 
-Several processes may work on the same trainings: each takes one that no other process has, and at the end waits for theirs.
+Several processes may share the trainings: each takes one that no other process has, and finally waits for the others'.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from lpn.training.trainer import Trainer
 from lpn.training.training_set import Fold
 
 FORMAT = "lpn-job/3"
-# Seconds between two looks at trainings that other processes have.
+# Seconds between two looks at trainings of other processes.
 _POLL = 5.0
 
 
@@ -53,7 +53,7 @@ class TrainingJob:
         folder: of the run.
         source: the training data.
         start: pretrained weights of its backbone, None for random ones.
-        fold: a fold of the training places that is held out, and measured by `tools.crossval`.
+        fold: the held-out fold of the training places, which `tools.crossval` measures.
     """
 
     training: Training
@@ -71,7 +71,7 @@ class TrainingJob:
 
     @property
     def ended(self) -> Literal["finished", "diverged"] | None:
-        """How the training ended; None if it has not. Another process may change it."""
+        """The end of the training; None before. Another process may change it."""
         file = self._file()
         return file.ended if file is not None else None
 
@@ -82,7 +82,7 @@ class TrainingJob:
 
     @property
     def made(self) -> Provenance | None:
-        """Where the training was begun; None before."""
+        """The provenance of the training; None before its start."""
         run = read_run(self.folder)
         return run.made if run is not None else None
 
@@ -135,7 +135,7 @@ class TrainingJob:
             )
 
     def train(self, console: Console) -> None:
-        """Train to the last epoch, from the last whole one on disk; a training that diverges is given up.
+        """Train to the last epoch, from the last whole one on disk; a diverging training is given up.
 
         Raises:
             LPNError: as `lpn.training.trainer.Trainer`, except for a divergence.
@@ -177,7 +177,7 @@ class TrainingJob:
 
 
 def train(jobs: Sequence[TrainingJob], console: Console) -> None:
-    """Train what is not trained yet, one after the other, and wait for what other processes train.
+    """Run the missing trainings one by one, and wait for those of other processes.
 
     Raises:
         LPNError: as `lpn.training.trainer.Trainer`, except for a divergence.
@@ -193,7 +193,7 @@ def train(jobs: Sequence[TrainingJob], console: Console) -> None:
 
 
 def _train_alone(job: TrainingJob, jobs: Sequence[TrainingJob], console: Console) -> bool:
-    """Train unless another process does, and return whether it was free."""
+    """Train unless another process does; return whether the job was free."""
     job.folder.mkdir(parents=True, exist_ok=True)
     with ExitStack() as stack:
         try:

@@ -1,4 +1,4 @@
-"""Measured figures and tables, kept in a file so that nothing is measured twice."""
+"""Measured figures and tables in a file, so that nothing is measured twice."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class MeasuredFigures(msgspec.Struct, frozen=True):
     Attributes:
         values: in percent, one for each column of the table.
         protocol: the evaluation protocol in one sentence.
-        made: where the figures come from.
+        made: the provenance of the figures.
     """
 
     values: Values
@@ -62,9 +62,9 @@ class _MeasurementsFile(msgspec.Struct):
 
 
 class MeasurementStore:
-    """A cache of measured figures by what they were measured on, and the tables made of them, in one JSON file.
+    """A cache of measured figures by their inputs, and of the finished tables, in one JSON file.
 
-    Several processes may use the same file: each reads it again before it adds to it.
+    Several processes may use one file: each reads it again before it adds to it.
 
     Raises:
         InputError: when a later version of lpn wrote the file.
@@ -89,7 +89,7 @@ class MeasurementStore:
         return self._file.figures[key]
 
     def reload(self) -> None:
-        """Read the file again, for what other processes have added."""
+        """Read the file again for additions of other processes."""
         self._file = self._read()
 
     def keep(self, table: TableRecord) -> None:

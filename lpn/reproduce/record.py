@@ -1,4 +1,4 @@
-"""The record of a measured table: everything that its page needs, and where each figure comes from."""
+"""The record of a measured table: all data of its page, with the provenance of each figure."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ class RowRecord(msgspec.Struct, frozen=True, omit_defaults=True):
         values: for each network, "seed 0" or "given", its value in each column; empty if the row was not run.
         paper: the paper's values, empty if it has no such row.
         note: printed after the label.
-        quoted: the paper quotes the row from other work, and nothing is measured.
-        trained, measured: for each network, where it and its figures come from.
-        reason: why the row was not run; empty if it was.
+        quoted: whether the paper quotes the row from other work, so that nothing is measured.
+        trained, measured: for each network, the provenance of it and of its figures.
+        reason: the reason why the row was not run; empty if it was.
     """
 
     label: str
@@ -55,7 +55,7 @@ class TableRecord(msgspec.Struct, frozen=True, omit_defaults=True):
         title: with the data set.
         columns: titles of the measured columns.
         beside: for each measured column, the index of the paper's column beside it, None if there is none.
-        alone: titles of the paper's columns that no measured column stands beside, by index.
+        alone: titles of the paper's columns without a measured column beside them, by index.
         notes: sentences below the table.
     """
 

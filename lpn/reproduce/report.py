@@ -19,7 +19,7 @@ _COLOURS = ("#1f5fbf", "#7fb2e5", "#c2571a", "#eba968")
 
 
 def write(record: TableRecord, out: Path) -> list[Path]:
-    """Write `<key>.md` and `<key>.csv` into a folder, of Figure 5 the picture, too, and return their paths."""
+    """Write `<key>.md` and `<key>.csv`, and for Figure 5 the picture, into a folder; return their paths."""
     files = {out / f"{record.key}.md": markdown(record).encode(), out / f"{record.key}.csv": _csv(record)}
     if record.key == "figure5":
         files[out / "figure5.png"] = figure(record)
@@ -39,7 +39,7 @@ def markdown(record: TableRecord) -> str:
 def text_table(record: TableRecord) -> TextTable:
     """Return the measured values, and the paper's beside them."""
     any_paper = any(row.paper for row in record.rows)
-    # Title, and the index of a measured column or of the paper's; the paper's without a neighbour come last.
+    # Title, and the index of a measured column, or of the paper's; the paper's columns without a neighbour come last.
     cells: list[tuple[str, int | None, int | None]] = []
     for index, (title, beside) in enumerate(zip(record.columns, record.beside, strict=True)):
         cells += [(title, index, None), *([("paper", None, beside)] if any_paper and beside is not None else [])]
@@ -47,14 +47,14 @@ def text_table(record: TableRecord) -> TextTable:
     rows = []
     for row in record.rows:
         texts = []
-        # The reason stands once, in the first cell.
+        # Only the first cell states the reason.
         lacking = "quoted" if row.quoted else f"not run: {row.reason}" if row.reason else "not run"
         for _, own, printed in cells:
             if own is not None:
                 texts.append(_format(row.mean[own], row.interval[own]) if row.values else lacking)
                 lacking = "quoted" if row.quoted else "not run"
             else:
-                # The paper prints a dash for what it does not know of a row.
+                # The paper prints a dash for unknown values of a row.
                 texts.append(_printed(row, printed, "-" if row.paper else ""))
         rows.append((row.title, *texts))
     return TextTable(("", *(title for title, _, _ in cells)), rows, record.title)
@@ -128,7 +128,7 @@ def _verdict(claim: Claim, record: TableRecord) -> str:
 
 
 def _gaps(claim: Claim, rows: dict[str, RowRecord], index: int) -> list[tuple[float, str, str]]:
-    """Return how far the first row of each pair is ahead of the other in a column, the smallest distance first."""
+    """Return the lead of each pair's first row over the other in a column, the smallest first."""
     return sorted(
         ((rows[better].mean[index] - rows[worse].mean[index], better, worse) for better, worse in claim.pairs),
         key=lambda gap: gap[0],
@@ -158,12 +158,12 @@ def _judged(claim: Claim, rows: dict[str, RowRecord], columns: Sequence[int]) ->
 
 
 def _noise(rows: dict[str, RowRecord], better: str, worse: str, index: int) -> float:
-    """Return half the width of the interval of the difference between two rows in a column."""
+    """Return half the width of the interval of the difference of two rows in a column."""
     return half_interval(*([values[index] for values in rows[label].values.values()] for label in (better, worse)))
 
 
 def _closest(claim: Claim, rows: dict[str, RowRecord], index: int, record: TableRecord) -> str:
-    """Give the figures of the pair that decides in a column."""
+    """Return the figures of the deciding pair in a column."""
     gaps = _gaps(claim, rows, index)
     _, better, worse = gaps[0] if claim.tolerance is None else gaps[-1]
     first, second = (f"{label} {rows[label].mean[index]:.1f}" for label in (better, worse))
@@ -192,7 +192,7 @@ def _rows(labels: Sequence[str], every: Sequence[str]) -> str:
 
 
 def data_notes(table: PaperTable, data: Sequence[Source], scale: Scale) -> list[str]:
-    """Describe a table and the pictures it was measured on."""
+    """Describe a table and the measured pictures."""
     notes = [table.google] if table.google and (not data or data[0].has_google) else []
     notes += table.notes
     if table.protocols:
@@ -241,7 +241,7 @@ def changes_note(scale: Scale, trainings: Sequence[Training]) -> str:
 
 
 def _places(jobs: Sequence[TrainingJob]) -> str:
-    """Count the training places, by network where they differ."""
+    """Count the training places, for each network if they differ."""
     of: dict[str, dict[str, None]] = {}
     for job in jobs:
         full = job.source.dataset.published_sizes.get("train/satellite")

@@ -33,7 +33,7 @@ class NetworkUse:
         training: the network.
         used_by: the row or figure.
         views: the views that the network must describe.
-        carried: its features are carried over to landmarks (Table VI).
+        carried: whether its features are carried over to landmarks (Table VI).
     """
 
     training: Training
@@ -42,7 +42,7 @@ class NetworkUse:
     carried: bool = False
 
     def check(self, available: Sequence[View], source: str) -> None:
-        """Raise InputError if a needed view is missing from those of `source`."""
+        """Raise InputError if `source`, with the views `available`, lacks a needed view."""
         lacking = sorted(self.views - set(available))
         if lacking:
             raise InputError(f"{self.used_by} needs the view {lacking[0]}; {source} has {', '.join(available)}.")
@@ -59,10 +59,10 @@ class Reproduction:
         init: files of pretrained weights, one for each backbone.
         seeds: seeds of each training; tables report the mean.
         scale: one of `SCALES`, with the user's changes of its recipes.
-        train: train missing networks; otherwise their rows are not run.
+        train: whether to train missing networks; otherwise their rows are not run.
         queries: queries shown in figures 7 and 8; Figures 1, 3, and 4 show the first.
-        from_scratch: train from random weights, without `init`.
-        partial: a row whose data set is not given says so in its place; otherwise its table is refused.
+        from_scratch: whether to train from random weights, without `init`.
+        partial: whether a row without its data set only states that; otherwise its table is refused.
     """
 
     data: Sequence[str]
@@ -80,7 +80,7 @@ class Reproduction:
     def run(self, keys: Sequence[str]) -> list[Path]:
         """Make the named tables and figures, and return the written files.
 
-        Several processes may make the same ones in the same folder; they share the trainings.
+        Several processes may run in one folder; they share the trainings.
 
         Raises:
             LPNError: when data, models, or settings do not fit, before anything is trained.
@@ -131,13 +131,13 @@ class Reproduction:
         return wanted, drawn
 
     def _drawn(self, keys: Sequence[str]) -> list[str]:
-        """Return the pictures to draw, and print which ones lack their data set."""
+        """Return the pictures to draw, and print those that lack their data set."""
         names = [name for key in keys for name in DRAWN.get(key, ())]
         absent: dict[DataRole, list[str]] = {}
         for name in names:
             if (role := SHOWN[name][0].role) not in self._sources:
                 absent.setdefault(role, []).append(name)
-        # Without places there is nothing of a figure; panoramas are a part of it.
+        # Without places a figure has nothing; without panoramas it lacks a part.
         if "places" in absent and not self.partial:
             raise InputError(f"{absent['places'][0]} needs {LAYOUTS['places']}; give them with --data.")
         for role, without in absent.items():
@@ -145,7 +145,6 @@ class Reproduction:
         return [name for name in names if SHOWN[name][0].role in self._sources]
 
     def _uses(self, wanted: Sequence[PaperTable], drawn: Sequence[str]) -> list[NetworkUse]:
-        """List the networks that tables and figures need."""
         uses = []
         for name in drawn:
             for training in SHOWN[name]:
@@ -161,7 +160,7 @@ class Reproduction:
         return uses
 
     def _load(self, uses: Sequence[NetworkUse]) -> dict[str, Model]:
-        """Load the given networks by training, and check that each is used and is what it stands for."""
+        """Load the given networks by training; InputError if one is not used, or replaces another kind."""
         known = sorted({training.name for table in tables(self.scale).values() for training in table.trainings})
         used = sorted({use.training.name for use in uses})
         for name, file in self.models.items():
@@ -182,7 +181,7 @@ class Reproduction:
         return loaded
 
     def _check_fits(self, model: Model, file: Path, use: NetworkUse) -> None:
-        """Raise InputError if a given network is not of the kind that it stands for; backbone and weights are free."""
+        """Raise InputError if a given network is of another kind than the training; backbone and weights are free."""
         contract, name, recipe = model.contract, use.training.name, self.scale.recipe(use.training, 0)
         spec = ModelSpec(
             views=contract.views,
@@ -207,7 +206,6 @@ class Reproduction:
                 )
 
     def _check_data(self, wanted: Sequence[PaperTable], drawn: Sequence[str]) -> None:
-        """Check the data before any work."""
         for table in wanted:
             for row in table.rows:
                 if not self.partial and not row.quoted and (lacking := self._lacks_data(table, row)):
@@ -224,7 +222,6 @@ class Reproduction:
                 figures.named(source.dataset, "drone", self.queries)
 
     def _planned(self, uses: Sequence[NetworkUse]) -> list[TrainingJob]:
-        """Plan the trainings of networks that are not given."""
         trainings = {use.training.name: use.training for use in uses if use.training.name not in self._loaded}
         planned = []
         for seed, (name, training) in product(self.seeds, trainings.items()):
@@ -234,7 +231,7 @@ class Reproduction:
         return planned
 
     def _check_jobs(self, uses: Sequence[NetworkUse]) -> list[TrainingJob]:
-        """Check that the trainings can run and their networks can be measured, and return those that are left."""
+        """Check that trainings can run and their networks can be measured; return the remaining ones."""
         for job in self._jobs:
             job.check_same()
         left = [job for job in self._jobs if self.train and not job.ended]
@@ -261,7 +258,7 @@ class Reproduction:
         return left
 
     def _print_plan(self, left: Sequence[TrainingJob], drawn: Sequence[str]) -> None:
-        """Print the trainings that are left, and which figures are drawn."""
+        """Print the remaining trainings, and the figures to draw."""
         if left:
             epochs = sum(job.recipe.epochs - len(job.seconds()) for job in left)
             self._say(
@@ -289,14 +286,14 @@ class Reproduction:
             )
 
     def _lacks_data(self, table: PaperTable, row: TableRow) -> str:
-        """Say which data set a row lacks; empty if none."""
+        """Name the data set that a row lacks; empty if none."""
         roles = [MEASURED_ON[table.measure]]
         if row.training is not None and row.training.name not in self.models:
             roles.append(row.training.role)
         return next((f"no {LAYOUTS[role]} are given with --data" for role in roles if role not in self._sources), "")
 
     def _reason(self, table: PaperTable, row: TableRow) -> str:
-        """Say why a row cannot be made; empty if it can be, or is quoted."""
+        """Return the reason why a row cannot run; empty if it can, or is quoted."""
         if row.quoted:
             return ""
         if lacking := self._lacks_data(table, row):
@@ -315,7 +312,7 @@ class Reproduction:
         return "" if self.train else f"no --model gives {name}, and --no-train trains none"
 
     def _is_copy(self, training: Training) -> bool:
-        """Check whether a network would repeat the LPN, for lack of google pictures."""
+        """Return whether a network would repeat the LPN for lack of google pictures."""
         return training.name == "lpn-without-google" and not self._sources["places"][0].has_google
 
     def _models(self, row: TableRow) -> dict[str, Model]:
@@ -363,7 +360,7 @@ class Reproduction:
         return report.write(record, self.out)
 
     def _of_networks(self, table: PaperTable) -> list[str]:
-        """Describe where the table's networks come from."""
+        """Describe the origin of the table's networks."""
         names = {row.training.name for row in table.rows if row.training}
         given = [
             f"{n} = {self.models[n].name} ({self._loaded[n].describe()})" for n in sorted(names & set(self._loaded))
@@ -407,7 +404,7 @@ def _shown(value: object) -> str:
 
 
 def plan(table: PaperTable, reasons: Mapping[str, str]) -> str:
-    """Count the rows of a table that can be made; the others have a reason why not, by their labels."""
+    """Count the rows of a table that can run; `reasons` has the others by their labels."""
     own = [row.label for row in table.rows if not row.quoted]
     quoted = len(table.rows) - len(own)
     lacking: dict[str, list[str]] = {}
@@ -429,6 +426,6 @@ def _columns(
         beside = tuple({"Oxford5k": 0, "Paris6k": 1}.get(source.dataset.kind) for source in data)
         alone = {index: table.columns[index] for index in count if index not in beside}
         return tuple(f"{source.name} mAP" for source in data), beside, alone
-    # CVACT is not what the paper's Table II is of, and Figure 7 has no numbers.
+    # CVACT is not the data of the paper's Table II, and Figure 7 has no numbers.
     same = table.measure != "centre" and not (data and data[0].dataset.kind == "CVACT")
     return table.columns, tuple(index if same else None for index in count), {}

@@ -52,13 +52,13 @@ class Source:
         return bool(self.dataset.train("google"))
 
     def places(self, sets: tuple[str, ...]) -> TrainingSet:
-        """Return the training set with some picture sets, see `Recipe.sets`, read once; DataError without training places."""
+        """Return the training set with the picture sets `sets`, see `Recipe.sets`, read once; DataError without places."""
         if sets not in self._places:
             self._places[sets] = TrainingSet(self.dataset, Console(quiet=True), sets)
         return self._places[sets]
 
     def sizes(self, measure: Measure) -> str:
-        """Count queries and gallery pictures of each task, with the counts of the complete data set where they are known."""
+        """Count queries and gallery pictures of each task, with the known counts of the complete data set."""
         published, texts = self.dataset.published_sizes, []
         for task in TASKS[measure]:
             query, gallery = views_of(task)
@@ -96,7 +96,7 @@ class Source:
         check_test_split(self.dataset, TASKS[measure])
 
 
-# The data that a table is measured on, and what the data of each role look like.
+# The data role of each measure, and the form of each role's data.
 MEASURED_ON: dict[Measure, DataRole] = {
     "both ways": "places",
     "ground": "panoramas",
@@ -116,7 +116,7 @@ def counted(count: int, full: int | None) -> str:
 
 
 def open_sources(data: Sequence[str]) -> dict[DataRole, list[Source]]:
-    """Open the data sets of --data by role: several of landmarks, in the paper's order, and at most one of the others.
+    """Open the data sets of --data by role: several of landmarks, in the paper's order, at most one of each other role.
 
     Raises:
         LPNError: when an argument is not a data set, two have one role, or a world is not completely rendered.

@@ -1,4 +1,4 @@
-"""The paper's tables, `tables.toml`: the network of each row, how it is measured, the paper's values, and its claims."""
+"""The paper's tables, `tables.toml`: the network and measure of each row, the paper's values, and its claims."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ class Training:
         name: of its run, such as "lpn" or "instance".
         method: one of `lpn.training.recipes.METHODS`.
         role: the training data: places seen by satellite, drone, and from the street, or pairs of panorama and tile.
-        changes: the settings of the recipe that tell it from its method's other networks.
-        recipe: the recipe that its row is named after, at the scales of the paper and of the released code.
+        changes: the settings that distinguish it from its method's other networks.
+        recipe: the recipe in its row's name, at the scales of the paper and of the released code.
     """
 
     name: str
@@ -46,17 +46,17 @@ class Training:
 
 @dataclass(frozen=True)
 class TableRow:
-    """A network, and how it is measured.
+    """A network and its measure.
 
     Attributes:
         label: as in the paper's table; claims refer to the row by it.
         training: the network; None for the pretrained backbone's features without training.
         paper: the paper's values, empty if it has no such row.
-        note: what differs here, printed after the label.
+        note: the difference here, printed after the label.
         rotate: rotation of the queries in degrees counter-clockwise.
         parts: 1-based parts used, None for all.
         branch: the branch that describes landmarks.
-        quoted: the paper quotes the row from other work; nothing is trained or measured.
+        quoted: whether the paper quotes the row from other work; nothing is then trained or measured.
     """
 
     label: str
@@ -71,14 +71,14 @@ class TableRow:
 
 @dataclass(frozen=True)
 class Claim:
-    """A claim of the paper: in some columns, one row of each pair is ahead of the other.
+    """A claim of the paper: in some columns, one row of each pair leads the other.
 
     Attributes:
         text: the claim in our words, with its place in the paper.
-        pairs: labels of the row that should be ahead, and of the other one.
+        pairs: labels of the row that should lead, and of the other one.
         columns: indices of the compared columns; None for every measured column.
-        tolerance: None for a claim that the first row is ahead. For a claim that it is not, the points by which it may still
-            be ahead, for each of `columns`.
+        tolerance: None for a claim that the first row leads. For a claim that it does not, the points of lead that are still
+            allowed, for each of `columns`.
     """
 
     text: str
@@ -97,8 +97,8 @@ class PaperTable:
         measure: the measure of its columns.
         columns: their names.
         notes: sentences below the table.
-        google: a further one, where there are pictures of google.
-        protocols: a further one by the protocol of the measurement.
+        google: a further note if there are pictures of google.
+        protocols: a further note by the protocol of the measurement.
     """
 
     key: str
@@ -124,9 +124,10 @@ class Scale:
         name: "paper", "released", or "reduced".
         recipes: the recipe of each role before a method's changes, and "safa" for SAFA's own, if it has one.
         note: one sentence for the table's notes, with names of settings in braces.
-        settings: what all rows of a role have in place of the recipe's; empty if each method has its published recipe.
+        settings: the common replacements of the recipe's settings for all rows of a role; empty if each method has its published
+            recipe.
         divisor: of Table III's input sizes.
-        protocol: "released" for turned queries and the transfer to landmarks as their authors released them.
+        protocol: "released" for turned queries and the transfer to landmarks as in their authors' code.
         changes: the user's changes of every recipe.
     """
 
@@ -140,7 +141,7 @@ class Scale:
 
     @property
     def released(self) -> bool:
-        """True if networks are measured as the released test code does."""
+        """True if networks are measured as in the released test code."""
         return self.protocol == "released"
 
     @property
@@ -149,7 +150,7 @@ class Scale:
         return self.note.format_map(asdict(self._role("places")))
 
     def recipe(self, training: Training, seed: int) -> Recipe:
-        """Return the recipe of a training. What tells the rows apart comes after the user's changes.
+        """Return the recipe of a training; the distinguishing settings of rows override the user's changes.
 
         Raises:
             InputError: if the user's changes do not fit the training.
@@ -166,14 +167,14 @@ class Scale:
             raise InputError(f"{training.name} cannot be trained with these flags: {error}") from None
 
     def kept(self, training: Training) -> tuple[str, ...]:
-        """Name the user's changes that a training does not take, because its row or its own recipe sets them."""
+        """Name the user's changes that do not apply to a training, because its row or its own recipe sets them."""
         own, unchanged = set(training.changes), self._unchanged(training)
         if training.role == "panoramas" and unchanged.lr != self._role("places").lr:
             own.add("lr")  # each released script has its own, ten times apart
         if training.method.startswith("safa"):
             own |= {"size", "width", "lr", "optimizer"} if "safa" in self.recipes else {"size", "width"}
         if str(self.changes.get("backbone", unchanged.backbone)).startswith("vgg16"):
-            own.add("last_layer")  # which a VGG has not
+            own.add("last_layer")  # a VGG has none
         return tuple(name for name in self.changes if name in own)
 
     def _unchanged(self, training: Training) -> Recipe:
@@ -191,19 +192,19 @@ class Scale:
 
     @property
     def base(self) -> Recipe:
-        """The recipe of places, with the user's changes of backbone and input size: that of a network without training."""
+        """The recipe of places, with the user's changes of backbone and input size, for a network without training."""
         names = ("backbone", "last_layer", "size", "width")
         return replace(self._role("places"), **{name: self.changes[name] for name in names if name in self.changes})
 
 
-# Settings that tell the rows of the tables apart; the user cannot change them for all rows.
+# Settings that distinguish the rows of the tables; the user cannot change them for all rows.
 ROW_SETTINGS = (
     *("n_parts", "layout", "pooling", "polar", "maps", "street", "google", "linear", "instance", "metric", "positives"),
     *("pool", "metric_per_part", "margin", "loss", "loss_weight", "seed"),
 )
 SCALES = {name: Scale(name, **values) for name, values in _DATA["scales"].items()}
 _TRAININGS = {name: Training(name, **values) for name, values in _DATA["trainings"].items()}
-# The networks that each drawn picture shows, by name of the file. The first is Figure 8's.
+# The networks in each drawn picture, by name of the file. The first is Figure 8's.
 SHOWN = {name: tuple(_TRAININGS[one] for one in names) for name, names in _DATA["figures"].items()}
 # The pictures of each drawn figure.
 DRAWN = {

@@ -1,12 +1,12 @@
-"""Calibrate on pictures without labels: the zoom at which drone pictures and tiles show the same ground, and each view's mean.
+"""Calibration without labels: the zoom at which drone pictures and tiles show equal ground, and the mean of each view.
 
-A drone's picture shows more ground than its tile, or less, by its height and lens. For the ratio r of both, the middle 1/r of
+A drone's picture shows more ground than its tile, or less, by its height and lens. For their ratio r, the middle 1/r of
 a drone picture is compared with whole tiles (r >= 1), or whole drone pictures with the middle r of the tiles (r < 1).
-Pictures at one scale have nearer neighbours. So the ratio of all is the one with the greatest mean over drone pictures of
-
+Pictures at equal scale have nearer neighbours. So the common ratio is the one with the greatest mean over drone pictures of
     s(r) = max over tiles t of <q(r), t>,
 
-for descriptors from which the mean of their view at this zoom is subtracted. Then each drone picture takes the k that maximises
+for descriptors less the mean of their view at this zoom. Then each drone picture takes the k that maximises
+s(r STEP^k) - PRIOR k^2, k = -2 .. 2. No label enters.
 s(r STEP^k) - PRIOR k^2, k = -2 .. 2. No label enters.
 """
 
@@ -32,11 +32,11 @@ from lpn.models.base import Model, normalise
 
 # The factor between tried ratios.
 STEP = 2**0.25
-# One step from the ratio of all costs this much cosine; without a cost, a weak network follows its noise.
+# The cost, in cosine, of one step from the common ratio; without a cost, a weak network follows its noise.
 PRIOR = 0.02
-# Bounds in steps: of the ratio of all from 1, and of one picture's ratio from the ratio of all.
+# Bounds in steps: of the common ratio from 1, and of one picture's ratio from the common ratio.
 _MOST_STEPS, _OWN_STEPS = 8, 2
-# A mean needs this many pictures of a view; the ratio of all is chosen on at most this many of each.
+# Fewest pictures of a view for a mean; and most pictures of a view for the choice of the common ratio.
 MIN_PICTURES = 20
 _MOST_DRONES, _MOST_TILES = 200, 1000
 _SEED = 0
@@ -44,11 +44,11 @@ _SEED = 0
 
 @dataclass(frozen=True, eq=False)
 class ZoomLevel:
-    """One zoom that a drone picture may have.
+    """One possible zoom of drone pictures.
 
     Attributes:
         zoom: see `Picture.zoom`.
-        cost: what a picture's cosine at this zoom must gain.
+        cost: the least gain of a picture's cosine at this zoom.
         mean: of all drone pictures at this zoom, (n, D).
     """
 
@@ -59,15 +59,15 @@ class ZoomLevel:
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """Zooms and means that make up for pictures unlike those of the training.
+    """Zooms and means that compensate for pictures unlike the training's.
 
     Attributes:
         means: the mean descriptor of each view at the zoom of its pictures, (n, D).
         zooms: the zoom of each picture by its file.
-        tried: mean of s(r) by the ratio r, see this module; empty if the views are not those of drone and satellite.
-        ratio: the ratio of all.
-        levels: the zooms that a drone picture may have; empty without ratios.
-        tiles: descriptors of tiles, (T, n, D), against which the zoom of an uploaded picture is chosen.
+        tried: mean of s(r) by the ratio r, see this module; empty if the views are not drone and satellite.
+        ratio: the common ratio.
+        levels: the possible zooms of drone pictures; empty without ratios.
+        tiles: descriptors of tiles, (T, n, D), for the choice of an uploaded picture's zoom.
     """
 
     means: Mapping[View, Float32Array]
@@ -182,9 +182,9 @@ def calibrate(
 ) -> Calibration:
     """Choose the zoom of drone pictures and tiles, and take the mean descriptor of each view.
 
-    The ratio of all is sought from 1 in steps of 2^(1/4), as long as one of two steps is better, within a factor of 4, by at most
-    200 drone pictures and 1,000 tiles. All drone pictures are described at up to five zooms then. Street views, panoramas, and
-    unrolled tiles keep their zoom.
+    The common ratio is sought from 1 in steps of 2^(1/4), as long as one of two steps is better, within a factor of 4, by at most
+    200 drone pictures and 1,000 tiles. Then all drone pictures are described at up to five zooms. Street views, panoramas,
+    and unrolled tiles keep their zoom.
 
     Args:
         model: see `Model.for_task`.
@@ -234,9 +234,9 @@ def ground_ratio(
     tiles: Sequence[Picture],
     read: descriptors.Reader = descriptors.cached_descriptors,
 ) -> float:
-    """Return how much more ground drone pictures show, side by side, than tiles: the ratio of all, without labels.
+    """Return how much more ground drone pictures show, in side length, than tiles: the common ratio, without labels.
 
-    It is sought as by `calibrate`, by at most 200 drone pictures and 1,000 tiles.
+    It is sought as in `calibrate`, by at most 200 drone pictures and 1,000 tiles.
 
     Raises:
         InputError: if there are fewer than 20 pictures of a view, one is not a picture from above, or the model lacks a view.
@@ -253,7 +253,7 @@ def ground_ratio(
 
 
 class _Side:
-    """All pictures of a view, each file once."""
+    """All pictures of a view, with each file once."""
 
     def __init__(self, model: Model, view: View, lists: Sequence[Sequence[Picture]], read: descriptors.Reader) -> None:
         self._model, self._view, self._lists, self._read = model, view, lists, read
@@ -261,7 +261,7 @@ class _Side:
         self.files = [picture.path for picture in self.pictures]
 
     def read(self, step: int) -> Float32Array:
-        """Return the descriptors of all at the zoom STEP^step, (N, n, D), read list by list, as the tasks do."""
+        """Return the descriptors of all at the zoom STEP^step, (N, n, D), read list by list like the tasks."""
         known: set[Path] = set()
         parts = []
         for pictures in self._lists:
@@ -337,9 +337,9 @@ def _sample(values: Any, most: int) -> Any:
 
 
 def _nearest(query: Float32Array, gallery: Float32Array) -> Float64Array:
-    """Return the cosine of each query (Q, n, D) with the nearest of a gallery (G, n, D), (Q,)."""
+    """Return the cosine of each query (Q, n, D) with its nearest in a gallery (G, n, D), (Q,)."""
     flat = gallery.reshape(len(gallery), -1).T
-    # Blocks of queries, as the product of 10^5 with 10^5 would fill the memory.
+    # Blocks of queries, because the product of 10^5 with 10^5 would fill the memory.
     return np.concatenate(
         [(block.reshape(len(block), -1) @ flat).max(axis=1) for block in np.split(query, range(1000, len(query), 1000))]
     ).astype(np.float64)
@@ -351,7 +351,7 @@ def by_zoom(
     zooms: Float64Array,
     read: Callable[[Sequence[Picture], float], Float32Array],
 ) -> Float32Array:
-    """Return a model's descriptors of pictures, (N, n, D), read at each of their zooms, (N,), in turn."""
+    """Return a model's descriptors of pictures, (N, n, D), read at each of their zooms, (N,)."""
     described = np.zeros((len(pictures), model.n_parts, model.embedding), np.float32)
     for zoom in np.unique(zooms).tolist():
         rows = np.flatnonzero(zooms == zoom)

@@ -1,8 +1,8 @@
 """Cross-domain similarity local scaling (CSLS): a tile that is near to all queries counts as less near to each.
 
-With r(t) the mean inner product of a tile with its K nearest queries, and r(q) that of a query with its K nearest tiles, CSLS
-ranks by 2 <q, t> - r(t) - r(q) (Conneau et al., "Word translation without parallel data", 2018, section 2.3). r(q) is the same
-for all tiles of a query. So with
+With r(t) the mean inner product of a tile with its K nearest queries, and r(q) that of a query with its K nearest tiles,
+CSLS ranks by 2 <q, t> - r(t) - r(q) (Conneau et al., "Word translation without parallel data", 2018, section 2.3). For one
+query, r(q) is constant. So with
 
     h_i(t) = 1/2 mean of <q_i, t_i> over the K queries nearest to t
 
@@ -21,7 +21,7 @@ from lpn.core.errors import InputError
 
 # K by default, as chosen in docs/evaluation.md.
 NEIGHBOURS = 3
-# Numbers in a block of products, and in a block of the nearest queries' descriptors.
+# Size of a block of products, and of a block of the nearest queries' descriptors, in numbers.
 _BLOCK = 2**25
 
 
@@ -29,8 +29,8 @@ _BLOCK = 2**25
 class CslsTerms:
     """The two constants that CSLS subtracts from the cosines of a query with each tile.
 
-    Both are in units of cosines, so that part weights w give sum_i w_i (cos_i - query_i - tile_i). The query's term is the same
-    for all tiles, and alters no rank.
+    Both are in units of cosines, so that part weights w give sum_i w_i (cos_i - query_i - tile_i). The query's term is constant
+    over the tiles, and changes no rank.
 
     Attributes:
         query: n times half of the mean of <q_i, t_i> over the K tiles nearest to the query, (n,).
@@ -42,7 +42,7 @@ class CslsTerms:
 
     @classmethod
     def of_query(cls, cosines: Float32Array, tiles: Float32Array, neighbours: int) -> CslsTerms:
-        """The terms of a query by its part cosines with all tiles, (G, n).
+        """Return the terms of a query by its part cosines with all tiles, (G, n).
 
         Args:
             tiles: see `CslsTerms`.
@@ -53,7 +53,7 @@ class CslsTerms:
 
 
 def check_neighbours(neighbours: int, queries: int, where: str = "") -> None:
-    """Raise InputError unless K is from 1 to the number of queries; `where` names what they are a part of."""
+    """Raise InputError unless K is from 1 to the number of queries; `where` names their group in the message."""
     if not isinstance(neighbours, int) or isinstance(neighbours, bool) or not 1 <= neighbours <= queries:
         raise InputError(
             f"CSLS takes the mean over {neighbours!r:.40} nearest queries, and there are {queries}{where}; expected "

@@ -6,7 +6,7 @@ Two metrics are called SDM@K, and their values do not compare:
     GTA-UAV     sum over i < K of (K - i) exp(-0.001 d_i) / sum of (K - i),   d_i in metres
 
 where d_i is the distance from the query to the tile of rank i. Near the equator 5000 per degree is about 0.045 per metre, so
-DenseUAV's decays 45 times as fast. Distances are (Q, R): those of each query to its R nearest tiles, highest score first.
+DenseUAV's decays 45 times as fast. Distances are (Q, R): from each query to its R nearest tiles, highest score first.
 """
 
 from __future__ import annotations
@@ -80,7 +80,7 @@ def degree_distances(queries: npt.ArrayLike, tiles: npt.ArrayLike) -> Float64Arr
 
 
 def great_circle(queries: npt.ArrayLike, tiles: npt.ArrayLike) -> Float64Array:
-    """Return the haversine distance in metres between latitude and longitude in degrees (..., 2), as DenseUAV's MA@m uses it."""
+    """Return the haversine distance in metres between latitude and longitude in degrees (..., 2), as in DenseUAV's MA@m."""
     a, b = np.radians(np.asarray(queries, np.float64)), np.radians(np.asarray(tiles, np.float64))
     half = np.sin((b - a) / 2) ** 2
     chord = half[..., 0] + np.cos(a[..., 0]) * np.cos(b[..., 0]) * half[..., 1]
@@ -98,7 +98,7 @@ def nearest(query: npt.ArrayLike, gallery: npt.ArrayLike, k: int, junk: BoolArra
         (Q, K) with K the smaller of k and the number of tiles that are not junk.
 
     Raises:
-        InputError: when `metrics.evaluate` would refuse the descriptors, or no tile is left.
+        InputError: for descriptors that `metrics.evaluate` refuses, or when no tile is left.
     """
     (queries, tiles), lengths = checked_sides(query, gallery)
     kept = len(tiles) - (0 if junk is None else int(junk.sum()))
@@ -128,7 +128,7 @@ def field_figures(
     query_places: Float64Array,
     places: Float64Array,
 ) -> dict[str, float]:
-    """Return the metrics that a published evaluation takes from positions, as means over the queries.
+    """Return the metrics of a published evaluation by positions, as means over the queries.
 
     Keys: for DenseUAV `sdm_denseuav@K` (0 .. 1) for K = 1, 3, 5, 10 and `ma@m` in percent for m = 5, 10, 20, 50, 100 metres; for
     GTA-UAV and UAV-VisLoc `sdm_gta_uav@K` (0 .. 1) and `dis@K` in metres for K = 1, 3, 5. K above the size of the gallery is left

@@ -26,8 +26,8 @@ class DescribedPicture:
     """A picture with its descriptor.
 
     Attributes:
-        picture: the changed picture at its own resolution, (H, W, 3) uint8. In an unrolled view (SAFA), the network's input is
-            shifted after unrolling, which this picture does not show.
+        picture: the changed picture at its own resolution, (H, W, 3) uint8. In an unrolled view (SAFA), it does not show the
+            shift of the network's input, which follows the unrolling.
         descriptor: parts of norm 1/sqrt(n), (n, D).
         activation: channel sum of the last feature map, (h, w), 0 .. 1; None without cells.
         trace: explains the descriptor cell by cell; None without a network, or if the network gives no cells.
@@ -47,12 +47,12 @@ class Match:
         rank: 1 for the nearest.
         index: position in the gallery.
         score: weighted mean cosine, -1 .. 1; under CSLS, less both of its terms.
-        distance2: squared distance 2 - 2 score.
-        gap: squared distance of the next tile minus that of this one; None for the last tile.
+        distance2: squared distance 2 - 2 score, from 0 to 4.
+        gap: squared distance of the next tile minus this one's; None for the last tile.
         cosines: of each part, (n,).
         contributions: each part's exact share of distance2, (n,); under CSLS, with the part's share of both of its terms.
-        true: True for a tile of the query's place; None if the place is not known.
-        constants: what CSLS subtracts from the score for the query and for the tile, under the part weights; None without CSLS.
+        true: True for a tile of the query's place; None if the place is unknown.
+        constants: CSLS's subtrahends of the score for the query and for the tile, under the part weights; None without CSLS.
     """
 
     rank: int
@@ -77,12 +77,12 @@ class Ranking:
 
     Attributes:
         cosines: each part's cosine with the query, (G, n).
-        weights: the part weights, summing to one, (n,).
+        weights: the part weights, with sum one, (n,).
         scores: weighted mean cosines, (G,); under CSLS, less its terms.
         order: gallery positions from nearest to farthest, without junk, at most (G,).
-        relevant: True for gallery pictures of the query's place, (G,); None if the place is not known.
-        lengths: n |q_i|^2 of each part of a query that is restricted to a region, (n,), see `scoring.contributions`; `cosines`
-            are then n times inner products.
+        relevant: True for gallery pictures of the query's place, (G,); None if the place is unknown.
+        lengths: n |q_i|^2 of each part of a region's query, (n,), see `scoring.contributions`; `cosines` are then n times inner
+            products.
         csls: the terms of CSLS; None if it does not re-rank.
     """
 
@@ -96,7 +96,7 @@ class Ranking:
 
     @property
     def similarities(self) -> Float32Array:
-        """The terms that the part weights sum up to the scores, (G, n): the cosines, under CSLS less its terms."""
+        """The summands of the scores under the part weights, (G, n): the cosines, under CSLS less its terms."""
         return self.cosines if self.csls is None else self.cosines - self.csls.query - self.csls.tiles
 
     def match(self, position: int) -> Match:
@@ -117,7 +117,7 @@ class Ranking:
         )
 
     def csls_of(self, index: int) -> tuple[Float32Array, Float32Array] | None:
-        """The terms that CSLS takes off each part's cosine for the query and for a gallery picture, (n,) each; None without."""
+        """Return CSLS's subtrahends of each part's cosine for query and gallery picture, (n,) each; None without CSLS."""
         return None if self.csls is None else (self.csls.query, self.csls.tiles[index])
 
     def _contributions(self, index: int) -> Float32Array:
@@ -126,19 +126,19 @@ class Ranking:
         return scoring.contributions(self.cosines[index], self.weights, self.lengths, terms)
 
     def gains(self, leader: int, follower: int) -> Float64Array:
-        """The lead of one gallery picture over another in d², part by part: 2 w_i (cos_i(leader) - cos_i(follower)), (n,).
+        """Return the lead of one gallery picture over another in d² by part: 2 w_i (cos_i(leader) - cos_i(follower)), (n,).
 
-        A gain is above 0 where the part speaks for the leader; under CSLS it has both of its terms.
+        A positive gain speaks for the leader; under CSLS it includes both of its terms.
         """
         ahead, behind = (self.similarities[index].astype(np.float64) for index in (leader, follower))
         return cast(Float64Array, 2 * self.weights.astype(np.float64) * (ahead - behind))
 
     def top(self, k: int) -> list[Match]:
-        """The k nearest, or all when there are fewer."""
+        """Return the k nearest, or all if there are fewer."""
         return [self.match(position) for position in range(min(k, len(self.order)))]
 
     def holds(self, index: int) -> bool:
-        """Return True if gallery picture `index` is ranked, that is, not junk."""
+        """Return whether gallery picture `index` is ranked, that is, not junk."""
         return bool((self.order == index).any())
 
     def find(self, index: int) -> Match:
@@ -146,7 +146,7 @@ class Ranking:
         return self.match(int(np.flatnonzero(self.order == index)[0]))
 
     def hardest_negative(self, besides: int | None = None) -> Match | None:
-        """Return the nearest tile except known positives and gallery picture `besides`; None if no tile is left."""
+        """Return the nearest tile except known positives and gallery picture `besides`; None if none is left."""
         negative = self.order != besides
         if self.relevant is not None:
             negative &= ~self.relevant[self.order]
@@ -154,7 +154,7 @@ class Ranking:
         return self.match(int(ranks[0])) if len(ranks) else None
 
     def positive(self) -> Match | None:
-        """Return the nearest positive; None if the query has none, or its place is not known."""
+        """Return the nearest positive; None if the query has none, or its place is unknown."""
         if self.relevant is None or not self.relevant.any():
             return None
         return self.match(int(np.argmax(self.relevant[self.order])))
@@ -215,9 +215,9 @@ def rank(
 
     Args:
         cosines: part cosines of the gallery with the query, (G, n), see `scoring.part_cosines`.
-        weights: part weights that sum to one, (n,).
+        weights: part weights with sum one, (n,).
         labels: the place of each gallery picture, (G,), -1 for junk; needed with `label`.
-        label: the query's place; None when unknown.
+        label: the query's place; None if unknown.
         truth: the query's true matches and junk, used instead of labels.
         lengths, csls: see `Ranking`.
     """

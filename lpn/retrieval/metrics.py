@@ -41,7 +41,7 @@ class Retrieval(Ranked):
         return np.where(self.first == 0, self.true, self.false)
 
     def metrics(self, known: BoolArray | None = None) -> dict[str, float]:
-        """Return the values that `evaluate` returns; they count the queries that are `known`, (Q,), or all."""
+        """Return the metrics of `evaluate` over the queries that are `known`, (Q,), or over all."""
         if known is not None and not known.all():
             kept = self.first[known], self.true[known], self.false[known], self.precision[known], self.gap[known]
             return Retrieval(*kept, self.gallery).metrics()
@@ -71,8 +71,8 @@ def evaluate(
 ) -> dict[str, float]:
     """Score a retrieval.
 
-    A query without a true match counts as missed, and one whose truth is not known does not count. AP is the trapezoid rule over
-    the precision-recall points, as in the Oxford protocol. Recall@Top1% is Recall@K with K = round(0.01 G) + 1, where G includes
+    A query without a true match counts as missed; a query of unknown truth does not count. AP is the trapezoid rule over the
+    precision-recall points, as in the Oxford protocol. Recall@Top1% is Recall@K with K = round(0.01 G) + 1, where G includes
     junk.
 
     Args:
@@ -90,12 +90,12 @@ def evaluate(
 
 
 def without_distractors(gallery_labels: Int64Array, query_labels: Int64Array) -> Int64Array:
-    """Return the gallery's labels (G,) with -1 for the places that no query shows, as Sample4Geo, DAC, and CAMP rank it."""
+    """Return the gallery's labels (G,) with -1 for places that no query shows, as in Sample4Geo, DAC, and CAMP."""
     return np.where(np.isin(gallery_labels, query_labels), gallery_labels, JUNK)
 
 
 def known_queries(truth: Sequence[Truth] | None) -> BoolArray | None:
-    """Return the queries whose truth is known, (Q,); None for all."""
+    """Return the mask of queries with a known truth, (Q,); None for all."""
     return None if truth is None else np.array([lists.known for lists in truth], bool)
 
 
@@ -110,7 +110,7 @@ def retrieve(
 ) -> Retrieval:
     """Rank the gallery for every query; arguments and errors as for `evaluate`.
 
-    Ranks are those of double-precision scores, although most scores are computed in single precision. Equal scores rank in
+    Ranks equal those of double-precision scores, although most scores are computed in single precision. Equal scores rank in
     gallery order. Memory: one block of 160 MB besides the descriptors, for any number of queries.
 
     Args:
@@ -134,7 +134,7 @@ def checked_ground_truth(
     gallery_labels: npt.ArrayLike | None,
     truth: Sequence[Truth] | None,
 ) -> GroundTruth:
-    """Return the true matches and junk of queries (Q, F) in a gallery (G, F): by lists, without them by labels.
+    """Return the true matches and junk of queries (Q, F) in a gallery (G, F), by lists or by labels.
 
     Raises:
         InputError: if lists or labels do not fit the queries or the gallery.
@@ -155,7 +155,7 @@ def joined(parts: Sequence[Ranked], gallery: int) -> Retrieval:
 
 
 def check_truth(truth: Sequence[Truth], queries: int, gallery: int) -> None:
-    """Raise InputError unless there is one list for each query, and each names gallery pictures once."""
+    """Raise InputError unless each query has one list, and each list names gallery pictures once."""
     if len(truth) != queries:
         raise InputError(f"There are {len(truth)} lists of true matches for {queries} queries; expected one for each.")
     for i, lists in enumerate(truth):
@@ -213,7 +213,7 @@ def norms(rows: AnyArray) -> Float64Array:
         with np.errstate(over="ignore", invalid="ignore"):
             some = block.astype(np.float32, copy=False)
             found = np.sqrt(np.einsum("nf,nf->n", some, some).astype(np.float64))
-            # Norms near the limits of single precision, and of many numbers, are computed anew.
+            # Norms near the limits of single precision, and norms of many numbers, are recomputed.
             unsure = np.flatnonzero(~((found > 1e-10) & (found < 1e15)) | (rows.shape[1] > 10_000))
             if len(unsure):
                 wide = block[unsure].astype(np.float64)

@@ -1,8 +1,8 @@
 """Exact ranks of the true matches of many queries, mostly from single-precision scores.
 
 The rank of a true match is the number of tiles ahead of it. If the single-precision scores of a true and a false tile differ
-by more than their rounding errors, they decide the order. The closer false tiles are compared in double precision, and equal
-scores rank in gallery order. A query with many close tiles, as of a collapsed network, has all its scores in double precision.
+by more than their rounding errors, they decide the order. Closer false tiles are compared in double precision, and equal
+scores rank in gallery order. A query with many close tiles, as in a collapsed network, has all scores in double precision.
 
 An inner product of F numbers in single precision (u = 2^-24), summed in any order over chunks of L and then over the chunks,
 has an error of at most
@@ -33,11 +33,11 @@ _BLOCK_BYTES = 160_000_000
 _BLOCK_ROWS = 1024
 # Tiles multiplied at a time, so that partial sums stay in the processor's cache.
 _COLUMNS = 4096
-# Numbers of a descriptor that are summed in one chunk: shorter chunks give a tighter bound and cost more additions.
+# Numbers of a descriptor that are summed in one chunk: shorter chunks give a tighter bound, but cost more additions.
 _CHUNK = 512
 # Unit roundoff of single precision.
 _UNIT = 2.0**-24
-# Pairs whose numbers stay in the processor's cache.
+# Pairs of rows that fit into the processor's cache.
 _PAIRS_AT_A_TIME = 64
 # Close tiles of a query that are compared one by one, and for large galleries their share of the gallery.
 _MOST_CLOSE, _MOST_CLOSE_SHARE = 256, 1 / 16
@@ -73,8 +73,8 @@ class Lists:
 class GroundTruth:
     """The true tiles and the junk of each query, and the tiles that are junk for all queries.
 
-    `trapezoid` tells for each query which average precision it has, see `average_precision`, (Q,). `among` has for each query the
-    only tiles that are ranked, None for all; it is empty where all queries rank all.
+    `trapezoid` tells each query's average precision, see `average_precision`, (Q,). `among` has the only ranked tiles of each
+    query, None for all; it is empty if all queries rank all tiles.
     """
 
     true: Lists
@@ -84,7 +84,7 @@ class GroundTruth:
     among: Sequence[Int64Array | None] = ()
 
     def drop(self, values: AnyArray, rows: slice, value: float) -> None:
-        """Set the values of these queries, (B, G), to `value` at the tiles that are not ranked."""
+        """Set the values of these queries, (B, G), to `value` at unranked tiles."""
         values[self.junk.entries(rows)] = value
         values[:, self.common_junk] = value
         # Consecutive queries of a region share one array of tiles.
@@ -97,7 +97,7 @@ class GroundTruth:
 
     @classmethod
     def by_labels(cls, of_query: Int64Array, of_tile: Int64Array) -> GroundTruth:
-        """Tiles with the query's label are true; a query labelled as junk has no true tiles."""
+        """Take tiles with the query's label as true; a query labelled as junk has no true tiles."""
         by_label = np.argsort(of_tile, kind="stable")
         sorted_labels = of_tile[by_label]
         begin, end = (np.searchsorted(sorted_labels, of_query, side).astype(np.int64) for side in ("left", "right"))
@@ -124,8 +124,8 @@ class Ranked:
         true: its nearest true tile, on ties the first in gallery order, (B,).
         false: its nearest tile that is neither true nor junk, with ties as for `true`, (B,).
         precision: its average precision, 0 .. 1, (B,).
-        gap: d² of its second nearest tile minus that of its nearest one, both true or false but not junk, in single precision,
-            (B,); NaN where there are not two.
+        gap: d² of its second nearest tile minus d² of its nearest one, junk excluded, in single precision, (B,); NaN if
+            there are not two.
     """
 
     first: Int64Array
@@ -188,8 +188,8 @@ class Scores:
         products = np.empty(len(tiles))
         for start in range(0, len(tiles), _PAIRS_AT_A_TIME):
             some = slice(start, start + _PAIRS_AT_A_TIME)
-            # Rows must be summed in the same order: a matrix product may change it from row to row, and einsum splits long
-            # rows by their position in its buffer.
+            # Rows need one order of summation: a matrix product may change it from row to row, and einsum splits long rows by
+            # their position in its buffer.
             asked = self._asked(slice(queries, queries + 1) if isinstance(queries, int) else queries[some])
             products[some] = (asked.astype(np.float64, copy=False) * self._tiles[tiles[some]]).sum(axis=1)
         return products
@@ -217,7 +217,7 @@ def rank(scores: Scores, ground_truth: GroundTruth, rows: slice, block: Float32A
     score, gap, lines = block[row, tile].astype(np.float64), 2 * errors, np.arange(len(block))
     ground_truth.drop(block, rows, -np.inf)
     lead = np.ldexp(_gaps(block), scores.exponents[rows])
-    block[row, tile] = -np.inf  # from here on it has the false tiles
+    block[row, tile] = -np.inf  # from here on, the block has only the false tiles
     false = np.argmax(block, axis=1)
     top = block[lines, false].astype(np.float64)
     floor = _rounded(top - gap, -np.inf)
@@ -265,7 +265,7 @@ def rank(scores: Scores, ground_truth: GroundTruth, rows: slice, block: Float32A
 
 
 def _ranks_in_double(exact: Float64Array, tiles: Int64Array, is_false: BoolArray) -> tuple[Int64Array, int]:
-    """Return the ascending ranks of the true tiles of a query, and the nearest of them or -1, from its exact scores (G,)."""
+    """Return the ascending ranks of a query's true tiles, and the nearest of them or -1, from its exact scores (G,)."""
     others, scores = np.flatnonzero(is_false), exact[is_false]
     above = [np.count_nonzero(_ranks_before(exact[tile], tile, scores, others)) for tile in tiles]
     nearest = int(tiles[exact[tiles].argmax()]) if len(tiles) else -1
@@ -275,7 +275,7 @@ def _ranks_in_double(exact: Float64Array, tiles: Int64Array, is_false: BoolArray
 def _ranks_of_several(
     scores: Scores, query: int, tiles: Int64Array, score: Float64Array, line: Float32Array, gap: float, most: int
 ) -> tuple[Int64Array, int] | None:
-    """Return the ascending ranks of the true tiles of a query, and the nearest of them; None if more than `most` are close.
+    """Return the ascending ranks of a query's true tiles, and the nearest of them; None if more than `most` are close.
 
     Args:
         line: scores of the false tiles, (G,).
@@ -303,7 +303,7 @@ def _ranks_of_several(
 
 
 def average_precision(ranks: Int64Array, trapezoid: bool = True) -> float:
-    """Average precision from the ascending 0-based ranks of all true matches, at least one.
+    """Return the average precision from the ascending 0-based ranks of all true matches, at least one.
 
     It is the area below the precision-recall points by the trapezoid rule, or else the mean precision at the true matches.
     """
@@ -316,7 +316,7 @@ def average_precision(ranks: Int64Array, trapezoid: bool = True) -> float:
 
 
 def _gaps(block: Float32Array) -> Float64Array:
-    """Return twice the difference of the two highest scores of each row, NaN without two of them; `block` is left as it is."""
+    """Return twice the difference of the two highest scores of each row, NaN without two of them; `block` is unchanged."""
     rows, highest = np.arange(len(block)), np.argmax(block, axis=1)
     first = block[rows, highest]
     block[rows, highest] = -np.inf
@@ -330,7 +330,7 @@ def _gaps(block: Float32Array) -> Float64Array:
 def _ranks_before(
     score: float | Float64Array, tile: int | Int64Array, others: Float64Array, tiles: Int64Array
 ) -> BoolArray:
-    """True for the `tiles` that rank before `tile`; equal scores rank in gallery order."""
+    """Return the mask of `tiles` that rank before `tile`; equal scores rank in gallery order."""
     return np.asarray((others > score) | ((others == score) & (tiles < tile)))
 
 

@@ -1,4 +1,4 @@
-"""Descriptors that other programs saved.
+"""Descriptors saved by other programs.
 
 Plain arrays of any model are (N, D), (N, n, D), or (N, D, n), floats of any precision, in one of these files:
 
@@ -6,7 +6,7 @@ Plain arrays of any model are (N, D), (N, n, D), or (N, D, n), floats of any pre
     .npz        one array; or `query` and `gallery`, so that one file may hold both sides
     .mat        MATLAB 5: query_f, query, gallery_f, gallery, descriptors, or features (extra `train`)
 
-`pytorch_result.mat` of the published test code also says what its rows are:
+`pytorch_result.mat` of the published test code also describes its rows:
 
     gallery_f, query_f            (G, F) and (Q, F): part embeddings (512, n), each part of norm 1/sqrt(n), flattened row by row
     gallery_label, query_label    (1, G) and (1, Q) integers; -1 for a gallery picture that is dropped from the ranking
@@ -38,21 +38,21 @@ log = logging.getLogger(__name__)
 Order = Literal["parts-first", "parts-last"]
 _KEYS = {side: (f"{side}_f", side, "descriptors", "features") for side in ("query", "gallery")}
 _PUBLISHED = ("gallery_f", "gallery_label", "query_f", "query_label")
-# Norms of parts that differ by less than this share from 1/sqrt(n) are not worth a warning.
+# Norms of parts within this share of 1/sqrt(n) cause no warning.
 _TOLERANCE = 0.01
-# Rows of so many numbers are scaled at a time.
+# Numbers in a block of rows that is scaled at a time.
 _BLOCK = 1 << 18
 
 
 @dataclass(frozen=True, eq=False)
 class PublishedResult:
-    """The descriptors of a retrieval that another program computed.
+    """The descriptors of a retrieval by another program.
 
     Attributes:
         name: the file's name.
         query, gallery: descriptors, (Q, n, D) and (G, n, D).
         query_labels, gallery_labels: the place of each, (Q,) and (G,).
-        query_paths, gallery_paths: the picture of each, as the other program named it; None where the file has no paths.
+        query_paths, gallery_paths: the picture of each, named by the other program; None if the file has no paths.
     """
 
     name: str
@@ -70,12 +70,12 @@ class PublishedResult:
 
     @property
     def views(self) -> tuple[View, View] | None:
-        """The views of queries and gallery, read from their folders (query_drone, gallery_satellite); None when unknown."""
+        """The views of queries and gallery, from their folders (query_drone, gallery_satellite); None if unknown."""
         return views_of_paths(self.query_paths or (), self.gallery_paths or ())
 
     @property
     def task(self) -> str:
-        """The task, such as "drone-to-satellite", or "saved" when the paths do not tell."""
+        """The task, such as "drone-to-satellite", or "saved" if the paths do not contain it."""
         return "saved" if self.views is None else "-to-".join(self.views)
 
     def check_norms(self) -> None:
@@ -89,7 +89,7 @@ class PublishedResult:
                 )
 
     def check_labels(self) -> None:
-        """Raise DataError where no query has a label of the gallery, so that no rank could be measured by labels."""
+        """Raise DataError if no query has a label of the gallery, so that labels could measure no rank."""
         if not np.isin(self.query_labels, self.gallery_labels).any():
             raise DataError(
                 f"None of the query labels of {self.name}, such as {self.query_labels[0]}, is a gallery label, such as "
@@ -125,7 +125,7 @@ class PublishedResult:
 def truth_of_rows(
     dataset: Dataset, task: str, queries: Sequence[Picture], gallery: Sequence[Picture]
 ) -> list[Truth] | None:
-    """Return the listed truth of a task for its pictures in another order, or some of them; None if labels tell the truth."""
+    """Return a task's listed truth for some of its pictures, in any order; None if labels define the truth."""
     truth = dataset.truth(task)
     if truth is None:
         return None
@@ -142,7 +142,7 @@ def truth_of_rows(
 
 
 def in_rows(truth: Sequence[Truth], row_of: Int64Array) -> list[Truth]:
-    """Return lists of rows; `row_of` has the row of each gallery position, -1 for those without one."""
+    """Convert lists to rows; `row_of` has the row of each gallery position, -1 for none."""
 
     def there(tiles: Int64Array) -> Int64Array:
         rows = row_of[tiles]
@@ -172,8 +172,8 @@ def load_saved(path: str | Path, n_parts: int = 1) -> PublishedResult:
     """Read a `pytorch_result.mat`; needs the extra `train`.
 
     Args:
-        n_parts: number of parts of a descriptor. With 1, descriptors are not divided; metrics over all parts are then the same,
-            except for averaged queries, since each part of an average is normalised.
+        n_parts: number of parts of a descriptor. With 1, descriptors are not divided; metrics over all parts are then equal,
+            except for averaged queries, because each part of an average is normalised.
 
     Raises:
         DataError: when the file is missing, is not a MATLAB file, or lacks entries.
@@ -237,7 +237,7 @@ def _pictures_of_rows(
 ) -> list[Picture] | None:
     """Return the picture of each row, or None if a picture is missing."""
     if paths is None:
-        # Code of Sample4Geo's family labels distractors with -1.
+        # Sample4Geo and its successors label distractors with -1.
         same = len(pictures) == len(labels) and all(
             label in (JUNK, picture.label) for picture, label in zip(pictures, labels, strict=True)
         )
@@ -248,7 +248,7 @@ def _pictures_of_rows(
 
 
 def views_of_paths(queries: Sequence[str], gallery: Sequence[str]) -> tuple[View, View] | None:
-    """Read the views of both sides from the folders above those of places, as in .../query_drone/0001/image-01.jpeg."""
+    """Return the views of both sides from the folders above those of places, as in .../query_drone/0001/image-01.jpeg."""
     views: list[View | None] = []
     for role, paths in (("query", queries), ("gallery", gallery)):
         folders = {"".join(path.split("/")[-3:-2]) for path in paths}
@@ -260,8 +260,8 @@ def load_parts(file: Path, side: Role, n_parts: int | None = None, order: Order 
     """Read the plain array of a side, (N, n, D), with parts of norm 1/sqrt(n).
 
     Args:
-        n_parts: number of parts. A two-dimensional array is cut into so many, 1 by default; another must have so many.
-        order: "parts-first" for (N, n, D), and for rows that are n parts one after the other; "parts-last" for (N, D, n).
+        n_parts: number of parts. A two-dimensional array is cut into this many, 1 by default; another array must have this many.
+        order: "parts-first" for (N, n, D), and for rows that are n consecutive parts; "parts-last" for (N, D, n).
 
     Raises:
         DataError: if the file is missing or damaged, or holds other numbers.
@@ -279,7 +279,7 @@ def _check_file(file: Path, what: str, expected: str) -> None:
 
 
 def _read(file: Path, side: str) -> AnyArray:
-    """Return the array of a side as it is in its file."""
+    """Return the unchanged array of a side."""
     name, kind, keys = printable(file.name), file.suffix.lower(), _KEYS[side]
     _check_file(file, f"file of {side} descriptors", f"of {side} descriptors")
     if kind not in (".npy", ".npz", ".mat"):
@@ -311,7 +311,6 @@ def _read(file: Path, side: str) -> AnyArray:
 
 
 def _parts(array: AnyArray, name: str, n_parts: int | None, order: Order) -> AnyArray:
-    """Return descriptors (N, n, D)."""
     if array.ndim not in (2, 3) or not array.size or not np.issubdtype(array.dtype, np.floating):
         raise DataError(
             f"The descriptors in {name} are {array.dtype} of shape {array.shape}; expected floats, (N, D), (N, n, D), or "
@@ -335,7 +334,7 @@ def _parts(array: AnyArray, name: str, n_parts: int | None, order: Order) -> Any
 
 
 def _scaled(parts: AnyArray, name: str) -> Float32Array:
-    """Return (N, n, D) with parts of norm 1/sqrt(n); beside the result, it takes the memory of a block of rows."""
+    """Return (N, n, D) with parts of norm 1/sqrt(n); beside the result, it needs the memory of a block of rows."""
     scaled = np.empty(parts.shape, np.float32)
     norms = np.empty(parts.shape[:2])
     step = max(1, _BLOCK // (parts.shape[1] * parts.shape[2]))

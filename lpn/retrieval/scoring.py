@@ -1,6 +1,6 @@
 """Scores of parts: weights, cosines, and each part's exact share of the squared distance.
 
-With parts q_i, g_i of norm 1/sqrt(n) and part weights w_i that sum to one, cos_i = n q_i . g_i and
+With parts q_i, g_i of norm 1/sqrt(n) and part weights w_i with sum one, cos_i = n q_i . g_i and
 
     score = sum_i w_i cos_i,        distance^2 = 2 - 2 score = sum_i 2 w_i (1 - cos_i).
 """
@@ -17,7 +17,7 @@ from lpn.core.errors import InputError
 
 
 def part_weights(n: int, values: npt.ArrayLike | None = None) -> Float32Array:
-    """Return part weights that sum to one, (n,) float32; equal weights by default.
+    """Return part weights with sum one, (n,) float32; equal weights by default.
 
     Raises:
         InputError: when there are not n values, one is negative or not finite, or all are zero.
@@ -29,7 +29,7 @@ def part_weights(n: int, values: npt.ArrayLike | None = None) -> Float32Array:
 
 
 def part_cosines(query: Float32Array, gallery: Float32Array) -> Float32Array:
-    """Cosine of each part of a query (n, D) with that part of each gallery descriptor (G, n, D): (G, n) float32."""
+    """Return the cosine of each part of a query (n, D) with the parts of each gallery descriptor (G, n, D): (G, n) float32."""
     n = query.shape[0]
     # One batched product per part: NumPy's einsum would fall back to a slow loop here.
     return cast(Float32Array, n * np.matmul(gallery.transpose(1, 0, 2), query[:, :, None])[..., 0].T)
@@ -41,12 +41,12 @@ def contributions(
     lengths: Float32Array | None = None,
     terms: Float32Array | None = None,
 ) -> Float32Array:
-    """Each part's exact share 2 w_i (1 - cos_i) of the squared distance: (..., n), summing to it.
+    """Return each part's exact share 2 w_i (1 - cos_i) of the squared distance, (..., n); they add up to it.
 
     Args:
-        lengths: n |q_i|^2 of each part of a query that is restricted to a region, see `Trace.region`, (n,); 1 by default. The
-            share is then w_i (1 + n |q_i|^2 - 2 n q_i . g_i), and `cosines` has n q_i . g_i.
-        terms: what CSLS subtracts from the cosines, (..., n), which adds 2 w_i terms_i to the share.
+        lengths: n |q_i|^2 of each part of a region's query, see `Trace.region`, (n,); 1 by default. The share is then
+            w_i (1 + n |q_i|^2 - 2 n q_i . g_i), and `cosines` has n q_i . g_i.
+        terms: CSLS's subtrahends of the cosines, (..., n), which add 2 w_i terms_i to the share.
     """
     query_lengths = np.float32(1) if lengths is None else lengths
     similarities = cosines if terms is None else cosines - terms

@@ -1,7 +1,7 @@
 """Features carried over to landmarks (Table VI) as released: layumi/cnnimageretrieval-pytorch, test_My1652model.py.
 
-A picture keeps its aspect ratio; its longer side is shrunk to 1024 pixels, and a query is cropped to its box first, and shrunk by
-the same factor. Its descriptor is the mean over the last feature map, without head, mirror, or normalisation.
+A picture keeps its aspect ratio; its longer side is shrunk to 1024 pixels. A query is first cropped to its box, and shrunk by
+the whole picture's factor. Its descriptor is the mean over the last feature map, without head, mirror, or normalisation.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ SENTENCE = (
 
 
 def check_model(model: Model) -> TorchModel:
-    """Return a model whose map of pictures of any size can be taken.
+    """Return a model that gives the map of pictures of any size.
 
     Raises:
         InputError: if it is not an LPN or a baseline in PyTorch.

@@ -1,8 +1,8 @@
-"""Where tasks come from: a SOURCE, which says by what lies on the disk what it is, and opens as tasks.
+"""Sources of tasks: a SOURCE is recognised by its files, and opens as tasks.
 
 Each file of `lpn.sources.kinds` is one kind: a data set, a result of the published test code, plain arrays, an index. Other
-packages bring kinds by the entry points `lpn.sources`; a flight over a map is one of these (`lpn.flight.locate.source`). Commands
-and the explorer import from here; this room imports `index`, `tasks`, and what lies below them.
+packages add kinds by the entry points `lpn.sources`; a flight over a map is one of these (`lpn.flight.locate.source`).
+Commands and the explorer import from here. The package imports `index`, `tasks`, and the packages below them.
 """
 
 from __future__ import annotations

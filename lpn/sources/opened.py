@@ -1,4 +1,4 @@
-"""An opened source: its tasks, and what they were opened from."""
+"""An opened source: its tasks and models."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ class OpenedSource:
 
     Attributes:
         tasks: one, or all that the source offers.
-        model: the network that describes further pictures, calibrated or centred where the source is; None without one.
-        network: the same before calibration and centring.
-        notes: sentences about the files, for the person who opened them.
+        model: the network that describes further pictures, calibrated or centred like the source; None without one.
+        network: the model before calibration and centring.
+        notes: sentences about the files, for the user.
     """
 
     tasks: Sequence[Task]
@@ -39,7 +39,7 @@ class OpenedSource:
         return self.tasks[0]
 
     def graded(self) -> tuple[Task, Collection[int]]:
-        """Return the first task as it is graded, and the queries that are not, as no tile is right for certain.
+        """Return the first task as graded, and the ungraded queries, for which no tile is certainly right.
 
         Raises:
             LPNError: if a file cannot be used.
@@ -55,7 +55,7 @@ def weighted(task: Task, weights: Sequence[float] | None, neighbours: int = 0) -
     """Return a task under part weights, equal ones for None, and under CSLS over K neighbours, without it for 0.
 
     Raises:
-        InputError: if the weights are not its parts', or there are fewer queries.
+        InputError: if the number of weights is wrong, or there are fewer queries than K.
     """
     from lpn.retrieval import csls, scoring
 
@@ -68,10 +68,10 @@ def weighted(task: Task, weights: Sequence[float] | None, neighbours: int = 0) -
 def open_with_notes(
     source: TaskSource, file: Path | None, names: Sequence[str] = (), weights: Sequence[float] | None = None
 ) -> OpenedSource:
-    """Open a source with its first task alone, which has a person's tags and notes.
+    """Open a source with only its first task, including the user's tags and notes.
 
     Args:
-        file: of the notes, read first; None takes notes.csv in the folder of the queries.
+        file: the notes, read first; None takes notes.csv in the folder of the queries.
         names, weights: see `TaskSource.open`.
 
     Raises:
@@ -100,7 +100,7 @@ def query_positions(names: Sequence[str], queries: Sequence[Named], data_name: s
     """Return the positions of queries by their names, each once.
 
     Raises:
-        InputError: if there is no query of a name; the message names the nearest ones.
+        InputError: if a name has no query; the message has the nearest names.
     """
     places = {query.name: place for place, query in reversed(list(enumerate(queries)))}
     for name in names:

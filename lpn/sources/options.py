@@ -1,4 +1,4 @@
-"""The options of a model and of a source; the command line reads them from the fields."""
+"""The options of a model and of a source, as dataclass fields for the command line."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ if TYPE_CHECKING:
     from lpn.models.base import Model
 
 _Type = TypeVar("_Type")
-# An option that `--help` leaves out; `--help-all` shows it.
+# The mark of an option in `--help-all` but not in `--help`.
 ADVANCED = "advanced"
 Advanced = Annotated[_Type, ADVANCED]
 
-# Options of a model, which many commands have.
+# Options of a model in many commands.
 KindOption = Annotated[
     Kind | None,
     ADVANCED,
@@ -64,12 +64,12 @@ CslsOption = Annotated[
         "away. It needs no labels, but all queries together (docs/evaluation.md). 0 for none."
     ),
 ]
-# The model of a command that names none.
+# The default model of commands.
 SHIPPED_MODEL = Path("city-lpn")
 
 
 def shipped_model() -> Path:
-    """Return the model of a command that names none, and say so on the terminal."""
+    """Return the default model of commands, and print its name on the terminal."""
     from lpn.core.consoles import terminal
 
     sentence = f"The model is {SHIPPED_MODEL}, which ships and knows a rendered city alone; --model takes another."
@@ -80,9 +80,9 @@ def shipped_model() -> Path:
 def model_names(
     files: Sequence[Path], poolings: Sequence[str | None], kinds: Sequence[str | None] | None = None
 ) -> list[str]:
-    """Return printable names of models that tell them apart.
+    """Return distinct printable names of models.
 
-    They are those of their files, how their tokens are pooled, and, where that is not enough, the kinds that were named.
+    They consist of file, pooling of tokens, and, if that is not enough, the given kinds.
     """
     distinct = list(dict.fromkeys(files))
     names = dict(
@@ -100,7 +100,7 @@ def of_each(option: str, values: Sequence[str], count: int, models: str) -> list
 
     Args:
         option: its name, such as "--beside-kind".
-        models: what takes the option, for the message: "models of --beside".
+        models: the models that take the option, for the message: "models of --beside".
 
     Raises:
         InputError: if there are more or fewer values than models.
@@ -123,12 +123,12 @@ class ModelOptions:
 
     @property
     def name(self) -> str:
-        """The file's name and the pooling of its tokens, to display."""
+        """The displayed name: the file's name and the pooling of its tokens."""
         return model_names([self.file], [self.pooling])[0]
 
     @property
     def file(self) -> Path:
-        """The model that is named, or the one that ships."""
+        """The named model, or the shipped default."""
         return self.model or SHIPPED_MODEL
 
     def load(self) -> Model:
@@ -174,7 +174,7 @@ class SourceOptions(ModelOptions):
         return Path(self.source or "")
 
     def of_source(self) -> list[str]:
-        """Return the options of a source that are given, as they are written, such as "--data"; without those of a model."""
+        """Return the given options of a source as users write them, such as "--data"; without those of a model."""
         own = {one.name for one in fields(ModelOptions)}
         return [
             f"--{one.name.replace('_', '-')}"

@@ -1,4 +1,4 @@
-"""Recognise the kind of a source by what lies on the disk, and open it."""
+"""Recognition of a source's kind by its files, and its opening."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ from lpn.sources.options import SourceOptions
 if TYPE_CHECKING:
     from lpn.tasks.task import Task
 
-# The group of the entry points by which other packages bring kinds of source.
+# The group of the entry points for other packages' kinds of source.
 GROUP = "lpn.sources"
-# Options of commands that need a network; a kind of source with one takes them.
+# Options that need a network; kinds of source with a network take them.
 NETWORK = frozenset(("model", "kind", "pooling", "provider", "rotate"))
 
 
@@ -33,8 +33,8 @@ class TaskSource(ABC):
     """A source of tasks of one kind; `open` opens them.
 
     Attributes:
-        noun: names the kind in a sentence, such as "a data set".
-        takes: names of the options that fit it.
+        noun: the kind in a sentence, such as "a data set".
+        takes: names of its options.
         priority: kinds of higher priority are tried first.
     """
 
@@ -52,7 +52,7 @@ class TaskSource(ABC):
 
     @property
     def title(self) -> str:
-        """The names of its files, to display."""
+        """The displayed names of its files."""
         return file_names(self.options.path)
 
     @abstractmethod
@@ -60,7 +60,7 @@ class TaskSource(ABC):
         """Open the source.
 
         Args:
-            names: names that queries of the first task must have; they are checked before pictures are described.
+            names: required names of queries of the first task; they are checked before pictures are described.
             weights: part weights of the task, checked likewise; equal by default.
 
         Raises:
@@ -68,9 +68,9 @@ class TaskSource(ABC):
         """
 
     def to_measure(self) -> list[Task]:
-        """Open the tasks that are measured: the first one, and of a data set its reverse unless a task is chosen.
+        """Open the tasks to measure: the first one, and for a data set its reverse unless a task is chosen.
 
-        Their pictures are described when they are needed, if the kind allows for that.
+        Their pictures are described only when needed, if the kind allows that.
 
         Raises:
             LPNError: if a file cannot be used, or no query can be measured.
@@ -80,7 +80,7 @@ class TaskSource(ABC):
 
 @cache
 def known_kinds() -> tuple[type[TaskSource], ...]:
-    """Return the kinds of this package and of others (entry points `lpn.sources`), in the order in which they are tried."""
+    """Return the kinds of this package and of others (entry points `lpn.sources`), in the order of recognition."""
     modules = [import_module(f"{kinds.__name__}.{module.name}") for module in iter_modules(kinds.__path__)]
     found = [
         value
@@ -94,7 +94,7 @@ def known_kinds() -> tuple[type[TaskSource], ...]:
 
 
 def kind_of(options: SourceOptions) -> type[TaskSource]:
-    """Recognise the kind of a source; InputError if none is named."""
+    """Recognise the kind of a source; InputError without one."""
     known = known_kinds()
     if options.source is None:
         nouns = ", ".join(kind.noun for kind in known[:-1])
@@ -103,14 +103,10 @@ def kind_of(options: SourceOptions) -> type[TaskSource]:
 
 
 def source_of(options: SourceOptions) -> TaskSource:
-    """Recognise a source.
-
-    Raises:
-        InputError: if no source is named, or an option does not fit its kind.
-    """
+    """Recognise a source; InputError if no source is named, or an option does not fit its kind."""
     known, kind = known_kinds(), kind_of(options)
     if kind is known[-1] and not options.path.is_dir():
-        return kind(options)  # its `open` says what is there
+        return kind(options)  # its `open` reports the fault
     for option in fields(options):
         value = getattr(options, option.name)
         fitting = [other.noun for other in known if option.name in other.takes]

@@ -1,1 +1,1 @@
-"""A task: queries, their gallery, and their truth, whatever they were opened from; with outcomes, positions, and notes."""
+"""A task: queries, their gallery, and their truth, from any source; with outcomes, positions, and notes."""

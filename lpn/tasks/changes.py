@@ -1,7 +1,7 @@
-"""What changes a task gives a task back: turned, in weather, with some parts, centred, calibrated, averaged, or by CSLS.
+"""Changes of a task: turned, in weather, with some parts, centred, calibrated, averaged, or by CSLS.
 
-Pictures are described when the descriptors of the changed task are first read. Each change adds its clause to the sentence of
-`lpn.tasks.measure`. Changes of pictures come first, as the others take the descriptors of pictures.
+Pictures are described when the changed task's descriptors are first read. Each change adds its clause to the sentence of
+`lpn.tasks.measure`. Changes of pictures come first, because the others use the descriptors of pictures.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from lpn.tasks.task import Task
 
 
 def why_not(task: Task) -> str:
-    """Say why queries of a task are not changed, as a sentence about turned ones; empty if they can be."""
+    """Return the reason why queries of a task cannot be changed, as a sentence about turned ones; empty if they can."""
     if task.model is None:
         return "These are descriptors without their network, so queries cannot be turned."
     if any(picture.cut is not None for picture in task.queries):
@@ -47,10 +47,10 @@ def in_weather(task: Task, weather: WeatherName) -> Task:
 
 
 def changed(task: Task, change: Change) -> Task:
-    """Change all queries, in place of an earlier change of them.
+    """Change all queries; this replaces an earlier change of them.
 
-    Descriptors are cached by the change, so that a second time takes no network. Weather falls on the gallery where the queries
-    are tiles and the gallery is not, as University-WX has it.
+    Descriptors are cached by the change, so a second call needs no network. As in University-WX, weather falls on the gallery
+    if the queries are tiles and the gallery is not.
 
     Raises:
         InputError: when the task cannot be changed, see `why_not`, or compares tiles with tiles, which have no weather.
@@ -86,10 +86,10 @@ def changed(task: Task, change: Change) -> Task:
 
 
 def calibrated(task: Task, calibration: Calibration | None) -> Task:
-    """Zoom the pictures as a calibration says, and subtract each view's mean; None leaves the task plain.
+    """Zoom the pictures by a calibration, and subtract each view's mean; None leaves the task plain.
 
     Raises:
-        InputError: when the task's pictures are changed already, or not described by each view's own branch.
+        InputError: when the task's pictures are changed already, or views have no branches of their own.
     """
     if calibration is None:
         return task
@@ -123,10 +123,10 @@ def calibrated(task: Task, calibration: Calibration | None) -> Task:
 
 
 def centred(task: Task) -> Task:
-    """Subtract the mean of the queries from each query and that of the gallery from each tile, part by part.
+    """Subtract the queries' mean from each query and the gallery's mean from each tile, part by part.
 
     Raises:
-        InputError: for a calibrated task, whose means are subtracted.
+        InputError: for a calibrated task, whose means are already subtracted.
     """
     if task.calibration is not None:
         raise InputError("The task is calibrated, which centres each view; leave --centre or the calibration out.")
@@ -172,7 +172,7 @@ def averaged(task: Task) -> Task:
 
 
 def with_parts(task: Task, parts: Sequence[int] | None) -> Task:
-    """Compare some parts only (Table V): numbers from 1, without duplicates, in the given order; None for all.
+    """Compare only some parts (Table V): numbers from 1, without duplicates, in the given order; None for all.
 
     Raises:
         InputError: when a part does not exist, or is not a whole number, or no part is given.
@@ -211,19 +211,18 @@ def _whole(value: object) -> bool:
 
 
 def by_csls(task: Task, neighbours: int) -> Task:
-    """Re-rank by CSLS over the K nearest queries of each tile, see `lpn.retrieval.csls`; 0 leaves the task as it is."""
+    """Re-rank by CSLS over the K nearest queries of each tile, see `lpn.retrieval.csls`; 0 changes nothing."""
     return task.with_fields(neighbours=neighbours) if neighbours else task
 
 
 def _derived(task: Task, clause: str, **changes: Any) -> Task:
-    """Return a task whose descriptors are made of those of another, so that no network describes its pictures."""
+    """Return a task with descriptors computed from another's, so that no network describes its pictures."""
     return task.with_fields(
         **{"model": None, "describe": None, "weights": None, "identity": "", **changes}, clauses=(*task.clauses, clause)
     )
 
 
 def _of_sides(task: Task, change: Change) -> tuple[Change, Change]:
-    """Return the changes of the queries and of the gallery."""
     still = Change(released=change.released)
     if task.query_view == "satellite" != task.gallery_view:
         return replace(change, weather=CLEAR), replace(still, weather=change.weather)
@@ -238,7 +237,7 @@ def _clauses(task: Task, change: Change) -> list[str]:
 
 
 def _describing(task: Task, pictures: Sequence[Picture], view: View, change: Change) -> Callable[[], Float32Array]:
-    """Return a function that describes changed pictures as the task's own are described."""
+    """Return a function that describes changed pictures like the task's own."""
     if task.describe is not None:
         describe = task.describe
         return lambda: describe(pictures, view, change)

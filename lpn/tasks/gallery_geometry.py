@@ -23,7 +23,7 @@ class GalleryGeometry:
     """The positions of one task's pictures.
 
     Attributes:
-        queries, tiles: positions, in the order of the pictures; a query's may be unknown, and a tile's not a number.
+        queries, tiles: positions, in the order of the pictures; a query's may be unknown, and a tile's NaN.
         origin: the middle of the tiles.
         ground: centre of each tile in metres east and north of the origin, (G, 2).
         width: side of a tile on the ground in metres; by default the median distance from a position to the nearest other.
@@ -55,25 +55,25 @@ class GalleryGeometry:
         return None if positions is None else cls.of(positions.of(queries), positions.of(gallery))
 
     def errors_m(self, query: int) -> Float64Array | None:
-        """Metres from the place that a query shows to the centre of each tile, (G,); None if its place is unknown."""
+        """Return metres from a query's place to the centre of each tile, (G,); None if its place is unknown."""
         place = self.queries[query]
         return None if place is None else self.metres_from(place)
 
     def metres_from(self, place: Position) -> Float64Array:
-        """Metres from a place to the centre of each tile, (G,)."""
+        """Return metres from a place to the centre of each tile, (G,)."""
         return geo.geodesic(geo.degrees([place]), self._degrees)
 
     def answer_errors_m(self, answers: Int64Array) -> Float64Array:
-        """Metres from the place that each query shows to its answer, (Q,).
+        """Return metres from each query's place to its answer, (Q,).
 
-        Infinite for the answer -1, that is, none; NaN for a query whose place is unknown.
+        Infinite for the answer -1, that is, none; NaN for a query of unknown place.
         """
         metres = geo.geodesic(geo.degrees(self._known_or_nan), self._degrees[answers])
         return np.where((answers < 0) & ~np.isnan(metres), np.inf, metres)
 
     @cached_property
     def query_ground(self) -> Float64Array:
-        """Place that each query shows in metres east and north of the origin, (Q, 2); NaN where it is unknown."""
+        """Return each query's place in metres east and north of the origin, (Q, 2); NaN if unknown."""
         return geo.on_plane(self._known_or_nan, self.origin)
 
     @property
@@ -99,13 +99,13 @@ class GalleryGeometry:
 
 
 def _distinct(ground: Float64Array) -> Int64Array:
-    """The index of the first of all known positions, (G, 2) in metres, that are equal to a decimetre; ascending."""
+    """Return the index of the first of all known positions, (G, 2) metres, that are equal to a decimetre; ascending."""
     known = np.flatnonzero(~np.isnan(ground).any(axis=1))
     return np.sort(known[np.unique(ground[known].round(1), axis=0, return_index=True)[1]])
 
 
 def _neighbour_distance(ground: Float64Array) -> float:
-    """The median distance to the nearest neighbour in metres, from an even sample of distinct positions."""
+    """Return the median distance to the nearest neighbour in metres, from an even sample of distinct positions."""
     if len(ground) < 2:
         return _LONE_TILE_M
     sample = ground[:: max(1, len(ground) // _SAMPLE)]

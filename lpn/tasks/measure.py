@@ -1,4 +1,4 @@
-"""Recall, AP, and the field's further metrics of a task by the published protocols, whatever the task was opened from."""
+"""Recall, AP, and further metrics of a task by the published protocols, for any source."""
 
 from __future__ import annotations
 
@@ -35,11 +35,11 @@ class Figures:
     """Recall and AP of some queries on one gallery.
 
     Attributes:
-        gallery_name: "full gallery", or "without distractors", where the places that no query shows are dropped.
+        gallery_name: "full gallery", or "without distractors", without the places that no query shows.
         recall: Recall@K in percent for "1", "5", "10", and "1%"; the last takes K from the size of the full gallery.
         ap: mean average precision in percent.
         queries: number of queries (places, if queries are averaged).
-        gallery: number of ranked gallery pictures; of a full gallery all that there are, junk included.
+        gallery: number of ranked gallery pictures; for a full gallery all pictures, junk included.
     """
 
     gallery_name: str
@@ -92,7 +92,7 @@ class RankedModel:
         return np.asarray((self.first >= 0) & (self.first < depth))
 
     def in_order(self, queries: Sequence[str]) -> RankedModel:
-        """Return the ranking with its queries in another order; they must be the same, and each of them once."""
+        """Return the ranking with its queries in another order; `queries` must be these queries, each once."""
         if self.queries == tuple(queries):
             return self
         at = {query: row for row, query in enumerate(self.queries)}
@@ -102,36 +102,36 @@ class RankedModel:
 
 
 def scored_name(name: str, calibration: Calibration | None, neighbours: int) -> str:
-    """Return a model's name with how it is ranked, such as "city-lpn, calibrated, CSLS"."""
+    """Return a model's name with its scoring, such as "city-lpn, calibrated, CSLS"."""
     return name + (", calibrated" if calibration else "") + (", CSLS" if neighbours else "")
 
 
 @dataclass(frozen=True, eq=False)
 class Result:
-    """The metrics of one task, and how they were measured.
+    """The metrics of one task, and their protocol.
 
     Attributes:
         name: of the model, to display.
         task: such as "drone-to-satellite".
-        galleries: the figures on the full gallery, and, where it has distractors, those without them.
+        galleries: the figures on the full gallery, and, if it has distractors, without them.
         rankings: of each of `galleries`, with all queries.
         root: the data set's folder.
         pictures: the queries and the gallery.
-        labels: the place of each of them, (Q,) and (G,); -1 for gallery pictures that are not ranked.
-        known: the queries whose truth is known, (Q,); None for all.
+        labels: the place of each of them, (Q,) and (G,); -1 for unranked gallery pictures.
+        known: the queries with a known truth, (Q,); None for all.
         change: of the queries, see `Task.change`.
         parts: the parts used, 1-based.
         neighbours: of CSLS; 0 without it.
         listed: True if true matches and junk come from lists rather than from labels.
         sentence: the protocol in one sentence.
         seconds: wall-clock time, including the description of pictures that were not cached.
-        errors: metres from each query that counts to the centre of its top match, (K,); None unless all their places are known.
-        groups: the same figures for each group of the data set's pictures, such as each height; see `Dataset.group_name`.
-        group_name: what the groups are; empty without groups.
-        measures: the field's further metrics by their keys, see `field_figures`; empty where the data set has none.
+        errors: metres from each counted query to the centre of its top match, (K,); None unless all their places are known.
+        groups: the figures for each group of the data set's pictures, such as each height; see `Dataset.group_name`.
+        group_name: the quantity of the groups; empty without groups.
+        measures: further metrics by their keys, see `field_figures`; empty if the data set has none.
         calibration: the model's; None without one.
-        nearest: gallery positions of the nearest tiles of each query without junk, -1 where no tile is left, (Q, K), and their
-            scores, not a number there; None unless they were asked for.
+        nearest: gallery positions of the nearest tiles of each query without junk, -1 if no tile is left, (Q, K), and their
+            scores, NaN there; None unless requested.
     """
 
     name: str
@@ -185,7 +185,7 @@ class Result:
         return {} if self.errors is None else error_shares(self.errors)
 
     def ranked(self, gallery: GalleryChoice = "full") -> RankedModel:
-        """Return the ranking of one gallery, to compare it with others; queries whose truth is not known are left out.
+        """Return the ranking of one gallery for comparisons, without the queries of unknown truth.
 
         Raises:
             InputError: when the gallery has no distractors to leave out, or there are no pictures.
@@ -213,9 +213,9 @@ class Result:
         )
 
     def queries_csv(self) -> bytes:
-        """Return a line for each query: name, rank, AP, and the names and scores of its nearest tiles; unknown cells are empty.
+        """Return a line for each query: name, rank, AP, and names and scores of its nearest tiles; unknown cells are empty.
 
-        Only where the nearest tiles were asked for.
+        The nearest tiles must have been requested.
         """
         assert self.nearest is not None
         places, (queries, gallery) = range(1, self.nearest[0].shape[1] + 1), self.pictures
@@ -231,7 +231,7 @@ class Result:
         return csv_bytes(lines)
 
     def to_dict(self) -> dict[str, Any]:
-        """The result as JSON values, as `lpn evaluate` writes them."""
+        """Return the result as JSON values, the format of `lpn evaluate`."""
         return {
             **self.galleries[0].shares(),
             **self.distances(),
@@ -263,17 +263,17 @@ class Result:
 
 
 def measure(task: Task, depth: int = 0) -> Result:
-    """Rank a task's queries, and measure recall, AP, and what else is published of its data set.
+    """Rank a task's queries, and measure recall, AP, and the further published metrics of its data set.
 
-    Part weights do not count, nor do queries whose truth is not known. All is checked before a picture is described.
+    Part weights and queries of unknown truth do not count. Everything is checked before a picture is described.
 
     Args:
         depth: number of nearest tiles of each query in `Result.nearest`; 0 for none.
 
     Raises:
-        InputError: when no query can be measured, CSLS takes more queries than there are in a group, or there are no pictures
-            whose names `Result.nearest` needs.
-        DataError: when a picture lacks the position that the data set's metrics take.
+        InputError: when no query can be measured, CSLS needs more queries than a group has, or there are no pictures for the
+            names in `Result.nearest`.
+        DataError: when a picture lacks a position that the data set's metrics need.
         LPNError: when a picture or an index cannot be read.
     """
     started = time.perf_counter()
@@ -353,13 +353,13 @@ def sentence(task: Task) -> str:
 
 
 def error_shares(errors: Float64Array) -> dict[str, float]:
-    """The keys `median error m` and, in percent, `within 25 m`, `within 50 m`, `within 100 m` of errors in metres (Q,)."""
+    """Return `median error m` and, in percent, `within 25 m`, `within 50 m`, `within 100 m` of errors in metres (Q,)."""
     within = {f"within {limit} m": 100.0 * float(np.mean(errors <= limit)) for limit in WITHIN}
     return {"median error m": float(np.median(errors)), **within}
 
 
 def _ranked(task: Task) -> list[tuple[Figures, Retrieval]]:
-    """Rank the full gallery, and, where labels tell of distractors, the gallery without them."""
+    """Rank the full gallery, and, if labels show distractors, the gallery without them."""
     found = [(_figures(FULL, task.retrieved, task.tiles, task.known), task.retrieved)]
     if task.truth is None:
         kept = metrics.without_distractors(task.gallery_labels, task.query_labels)
@@ -397,7 +397,6 @@ def _groups(task: Task) -> Iterator[tuple[str, Int64Array, Int64Array]]:
 
 
 def _part(task: Task, queries: Int64Array, tiles: Int64Array) -> Task:
-    """Return a task of some queries and some tiles."""
     sides = task.sides()
     return task.with_fields(
         query_descriptors=sides[0][queries],

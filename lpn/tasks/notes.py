@@ -1,11 +1,11 @@
-"""A person's tags and notes on queries, in `notes.csv` in the data set's folder (of the demo, in the user's) or in another file.
+"""A user's tags and notes on queries, in `notes.csv` in the data set's folder (the demo's in the user's) or in another file.
 
     path,tags,note
     test/query_drone/0005/image-01.jpeg,night blur,"Looks like the twin next door."
 
-`path` is the query's picture, relative to the data set's folder; spaces separate tags. The file may be edited by hand, and by
-several programs at once, since each change replaces one line under a lock. What a spreadsheet would compute has an apostrophe in
-front, such as '- dark, which is no part of the note; see `lpn.core.csv_cells`.
+`path` is the query's picture, relative to the data set's folder; spaces separate tags. Users and several programs may edit
+the file at once, because each change replaces one line under a lock. A text that a spreadsheet would compute has an
+apostrophe in front, such as '- dark, which is no part of the note; see `lpn.core.csv_cells`.
 """
 
 from __future__ import annotations
@@ -56,10 +56,10 @@ def read_notes(file: Path) -> dict[str, Note]:
 
 
 class ChangedNoteError(InputError):
-    """A note that was changed by somebody else since it was read.
+    """A note that somebody else has changed since it was read.
 
     Attributes:
-        stored: the note as it is now.
+        stored: the current note.
     """
 
     def __init__(self, stored: Note) -> None:
@@ -79,13 +79,13 @@ def set_note(
         path: the query's picture, relative to the data set's folder.
         tags: words, or one text of words separated by spaces or commas.
         text: the note.
-        before: the annotation that is to be replaced; None replaces any.
+        before: the annotation to replace; None replaces any.
 
     Returns:
         All notes after the change.
 
     Raises:
-        ChangedNoteError: when the annotation is not `before`; it is not changed.
+        ChangedNoteError: when the stored annotation differs from `before`; it is not changed.
         InputError: when a tag is not a short word, there are too many tags, or the note is too long.
         DataError: when the existing file is damaged; it is not changed.
         OutputError: when the file cannot be written.
@@ -198,7 +198,7 @@ def _encode(notes: dict[str, Note]) -> bytes:
 
 
 def typed(text: str) -> str:
-    """Return what a person typed, each line break a line feed, without what is not `printable` and space around it."""
+    """Normalise a user's text: line feeds as line breaks, no characters that are not `printable`, and no surrounding space."""
     return printable(_LINE_BREAK.sub("\n", text), TYPED, "").strip()
 
 

@@ -1,4 +1,4 @@
-"""Tasks of a data set under a model: which of them both offer, and one of them opened."""
+"""Tasks of a data set under a model: those that both offer, and the opening of one."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ log = logging.getLogger(__name__)
 
 # A calibration that ships with a data set, beside stores of its descriptors, so that no picture is described at several zooms.
 FOLDER, NAME = Path(STORES) / "calibrated", "calibration.npz"
-# The store of the tiles against which the zoom of an uploaded picture is chosen.
+# The store of the tiles for the choice of an uploaded picture's zoom.
 _TILES = "gallery_satellite"
 _ROLES: tuple[Role, Role] = ("query", "gallery")
 
@@ -51,14 +51,14 @@ def lazy_task(
     released: bool = False,
     model_name: str = "",
 ) -> Task:
-    """List the pictures of a task, which a model describes when their descriptors are first read.
+    """List the pictures of a task; a model describes them when their descriptors are first read.
 
     Args:
         name: the task, such as "drone-to-satellite".
         read: returns descriptors; by default from the user's cache, which receives new ones.
         branch: describes both sides (Table VI); None for each view's own.
-        released: read and rotate pictures as the released test code does, see `Change.released`, and carry features over to
-            landmarks as released, see `lpn.retrieval.transfer`.
+        released: whether to read and rotate pictures like the released test code, see `Change.released`, and to carry features
+            over to landmarks as released, see `lpn.retrieval.transfer`.
         model_name: the model's name to display.
 
     Raises:
@@ -98,7 +98,7 @@ def lazy_task(
 
     return Task(
         name=name,
-        # The carried features of landmarks are no descriptors of the model, and are not changed.
+        # Carried features of landmarks are not descriptors of the model, and are not changed.
         model=None if carried else model,
         model_name=printable(model_name),
         data_name=printable(dataset.root.resolve().name),
@@ -142,7 +142,7 @@ def describe_task(
         name: the task, see `choose_task`.
         weights: part weights, see `scoring.part_weights`.
         tags_and_notes: by the query's path; by default those in the data set's folder.
-        calibration: see `task_calibration`; its zooms and means are applied to `model`, which is that before the calibration.
+        calibration: see `task_calibration`; its zooms and means are applied to `model`, the model before the calibration.
         neighbours: K of CSLS; 0 ranks without it.
 
     Raises:
@@ -171,7 +171,7 @@ def describe_task(
                 or calibration.stored(model, side, view, descriptors.descriptor_reader(dataset.root))
                 for side, view, role in zip((task.queries, task.gallery), views, _ROLES, strict=True)
             )
-    except PictureError:  # of one list; name the broken pictures of all lists at once
+    except PictureError:  # name the broken pictures of all lists at once
         check_test_split(dataset, offered)
         raise
     task = calibrated(task, calibration)
@@ -181,7 +181,7 @@ def describe_task(
         map_sizes={view: model.map_size(view) for view in views},
         query_descriptors=query_side.descriptors,
         gallery_descriptors=gallery_side.descriptors,
-        # The explorer changes the model for one that describes pictures in the background.
+        # The explorer replaces the model by one that describes pictures in the background.
         describe=None,
         identity=" ".join(identities) if all(identities) else "",
         weights=weights,
@@ -199,7 +199,7 @@ def scored_tasks(
     names: Sequence[str],
     neighbours: int = NEIGHBOURS,
 ) -> list[Task]:
-    """Open tasks under the scorings besides the plain one: calibrated, and, with queries enough, calibrated and under CSLS.
+    """Open tasks under the further scorings: calibrated, and, with enough queries, calibrated under CSLS.
 
     Args:
         model: before the calibration.
@@ -214,11 +214,11 @@ def scored_tasks(
 
 
 def task_calibration(model: Model, dataset: Dataset, calibrate: bool | None = None) -> Calibration | None:
-    """Choose the calibration that ranks the tasks of a data set, for the library, every command, and the page; no label counts.
+    """Choose the calibration that ranks a data set's tasks, for the library, every command, and the page; no label counts.
 
     Args:
-        calibrate: True for the calibration that ships with the data set, or else a new one; False for none; None for the one that
-            ships, if any.
+        calibrate: True for the calibration that ships with the data set, or else a new one; False for none; None for the
+            shipped one, if any.
 
     Returns:
         None to rank plain.
@@ -236,13 +236,13 @@ def task_calibration(model: Model, dataset: Dataset, calibrate: bool | None = No
 def alike_calibrations(
     models: Sequence[Model], dataset: Dataset, calibrate: bool | None = None
 ) -> list[Calibration | None]:
-    """Choose as `task_calibration` does for models that are compared; they stay plain unless all of them are calibrated."""
+    """Choose like `task_calibration` for compared models; they stay plain unless all of them are calibrated."""
     chosen = [task_calibration(model, dataset, calibrate) for model in models]
     return chosen if all(chosen) else [None] * len(chosen)
 
 
 def no_calibration(model: Model, dataset: Dataset) -> str:
-    """Return why a model cannot be calibrated on a data set's pictures, as a sentence; empty if it can."""
+    """Return the reason why a model cannot be calibrated on a data set's pictures, as a sentence; empty if it can."""
     if model.contract.roles == "role":
         return f"{model.contract.method} describes a view otherwise as query than as gallery, which one calibration does not fit."
     counts = {view: len({p.path for some in lists for p in some}) for view, lists in _lists(model, dataset).items()}
@@ -264,7 +264,7 @@ def shipped_calibration(model: Model, dataset: Dataset) -> Calibration | None:
 
 
 def _lists(model: Model, dataset: Dataset) -> dict[View, list[Sequence[Picture]]]:
-    """Return for each view the lists of pictures of all tasks that a model offers."""
+    """Return for each view the picture lists of all tasks that a model offers."""
     lists: dict[View, list[Sequence[Picture]]] = {}
     for name, pictures in lists_of(dataset, offered_tasks(model, dataset)).items():
         lists.setdefault(cast(View, name.split()[1]), []).append(pictures)
@@ -272,10 +272,10 @@ def _lists(model: Model, dataset: Dataset) -> dict[View, list[Sequence[Picture]]
 
 
 def new_calibration(model: Model, dataset: Dataset) -> Calibration:
-    """Calibrate a model on the pictures of all tasks that it offers, so that all tasks are searched by one model.
+    """Calibrate a model on the pictures of all tasks that it offers, so that one model searches all tasks.
 
     Raises:
-        InputError: when the model's branches have roles, so that a task decides its descriptors, or pictures are too few.
+        InputError: when the model's branches have roles, so that descriptors depend on the task, or pictures are too few.
         LPNError: when pictures cannot be read.
     """
     tasks = offered_tasks(model, dataset)
@@ -288,7 +288,7 @@ def new_calibration(model: Model, dataset: Dataset) -> Calibration:
 
 
 def offered_tasks(model: Model, dataset: Dataset) -> list[str]:
-    """The tasks of a data set whose views a model knows."""
+    """Return the tasks of a data set whose views a model knows."""
     return [name for name in dataset.tasks() if set(views_of(name)) <= set(model.views)]
 
 
@@ -298,7 +298,7 @@ def no_task_error(model: Model, dataset: Dataset) -> DataError:
         return dataset.no_task()
     name = printable(dataset.root.resolve().name)
     wanted = [f"{role}_{view}" for role in ("query", "gallery") for view in model.views]
-    # Pictures of a view may be listed once for both roles. Of a view without any, the layout has none.
+    # Pictures of a view may be listed once for both roles. A view without pictures is not in the layout.
     listed = {key.removeprefix("test/") for key, pictures in dataset.lists().items() if pictures}
     has_views = all(any(view in key for key in listed) for view in model.views)
     missing = ", ".join(one for one in wanted if has_views and not listed & {one, one.partition("_")[2]})
@@ -309,11 +309,11 @@ def no_task_error(model: Model, dataset: Dataset) -> DataError:
 
 
 def choose_task(model: Model, dataset: Dataset, name: str | None = None) -> str:
-    """The given task, or the first of `offered_tasks`.
+    """Return the given task, or the first of `offered_tasks`.
 
     Raises:
         DataError: when there is none.
-        InputError: when the data set does not have the task, or the model does not know its views.
+        InputError: when the data set lacks the task, or the model does not know its views.
     """
     offered = offered_tasks(model, dataset)
     if not offered:
@@ -329,11 +329,7 @@ def choose_task(model: Model, dataset: Dataset, name: str | None = None) -> str:
 def _read_calibration(
     model: Model, root: Path, lists: Mapping[View, Sequence[Sequence[Picture]]]
 ) -> Calibration | None:
-    """Return the calibration that ships with a data set; None without one, and if it is of another model or lacks a picture.
-
-    Args:
-        lists: for each view, the lists of pictures that it must have.
-    """
+    """Return the calibration that ships with a data set; None if it is missing, another model's, or lacks one of `lists`."""
     try:
         with np.load(root / FOLDER / NAME, allow_pickle=False) as archive:
             values = dict(archive)

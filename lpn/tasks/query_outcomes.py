@@ -1,6 +1,6 @@
 """Rank, margin, and deciding part of every query of a task, in one pass.
 
-With part weights w_i that sum to one, the nearest positive p and the hardest negative g of a query q:
+With part weights w_i with sum one, the nearest positive p and the hardest negative g of a query q:
 
     margin = d^2(q, g) - d^2(q, p) = sum_i 2 w_i (cos_i(q, p) - cos_i(q, g)),
 
@@ -28,9 +28,9 @@ from lpn.tasks.gallery_geometry import GalleryGeometry
 _CHUNK_BYTES = 64_000_000
 # Columns of a table that compares two models: A is the table's own.
 RANK_A, RANK_B = "rank A", "rank B"
-# Columns of every table besides `margin_1` .. `margin_n`. A model of one part has neither these nor `part`. A task without
-# positions has no `distance`, and one without measured footprints no `overlap`, and one without semi-positives no `semi`. A table
-# of one model has neither `rank A` nor `rank B`.
+# Columns of every table besides `margin_1` .. `margin_n`. A model of one part has neither these nor `part`. A task has `distance`
+# only with positions, `overlap` only with measured footprints, and `semi` only with semi-positives. Only a table of two models
+# has `rank A` and `rank B`.
 OUTCOME_COLUMNS = (
     *("name", "rank", RANK_A, RANK_B, "margin", "part"),
     *("truth", "answer", "false", "distance", "overlap", "semi"),
@@ -43,15 +43,15 @@ class Outcomes:
 
     Attributes:
         rank: 0-based rank of the first true match, not counting junk, (Q,); -1 for a query without a true match.
-        answer: the nearest tile, -1 where all are junk, (Q,).
-        true: the nearest positive, on ties the first in gallery order; -1 where there is none, (Q,).
-        false: the hardest negative; -1 where there is none, (Q,).
-        parts: each part's term of the margin in d², (Q, n); NaN where `true` or `false` is -1.
-        margin: the sum of `parts`, -4 .. 4; positive where `true` is nearer than `false`, (Q,).
+        answer: the nearest tile, -1 if all are junk, (Q,).
+        true: the nearest positive, on ties the first in gallery order; -1 if there is none, (Q,).
+        false: the hardest negative; -1 if there is none, (Q,).
+        parts: each part's term of the margin in d², (Q, n); NaN if `true` or `false` is -1.
+        margin: the sum of `parts`, -4 .. 4; positive if `true` is nearer than `false`, (Q,).
         deciding_part: the part, from 0, with the highest term if `rank` is 0, else the part with the lowest term;
             -1 without a margin, (Q,).
-        weights: the part weights, summing to one, (n,).
-        known: the queries whose truth is known, (Q,).
+        weights: the part weights, with sum one, (n,).
+        known: the queries with a known truth, (Q,).
     """
 
     rank: Int64Array
@@ -66,9 +66,9 @@ class Outcomes:
 
     @property
     def failed(self) -> BoolArray:
-        """The queries that Recall@1 counts as missed, those without a true match included, (Q,).
+        """The queries that Recall@1 counts as missed, including those without a true match, (Q,).
 
-        A query whose truth is not known is no failure.
+        A query of unknown truth is no failure.
         """
         return np.asarray(self.known & (self.rank != 0))
 
@@ -78,7 +78,7 @@ class Outcomes:
         return np.asarray(self.known & (self.rank == 0))
 
     def verdict(self, query: int) -> bool | None:
-        """Return whether a query is found; None if its truth is not known."""
+        """Return whether a query is found; None if its truth is unknown."""
         return bool(self.hits[query]) if self.known[query] else None
 
     def __len__(self) -> int:
@@ -86,9 +86,9 @@ class Outcomes:
 
 
 def weight_factors(descriptors: Float32Array, weights: npt.ArrayLike | None) -> Float64Array | None:
-    """Return the factors of descriptors (Q, n, D) under part weights, (n D,), as `metrics.retrieve` takes them.
+    """Return the factors of descriptors (Q, n, D) under part weights, (n D,), for `metrics.retrieve`.
 
-    None without weights: scores are not scaled then, so that even ties are ranked as in the published protocol.
+    None without weights: scores are then not scaled, so that even ties rank as in the published protocol.
     """
     n, size = descriptors.shape[1:]
     return None if weights is None else np.repeat(n * _normalised(n, weights), size)
@@ -101,7 +101,7 @@ def outcomes_of(
     weights: npt.ArrayLike | None = None,
     known: BoolArray | None = None,
 ) -> Outcomes:
-    """The outcomes of queries (Q, n, D) that are ranked already under the same part weights.
+    """Return the outcomes of queries (Q, n, D) that are already ranked under these part weights.
 
     Args:
         known: the queries whose truth is known, (Q,); None for all.
@@ -126,7 +126,7 @@ def table(
     geometry: GalleryGeometry | None = None,
     more: Sequence[Column] = (),
 ) -> Table:
-    """One row per query: its outcome, and the metadata of its picture (`lpn.datasets.metadata`).
+    """Return a row for each query: its outcome, and the metadata of its picture (`lpn.datasets.metadata`).
 
     Columns, followed by those of the metadata:
         name: of the query.
@@ -145,7 +145,7 @@ def table(
         more: further columns, which come before those of the metadata.
 
     Raises:
-        InputError: when there are not as many pictures as outcomes.
+        InputError: when the numbers of pictures and of outcomes differ.
         DataError: when a metadata file is damaged.
     """
     if len(queries) != len(outcomes):
@@ -172,13 +172,13 @@ def table(
 
 
 def compared_ranks(table: Table, rank: Int64Array) -> list[Column]:
-    """Columns `rank A` and `rank B` of a table: its own ranks, and those of a second model.
+    """Return the columns `rank A` and `rank B` of a table: its own ranks, and a second model's.
 
     Args:
-        rank: the second model's for the same queries, see `Outcomes`.
+        rank: the second model's ranks of these queries, see `Outcomes`.
 
     Raises:
-        InputError: when there are not as many ranks as rows.
+        InputError: when the numbers of ranks and of rows differ.
     """
     if len(rank) != len(table):
         raise InputError(
@@ -204,7 +204,7 @@ def listed_columns(outcomes: Outcomes, truth: Sequence[Truth] | None) -> list[Co
 
 
 def picture_columns(table: Table) -> list[Column]:
-    """The columns that describe a query's picture, rather than its outcome or a person's annotation of it."""
+    """Return the columns that describe a query's picture, not its outcome or a user's annotation."""
     return [
         column
         for column in table.columns.values()
@@ -213,7 +213,7 @@ def picture_columns(table: Table) -> list[Column]:
 
 
 def _normalised(n: int, weights: npt.ArrayLike | None) -> Float64Array:
-    """Part weights (n,) that sum to one in double precision."""
+    """Return part weights (n,) with sum one in double precision."""
     used = scoring.part_weights(n, weights).astype(np.float64)
     used /= used.sum()
     return used
@@ -231,7 +231,7 @@ def _distance(geometry: GalleryGeometry, outcomes: Outcomes) -> Column:
 def _part_margins(
     queries: Float32Array, gallery: Float32Array, true: Int64Array, false: Int64Array, factors: Float64Array
 ) -> Float64Array:
-    """Each part's factor_i <q_i, true_i - false_i>: (Q, n), NaN where one of the tiles is -1."""
+    """Return each part's factor_i <q_i, true_i - false_i>: (Q, n), NaN if one of the tiles is -1."""
     terms = np.full(queries.shape[:2], np.nan)
     pairs = np.flatnonzero((true >= 0) & (false >= 0))
     step = max(1, _CHUNK_BYTES // (8 * queries[0].size))

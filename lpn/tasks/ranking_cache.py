@@ -2,8 +2,8 @@
 
     <cache>/rankings/<key>.npz     first, true, false (Q,) int64, precision, gap (Q,) float64, gallery: see `metrics.Retrieval`
 
-The key is a digest of both sides' descriptors and of the true matches, so that a stale ranking is never found. A file that is
-damaged, or whose numbers of pictures differ from the task's, counts as missing.
+The key is a digest of both sides' descriptors and of the true matches, so that a stale ranking is never found. A damaged file, or
+one with other numbers of pictures than the task, counts as missing.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 
 FORMAT = "lpn-ranking/2"
-# Queries ranked at a time; a ranking that is stopped loses the current step at most.
+# Queries ranked at a time; a stopped ranking loses at most the current step.
 STEP = 4096
 _COLUMNS = ("first", "true", "false", "precision", "gap")
 
@@ -39,8 +39,8 @@ _COLUMNS = ("first", "true", "false", "precision", "gap")
 class ResumableRanking:
     """The ranking of all queries in a gallery under equal part weights; not thread-safe.
 
-    If `progress` stops `finish` by an exception, the next call of `finish` continues the ranking. The arguments are those of
-    `metrics.retrieve`.
+    If `progress` stops `finish` by an exception, the next call of `finish` continues the ranking. The arguments are those
+    of `metrics.retrieve`.
     """
 
     def __init__(
@@ -56,7 +56,7 @@ class ResumableRanking:
         self._steps: list[Ranked] = []
 
     def finish(self, progress: Callable[[int, int], None]) -> Retrieval:
-        """Rank the queries that are not ranked yet.
+        """Rank the remaining queries.
 
         Args:
             progress: called with the numbers of ranked and of all queries; may raise an exception to stop.
@@ -85,12 +85,12 @@ class ResumableRanking:
 
 
 def multiplications(task: Task) -> int:
-    """Return the number of multiplications that ranking a task takes."""
+    """Return the number of multiplications for the ranking of a task."""
     return task.query_descriptors.size * task.tiles
 
 
 def cache_file(task: Task) -> Path | None:
-    """The file of a task's ranking; None where the descriptors have no identity or there is no cache folder."""
+    """Return the file of a task's ranking; None if descriptors have no identity, or there is no cache folder."""
     if not task.identity:
         return None
     try:
@@ -108,7 +108,7 @@ def cache_file(task: Task) -> Path | None:
 
 
 def save(task: Task, ranking: Retrieval) -> None:
-    """Write a ranking to the cache; log a warning where that fails."""
+    """Write a ranking to the cache; log a warning if that fails."""
     file = cache_file(task)
     if file is None:
         return
@@ -121,7 +121,7 @@ def save(task: Task, ranking: Retrieval) -> None:
 
 
 def load(task: Task) -> Retrieval | None:
-    """Read a task's ranking from the cache; None where it is missing or damaged."""
+    """Read a task's ranking from the cache; None if it is missing or damaged."""
     file = cache_file(task)
     if file is None:
         return None
@@ -143,5 +143,5 @@ def load(task: Task) -> Retrieval | None:
 
 
 def _valid(column: AnyArray, dtype: type, length: int, low: float, high: float = np.inf) -> bool:
-    """Return True if a column has this dtype and length, and all values are in low .. high."""
+    """Return whether a column has this dtype and length, and all values are in low .. high."""
     return column.dtype == dtype and column.shape == (length,) and bool(((column >= low) & (column <= high)).all())

@@ -1,16 +1,16 @@
-"""Descriptors that other programs saved, as tasks: ranking, laboratory, and map without a network.
+"""Descriptors saved by other programs, as tasks: ranking, laboratory, and map without a network.
 
-A result of the published test code says what its rows are. Plain arrays have a list (`paths.csv`) with a line for each row of
-both arrays, those of one side in the order of their rows:
+A result of the published test code describes its rows. Plain arrays have a list (`paths.csv`) with a line for each row of
+both arrays, in the order of each side's rows:
 
     file,side,label,latitude,longitude
     query/0001.jpg,query,1,30.3201,120.3807
     tiles/0001.png,gallery,1,30.3203,120.3806
 
-`file` is a path below the list's folder; a picture that is not there is a grey placeholder. `side` is query or gallery. `label`
-is any text, equal for pictures of one place; "7" and "007" are two places. It is empty where it is unknown: such a query is not
-counted, and such a gallery picture is true for none. It is -1 for a gallery picture that is dropped from the ranking. Latitude
-and longitude, in degrees, may be empty. Only file and side are needed.
+`file` is a path below the list's folder; a missing picture is a grey placeholder. `side` is query or gallery. `label` is any
+text, equal for pictures of one place; "7" and "007" are two places. It is empty if unknown: such a query is not counted, and
+such a gallery picture is true for none. It is -1 for a gallery picture that is dropped from the ranking. Latitude and
+longitude, in degrees, may be empty. Only file and side are needed.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ from lpn.tasks.task import Task
 
 log = logging.getLogger(__name__)
 
-# Size of the feature map for drawing rings without a network: that of a ResNet-50 at 256 pixels.
+# Size of the feature map for drawing rings without a network: a ResNet-50's at 256 pixels.
 SAVED_MAP = (16, 16)
 _LAYOUT: Layout = "university"
 _CLAUSES = ("descriptors as saved",)
@@ -49,9 +49,9 @@ _COLUMNS = {"file", "side", "label", "latitude", "longitude"}
 
 
 def saved_task(saved: PublishedResult, dataset: Dataset | None = None) -> Task:
-    """Return the task of a published result, whatever its norms; without a data set, labels tell what is true.
+    """Return the task of a published result, whatever its norms; without a data set, labels define the truth.
 
-    Rings are drawn as University-1652's LPN divides them, and for panoramas as the published CVUSA models do.
+    Rings are drawn as in University-1652's LPN, and for panoramas as in the published CVUSA models.
 
     Raises:
         DataError: when the data set lacks the result's pictures, or without one, no query has a label of the gallery.
@@ -65,7 +65,7 @@ def saved_task(saved: PublishedResult, dataset: Dataset | None = None) -> Task:
         views, queries, gallery = saved.pictures(dataset)
         layout = "cvusa" if dataset.panoramas else layout
         truth = truth_of_rows(dataset, "-to-".join(views), queries, gallery)
-        if truth is not None:  # labels of the result name one true tile of several, or are numbered otherwise
+        if truth is not None:  # the result's labels have only one of several true tiles, or other numbers
             labels = labels_of(queries), labels_of(gallery)
     spec = ModelSpec(views=tuple(dict.fromkeys(views)), n_parts=saved.n_parts, layout=layout, shared=False)
     contract, root = spec.contract(), Path(saved.name) if dataset is None else dataset.root
@@ -106,7 +106,7 @@ def array_task(
         query, gallery: files of arrays, see `lpn.retrieval.saved`; they may be the same `.npz` or `.mat`.
         paths: the list; without it, rows are numbered, their places are unknown, and pictures are placeholders.
         n_parts, order: see `load_parts`.
-        root: the folder that the list's paths are relative to; by default the list's.
+        root: the folder of the list's paths; by default the list's own.
 
     Raises:
         DataError: if a file is missing, damaged, or does not fit the others.
@@ -179,7 +179,7 @@ def _numbered(counts: Mapping[Role, int]) -> dict[Role, list[_Line]]:
 
 
 def _listed(file: Path, counts: Mapping[Role, int], below: FilesBelow) -> dict[Role, list[_Line]]:
-    """Read the list of pictures, with the files that its paths name; other paths stay."""
+    """Read the list of pictures, with the existing files of its paths; other paths are unchanged."""
     name = printable(file.name)
 
     def fits(header: list[str]) -> bool:
@@ -221,7 +221,7 @@ def _position(row: Mapping[str, str], where: str) -> Position | None:
 
 
 def _known(lines: Mapping[Role, Sequence[_Line]]) -> BoolArray:
-    """Return the queries whose label tells what is right, (Q,): none where no label is in the gallery, as 0001 beside 1."""
+    """Return the mask of queries with a known truth, (Q,): all False if no label is in the gallery, as 0001 beside 1."""
     known = np.array([bool(line.label) for line in lines["query"]], bool)
     own = [line.label for line in lines["query"] if line.label]
     told = [line.label for line in lines["gallery"] if line.label not in ("", str(JUNK))]
@@ -243,7 +243,7 @@ def _known(lines: Mapping[Role, Sequence[_Line]]) -> BoolArray:
 
 
 def _truth(labels: Mapping[Role, Int64Array], known: BoolArray) -> list[Truth] | None:
-    """Return the true matches of each query where some queries have no label; None if labels tell everything."""
+    """Return the true matches of each query if some queries have no label; None if labels define the truth."""
     if known.all():
         return None
     junk = np.flatnonzero(labels["gallery"] == JUNK)
@@ -265,7 +265,7 @@ def _label_numbers(labels: Sequence[str]) -> dict[str, int]:
 
 
 def _pictures(root: Path, lines: Sequence[_Line], labels: Int64Array) -> list[Picture]:
-    """Return the pictures of a side, named without the folders that all of them share."""
+    """Return the pictures of a side, named without their common folders."""
     paths = [Path(line.file).with_suffix("") for line in lines]
     shared = len(Path(os.path.commonpath([path.parent for path in paths])).parts) if paths else 0
     names = [printable(Path(*path.parts[shared:]).as_posix()) for path in paths]

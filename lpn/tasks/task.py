@@ -1,4 +1,4 @@
-"""Queries, what they are searched in, and their truth: one task, whatever source it was opened from."""
+"""A task of any source: queries, their gallery, and their truth."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
 # Ranks the gallery for one described query under part weights.
 RankUnderWeights = Callable[[Float32Array], Ranking]
-# How a gallery is ranked: by descriptors as they are, by calibrated ones, and by calibrated ones under CSLS.
+# The scorings of a gallery: by plain descriptors, by calibrated ones, and by calibrated ones under CSLS.
 Scoring = Literal["plain", "calibrated", "csls"]
 SCORINGS: Final[tuple[Scoring, ...]] = ("plain", "calibrated", "csls")
 
@@ -61,14 +61,14 @@ class LazyArray:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Task:
-    """Queries and the gallery that they are searched in; `dataclasses.replace` gives the task under other part weights.
+    """Queries and their gallery; `dataclasses.replace` gives the task under other part weights.
 
     Attributes:
         name: such as "drone-to-satellite".
-        model: None where another program computed the descriptors, so that no picture can be described again.
+        model: None if another program computed the descriptors, so that no picture can be described again.
         model_name, data_name: names to display.
         root: the data set's folder.
-        contract: the model's, or that by which another program's parts are drawn.
+        contract: the model's, or for another program's descriptors the one for drawing.
         map_sizes: (h, w) of the feature map of each view.
         queries, gallery: the pictures.
         query_labels, gallery_labels: the place that each picture shows, (Q,) and (G,), -1 for junk.
@@ -77,17 +77,17 @@ class Task:
         geometry: positions of the pictures; None without positions, such as those of a `geo.csv`.
         identity: digests of both sides' descriptors, for the key of the cached ranking; empty if a digest is missing.
         weights: part weights, see `scoring.part_weights`; None for equal ones.
-        notes: a person's tags and notes by the query's path, see `lpn.tasks.notes`.
+        notes: the user's tags and notes by the query's path, see `lpn.tasks.notes`.
         columns: further columns of the table about the queries.
-        calibration: what the pictures' zooms and the model's means come from; None without one.
+        calibration: the origin of the pictures' zooms and the model's means; None without one.
         neighbours: of CSLS, see `lpn.retrieval.csls`; 0 ranks without it.
-        no_map: why tiles have no positions on a map, as a sentence; empty if they have, or nothing can be said.
-        of_index: how the gallery was chosen from a larger index, in words; empty for a whole gallery.
-        clauses: how the descriptors were made, for the sentence of the protocol.
-        change: of the queries; its weather falls on the gallery where the queries are tiles and the gallery is not.
-        parts: the numbers, from 1, of the model's parts that are compared; empty for all.
+        no_map: a sentence with the reason why tiles have no positions on a map; empty if they have, or it is unknown.
+        of_index: the selection of the gallery from a larger index, in words; empty for a whole gallery.
+        clauses: the origin of the descriptors, for the sentence of the protocol.
+        change: of the queries; its weather falls on the gallery if the queries are tiles and the gallery is not.
+        parts: the numbers, from 1, of the model's compared parts; empty for all.
         describe: describes changed pictures of a view, (N, n, D); None for `model` and the user's cache.
-        dataset: the data set whose groups and metrics are measured; None for recall and AP alone.
+        dataset: the data set with groups and metrics to measure; None for recall and AP alone.
     """
 
     name: str
@@ -120,18 +120,18 @@ class Task:
     dataset: Dataset | None = None
 
     def with_fields(self, **changes: Any) -> Self:
-        """Return the task with other fields, as `dataclasses.replace` does; descriptors that are not read yet stay so."""
+        """Return the task with other fields, like `dataclasses.replace`; unread descriptors stay unread."""
         unread = {one.name: partial(getattr, self, one.name) for one in fields(self) if "_descriptors" in one.name}
         return replace(self, **{**unread, **changes})
 
     @property
     def scoring(self) -> Scoring:
-        """How the gallery is ranked."""
+        """The scoring of the gallery."""
         return "csls" if self.neighbours else "plain" if self.calibration is None else "calibrated"
 
     @property
     def key(self) -> str:
-        """The name, with the scoring unless it is plain: one text for each ranking of a data set's tasks under one model."""
+        """The name, with the scoring unless it is plain: a unique text for each ranking of a data set's tasks under one model."""
         return scored_key(self.name, self.scoring)
 
     @property
@@ -146,7 +146,7 @@ class Task:
 
     @property
     def of_map(self) -> bool:
-        """True if the tiles are pieces of a map, whatever took its picture."""
+        """True if the tiles are pieces of a map, from any camera."""
         return len(self.gallery) > 0 and self.gallery[0].cut is not None and not self.gallery[0].missing
 
     @property
@@ -177,7 +177,7 @@ class Task:
 
     @cached_property
     def part_weights(self) -> Float32Array:
-        """The part weights, summing to one, (n,)."""
+        """The part weights, with sum one, (n,)."""
         return scoring.part_weights(self.contract.n_parts, self.weights)
 
     def sides(self) -> tuple[Float32Array, Float32Array]:
@@ -186,7 +186,7 @@ class Task:
 
     @cached_property
     def compared(self) -> tuple[Float32Array, Float32Array]:
-        """The descriptors that are ranked by inner product, see `sides`; CSLS appends one number to each part."""
+        """The descriptors for ranking by inner product, see `sides`; CSLS appends one number to each part."""
         return csls.scaled(*self.sides(), self.neighbours) if self.neighbours else self.sides()
 
     @property
@@ -211,12 +211,12 @@ class Task:
         return self.outcomes_of(self.retrieved)
 
     def outcomes_of(self, ranking: Retrieval) -> Outcomes:
-        """The outcomes of all queries, ranked under the task's weights."""
+        """Return the outcomes of all queries, ranked under the task's weights."""
         return query_outcomes.outcomes_of(ranking, *self.compared, self.weights, self.known)
 
     @cached_property
     def table(self) -> Table:
-        """One row per query: outcome, metadata, tags, and notes.
+        """Return a row for each query: outcome, metadata, tags, and notes.
 
         Raises:
             InputError: if there are no pictures, see also `query_outcomes.table`.
@@ -227,13 +227,13 @@ class Task:
         return table.with_columns(notes.columns(self.notes, table.paths))
 
     def tabulate(self, outcomes: Outcomes, part_names: Sequence[str]) -> Table:
-        """One row per query, without tags and notes; see `query_outcomes.table`."""
+        """Return a row for each query, without tags and notes; see `query_outcomes.table`."""
         columns = [*self.columns, *query_outcomes.listed_columns(outcomes, self.truth)]
         return query_outcomes.table(self.root, self.queries, self.gallery, outcomes, part_names, self.geometry, columns)
 
     @cached_property
     def metrics(self) -> dict[str, float]:
-        """Recall and AP in percent under the part weights, see `metrics.evaluate`."""
+        """Return recall and AP in percent under the part weights, see `metrics.evaluate`."""
         return self.retrieved.metrics(self.known)
 
     def evaluate(self) -> Result:
@@ -244,21 +244,21 @@ class Task:
 
     @property
     def known(self) -> BoolArray | None:
-        """The queries whose truth is known, (Q,); None for all."""
+        """The queries with a known truth, (Q,); None for all."""
         return metrics.known_queries(self.truth)
 
     @property
     def no_truth(self) -> str:
-        """Why nothing can be measured, as a sentence; empty if the truth of some query is known."""
+        """A sentence with the reason why nothing can be measured; empty if some query's truth is known."""
         if self.known is None or self.known.any():
             return ""
         return f"The true place of no query of {self.data_name} is known, so nothing can be measured."
 
     def without_truth(self, queries: Collection[int]) -> Self:
-        """Return the task in which the truth of some queries is not known, so that they are not graded.
+        """Return the task with the truth of some queries unknown, so that they are not graded.
 
         Raises:
-            InputError: if labels define the true matches, and not a list.
+            InputError: if labels, not a list, define the true matches.
         """
         if self.truth is None and queries:
             raise InputError(
@@ -275,7 +275,7 @@ class Task:
             raise InputError(self.no_truth)
 
     def label_and_truth(self, query: int | None) -> tuple[int | None, Truth | None]:
-        """The label and the list of true matches of a query, each None if unknown."""
+        """Return the label and the list of true matches of a query, each None if unknown."""
         if query is None:
             return None, None
         return int(self.query_labels[query]), None if self.truth is None else self.truth[query]
@@ -289,7 +289,7 @@ class Task:
             change: applied to the query's picture, which the model then describes again.
 
         Raises:
-            InputError: if there is no such query, the weights are not its parts', or a change is asked of descriptors alone.
+            InputError: if there is no such query, the number of weights is wrong, or descriptors alone cannot be changed.
             LPNError: if the picture cannot be read.
         """
         if not 0 <= query < len(self.query_descriptors):
@@ -316,14 +316,14 @@ class Task:
     ) -> RankUnderWeights:
         """Compare a described query, (n, D), with the gallery, and return a function that ranks it under part weights.
 
-        The part cosines are computed once. Weights sum to one, (n,); those of the last call return its ranking again.
+        The part cosines are computed once. Weights have sum one, (n,); the last call's ranking is cached.
 
         Args:
             query: its position; None if it is not of the data set.
             lengths: see `Ranking`.
         """
         cosines = scoring.part_cosines(descriptor, self.gallery_descriptors)
-        # A region's score has no constants, and so none of CSLS.
+        # A region's score has no constants, and so no terms of CSLS.
         tiles = None if lengths is not None else self.csls_tiles
         terms = None if tiles is None else CslsTerms.of_query(cosines, tiles, self.neighbours)
         label, truth = self.label_and_truth(query)
@@ -340,17 +340,16 @@ class Task:
         return rank
 
     def ranks_under(self, query: int | None, weights: Float32Array | None = None) -> Callable[[Float32Array], Ranking]:
-        """A function that ranks the gallery for other descriptors (n, D) of a query, as a sweep needs.
+        """Return a function that ranks the gallery for other descriptors (n, D) of a query, for example in a sweep.
 
         Args:
             query: its position; None if it is not of the data set.
-            weights: part weights that sum to one, (n,); by default the task's.
+            weights: part weights with sum one, (n,); by default the task's.
         """
         used = self.part_weights if weights is None else weights
         return lambda descriptor: self.start_search(query, descriptor)(used)
 
     def _repr_html_(self) -> str:
-        """The task in a notebook: recall and AP of all queries."""
         names = {"recall@1": "Recall@1", "recall@5": "Recall@5", "recall@10": "Recall@10", "ap": "AP"}
         figures = {title: self.metrics[name] for name, title in names.items()}
         caption = f"{self.data_name}, {self.name}: {len(self.query_labels):,} queries, {self.gallery_description}"
@@ -358,7 +357,7 @@ class Task:
 
 
 def descriptor_clauses(contract: Contract) -> tuple[str, ...]:
-    """Return how a model makes a descriptor, as clauses of the protocol's sentence."""
+    """Return the origin of a model's descriptor, as clauses of the protocol's sentence."""
     mirrored = ("descriptors of picture and mirror added",) if contract.mirror == "sum" else ()
     return *mirrored, "each part normalised" if contract.n_parts > 1 else "normalised"
 

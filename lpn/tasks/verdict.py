@@ -1,12 +1,12 @@
-"""The verdict on an answer: whether it is right, and which parts make it so, by rules whose claims always hold.
+"""The verdict on an answer: whether it is right, and the parts that decide it, by rules whose claims always hold.
 
-The shares s_i of the parts, with their terms under CSLS, add up to the squared distance that is ranked by. The answer has in each
-part the gain g_i = s_i(rival) - s_i(answer) over its rival, and the gains add up to its lead. The rival of a right answer is the
-nearest wrong tile, and that of a wrong answer the nearest true one. Without a known true tile, it is the next tile.
+The shares s_i of the parts, with their terms under CSLS, add up to the squared distance of the ranking. In each part, the
+answer has the gain g_i = s_i(rival) - s_i(answer) over its rival, and the gains add up to its lead. The rival of a right answer
+is the nearest wrong tile; the rival of a wrong answer is the nearest true one. Without a known true tile, it is the next tile.
 
-- Right: a part *decides* if a wrong tile is first without it, by the parts that are left. If none does, the part of the largest
+- Right: a part *decides* if a wrong tile is first without it, by the remaining parts. If none does, the part of the largest
   gain *adds most* to the lead.
-- Wrong: a part prefers the tile for which it has a gain, and hardly differs below a bound. Those that prefer the wrong tile
+- Wrong: a part prefers the tile for which it has a gain, and hardly differs below a bound. Parts that prefer the wrong tile
   outweigh those that prefer the truth, so the bound is lowered until the named ones do.
 
 A part that does not count, because its weight is 0 or the query has nothing in it, is never named.
@@ -26,13 +26,13 @@ from lpn.core.numbers import distance, rounded_to_sum, shown_difference
 from lpn.core.texts import listed, ordinal
 from lpn.retrieval import Match, Ranking
 
-# A score that is higher by no more than this may be equal: float32 cosines and their sums have errors below it.
+# Tolerance of equal scores: the errors of float32 cosines and their sums are smaller.
 _EQUAL = 1e-5
-# Gains in d² that differ by no more than this are alike.
+# Gains in d² within this difference are alike.
 _ALIKE = 5e-4
 # A lead below this is shown as none.
 _TIE = 1e-3
-# A part whose gain is below the bound hardly differs; the first bound at which the named parts make the order.
+# Bounds below which a part hardly differs; the first one at which the named parts explain the order is used.
 _BOUNDS = (5e-3, _TIE, 1e-5)
 _NUMBERS = ("three", "four", "five", "six", "seven", "eight", "nine", "ten", "eleven", "twelve")
 
@@ -42,13 +42,13 @@ class Verdict:
     """The verdict on the first tile of a ranking.
 
     Attributes:
-        sign: True if it is right, False if it is wrong or nothing could be right, None if the truth is not known.
-        headline: the reason in some words, without a full stop.
-        sentence: the lead, and what follows from the headline, as one sentence or two.
+        sign: True if it is right, False if it is wrong or nothing could be right, None if the truth is unknown.
+        headline: the reason in a few words, without a full stop.
+        sentence: the lead and its consequences, in one or two sentences.
         answer: the first tile.
-        rival: the tile that it is compared with; None without one.
+        rival: the compared tile; None without one.
         gains: each part's gain over the rival in d², (n,); None without one.
-        parts: those that the headline names as speaking for the answer: as deciding, doing most, or preferring the wrong tile.
+        parts: the parts that the headline names for the answer: as deciding, doing most, or preferring the wrong tile.
     """
 
     sign: bool | None
@@ -61,12 +61,12 @@ class Verdict:
 
     @property
     def lead(self) -> float:
-        """The lead over the rival in d² as it is shown beside both distances, see `shown_difference`; 0 without a rival."""
+        """The displayed lead over the rival in d², between the displayed distances, see `shown_difference`; 0 without a rival."""
         return 0.0 if self.rival is None else shown_difference(self.rival.distance2, self.answer.distance2)
 
     @property
     def figures(self) -> list[float]:
-        """The gains as they are shown: rounded, they add up to the lead."""
+        """The displayed gains: rounded, they add up to the lead."""
         return [] if self.gains is None else rounded_to_sum(self.gains.tolist(), total=self.lead)
 
 
@@ -75,8 +75,8 @@ def judge(ranking: Ranking, names: Sequence[str], noun: str = "part", error_m: f
 
     Args:
         names: of the parts, (n,).
-        noun: what a part is called.
-        error_m: metres from what the query shows to the first tile; None where that is unknown.
+        noun: the noun for a part.
+        error_m: metres from the query's place to the first tile; None if unknown.
     """
     answer = ranking.match(0)
     rival = ranking.hardest_negative() if answer.true else ranking.positive()
@@ -96,7 +96,7 @@ def judge(ranking: Ranking, names: Sequence[str], noun: str = "part", error_m: f
 
 
 def _without_truth(ranking: Ranking, answer: Match) -> Verdict:
-    """Compare an answer with the next tile where the truth is not known, or no tile is true."""
+    """Compare an answer with the next tile if the truth is unknown, or no tile is true."""
     rival = next(iter(ranking.top(2)[1:]), None)
     lead = None if rival is None else shown_difference(rival.distance2, answer.distance2)
     gains = None if rival is None else ranking.gains(answer.index, rival.index)
@@ -157,7 +157,7 @@ def _wrong(found: Verdict, gains: Float64Array, counted: Int64Array, words: _Wor
 
 
 def _alike(gains: Float64Array, counted: Int64Array) -> list[int]:
-    """Return the part of the largest gain, and those that are alike, the inner ones first."""
+    """Return the part of the largest gain, and those that are alike, inner ones first."""
     return [part for part in counted.tolist() if gains[part] >= gains[counted].max() - _ALIKE]
 
 
@@ -166,7 +166,7 @@ def _s(parts: Sequence[int]) -> str:
 
 
 class _Words:
-    """The parts in words: "ring 4", "rings 1 and 4", by their numbers where their names begin with one."""
+    """The parts in words: "ring 4", "rings 1 and 4", by the numbers at the beginning of their names, if any."""
 
     def __init__(self, names: Sequence[str], noun: str) -> None:
         numbers = [re.match(r"\d+", name) for name in names]
@@ -180,7 +180,7 @@ class _Words:
     def preferences(
         self, wrong: Sequence[int], true: Sequence[int], counted: Sequence[int], most: Sequence[int]
     ) -> str:
-        """Say which parts prefer the wrong tile, and which the truth; the others hardly differ."""
+        """Name the parts that prefer the wrong tile, and those that prefer the truth; the others hardly differ."""
         if true:
             outvote, them = "outvotes" if len(wrong) == 1 else "outvote", "it" if len(true) == 1 else "them"
             others = listed([self._short[part] for part in wrong]) if len(true) > 1 < len(wrong) else self.lower(wrong)

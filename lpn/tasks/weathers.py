@@ -1,4 +1,4 @@
-"""A model's retrieval in the ten weathers of University-WX, as the leaderboard of MuseNet lists it."""
+"""A model's retrieval in the ten weathers of University-WX, in the form of MuseNet's leaderboard."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class WeatherResult:
 
     @property
     def sentence(self) -> str:
-        """How the figures were measured, with the protocol in the first weather that is not normal."""
+        """The protocol of the figures, in the first weather that is not normal."""
         first = next(iter(self.results["fog"].values()))
         sizes = " and ".join(f"{result.queries:,} queries {task}" for task, result in self.results["normal"].items())
         return f"R@1 and AP in percent on {sizes}; weather in drone and street pictures only. In fog: {first.sentence}"
@@ -70,7 +70,7 @@ class WeatherResult:
 
 
 def measure_weathers(tasks: Sequence[Task]) -> WeatherResult:
-    """Measure tasks in each of `WEATHERS`; weather falls on the pictures that are no satellite tiles.
+    """Measure tasks in each of `WEATHERS`; weather falls on all pictures but satellite tiles.
 
     Args:
         tasks: such as drone-to-satellite and its reverse, under one model.
@@ -80,7 +80,7 @@ def measure_weathers(tasks: Sequence[Task]) -> WeatherResult:
     """
     results: dict[WeatherName, dict[str, Result]] = {}
     for task in tasks:
-        in_weather(task, "fog")  # refused before pictures are described
+        in_weather(task, "fog")  # refuse before pictures are described
     for name in WEATHERS:
         results[name] = {task.name: measure(in_weather(task, name)) for task in tasks}
     return WeatherResult(results)

@@ -1,4 +1,4 @@
-"""Random augmentation of training pictures: of their place (mirroring, one warp, a crop), and of their appearance."""
+"""Random augmentation of training pictures: of their geometry (mirroring, one warp, a crop), and of their appearance."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ _GREY = np.full(3, 1 / 3, np.float32)
 
 
 def change_appearance(picture: UInt8Array, recipe: Recipe, rng: np.random.Generator) -> UInt8Array:
-    """Change a picture as another day, camera, and height would: (H, W, 3) uint8.
+    """Simulate another day, camera, and height in a picture: (H, W, 3) uint8.
 
-    The order is that of nature: the ground's colours, shadows, what hides the ground, the lens, the sensor. A change that a
-    recipe has not draws no random number.
+    The order is nature's: the ground's colours, shadows, occluding objects, the lens, the sensor. A change that the recipe lacks
+    draws no random number.
     """
     changes = (
         (recipe.season, change_season),
@@ -52,7 +52,7 @@ def recolour(picture: UInt8Array, strength: float, rng: np.random.Generator) -> 
 
 
 def change_season(picture: UInt8Array, rng: np.random.Generator) -> UInt8Array:
-    """Shift the colour of all that has one hue, such as leaves: by up to 60 grey levels where that hue is strong."""
+    """Shift the colour of everything with one hue, such as leaves, by up to 60 grey levels where that hue is strong."""
     hue = rng.normal(size=3)
     hue -= hue.mean()
     hue /= max(float(np.linalg.norm(hue)), 1e-9)
@@ -62,7 +62,7 @@ def change_season(picture: UInt8Array, rng: np.random.Generator) -> UInt8Array:
 
 
 def mix_bands(picture: UInt8Array, rng: np.random.Generator) -> UInt8Array:
-    """Mix the three bands at random, in another order half of the time, as a camera for near infrared does; grey stays grey."""
+    """Mix the three bands at random, half of the time in another order, like a near-infrared camera; grey stays grey."""
     matrix = np.eye(3)[rng.permutation(3)] if rng.random() < 0.5 else np.eye(3)
     matrix = matrix + rng.normal(0, 0.35, (3, 3))
     matrix += (1 - matrix.sum(axis=1, keepdims=True)) * _GREY
@@ -70,7 +70,7 @@ def mix_bands(picture: UInt8Array, rng: np.random.Generator) -> UInt8Array:
 
 
 def cast_shadows(picture: UInt8Array, rng: np.random.Generator) -> UInt8Array:
-    """Darken one to three areas with soft edges, all by the same factor from 0.4 to 0.8."""
+    """Darken one to three areas with soft edges, all by one factor from 0.4 to 0.8."""
     side = max(picture.shape[:2])
     lit = np.full(picture.shape[:2], 255, np.uint8)
     darkest = float(rng.uniform(0.4, 0.8))
@@ -91,7 +91,7 @@ def occlude(picture: UInt8Array, rng: np.random.Generator) -> UInt8Array:
 
 
 def blur(picture: UInt8Array, rng: np.random.Generator) -> UInt8Array:
-    """Blur a picture by a lens out of focus, sigma up to 1.5 pixels, or by a motion of up to 8 pixels."""
+    """Blur a picture like a lens out of focus, sigma up to 1.5 pixels, or a motion of up to 8 pixels."""
     if rng.random() < 0.5:
         return cast(UInt8Array, cv2.GaussianBlur(picture, (0, 0), float(rng.uniform(0.3, 1.5))))
     angle, length = float(rng.uniform(0, np.pi)), float(rng.uniform(1, 8))
@@ -103,7 +103,7 @@ def blur(picture: UInt8Array, rng: np.random.Generator) -> UInt8Array:
 
 
 def add_noise(picture: UInt8Array, sigma: float, rng: np.random.Generator) -> UInt8Array:
-    """Add a sensor's noise of a standard deviation in grey levels."""
+    """Add a sensor's noise with standard deviation `sigma` in grey levels."""
     noise = rng.standard_normal(picture.shape, np.float32) * np.float32(sigma)
     return cast(UInt8Array, np.clip(picture + noise, 0, 255).astype(np.uint8))
 
@@ -142,8 +142,8 @@ def augment(
 
     Args:
         angle: rotation of the whole place, in degrees counter-clockwise; see `draw_place_pose`.
-        mirror: mirror the whole place.
-        view: pictures of the satellite view have a further rotation and no weather, and are unrolled if the recipe is polar.
+        mirror: whether to mirror the whole place.
+        view: satellite pictures have a further rotation and no weather, and are unrolled if the recipe is polar.
         panorama: the picture covers the full circle with north in the middle, so a rotation rolls its columns.
     """
     height, width = recipe.input_size
@@ -157,7 +157,7 @@ def augment(
         picture = _pad(images.resize(images.roll(picture, angle), height, width), recipe.padding)
     else:
         zoom = recipe.zoom(view)
-        # A picture that is zoomed after it was reduced would lose the detail that a test keeps.
+        # A zoom after the reduction would lose detail that a test preserves.
         native = rng.random() < recipe.own_canvas or zoom > 1
         on_canvas = not native and not unrolled
         if on_canvas:

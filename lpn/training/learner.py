@@ -1,4 +1,4 @@
-"""The network of a recipe, and the state that one training step changes: the network, its optimizer, its average."""
+"""The network of a recipe in training: network, optimizer, and average, the state that one step changes."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Learner:
     Args:
         network: moved to the device, in channels-last order, which makes its convolutions faster.
         recipe: optimizer, rates, losses, and precision.
-        device: where the network is trained.
+        device: the device of the training.
     """
 
     def __init__(self, network: LPN, recipe: Recipe, device: torch.device) -> None:
@@ -69,8 +69,8 @@ class Learner:
     def outputs(self, sets: Mapping[str, Tensor]) -> dict[str, tuple[Tensor, Tensor]]:
         """Compute part embeddings (b, n, D) and class scores (b, n, classes) of each set of pictures (b, 3, H, W).
 
-        By default each set is a batch of its own, as in the published code. With `joint_views`, sets with the same weights and
-        the same partition form one batch, so that BatchNorm sees them together.
+        By default each set is a batch of its own, as in the published code. With `joint_views`, sets with equal weights and
+        partition form one batch, so that BatchNorm sees them together.
         """
         groups = self.network.spec.groups()
         batches: dict[object, list[str]] = {}
@@ -91,7 +91,7 @@ class Learner:
         checkpoints.save(model, path, metadata)
 
     def state(self) -> dict[str, Any]:
-        """Return everything the next step depends on, as tensors and numbers."""
+        """Return the complete state of the next step, as tensors and numbers."""
         return {
             "network": self.network.state_dict(),
             "average": {} if self.average is None else self.average.module.state_dict(),
@@ -100,7 +100,7 @@ class Learner:
         }
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Restore what `state` returned.
+        """Restore the result of `state`.
 
         Raises:
             RuntimeError, ValueError, KeyError: when the state does not fit this network and optimizer.
@@ -134,7 +134,7 @@ def build_network(recipe: Recipe, views: Sequence[View], classes: int) -> LPN:
             layout=recipe.layout,
             weighting=recipe.weighting,
             activation=recipe.activation,
-            # A map has none, and a network at least one.
+            # A map has no classes, but a network needs at least one.
             classes=1 if recipe.windows else classes,
             dropout=recipe.dropout,
             input_size=recipe.input_size,
@@ -150,10 +150,7 @@ def build_network(recipe: Recipe, views: Sequence[View], classes: int) -> LPN:
 
 
 def initialise_heads(network: LPN, recipe: Recipe) -> None:
-    """Initialise the class layers as the recipe says, and make the first layer of heads without one the identity.
-
-    The identity is not trained.
-    """
+    """Initialise the class layers by the recipe; in heads without a first layer, it becomes an untrained identity."""
     for head in network.heads:
         if recipe.class_init == "kaiming":
             nn.init.kaiming_normal_(cast(nn.Linear, head.classifier[0]).weight, mode="fan_out")

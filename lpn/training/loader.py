@@ -45,7 +45,7 @@ class TrainingBatch:
     Attributes:
         sets: for each picture set, its rows of the batch: (B, 3, H, W) float32, normalised, channels last.
         labels: for each picture set, the class of each row, (B,) int64.
-        overlaps: of windows of a map, which rows share ground, (B, B) bool; else None.
+        overlaps: for windows of a map, the pairs of rows that share ground, (B, B) bool; else None.
     """
 
     sets: dict[str, Tensor]
@@ -59,14 +59,14 @@ class TrainingBatch:
 
 
 class Loader:
-    """The batches of a training in order, sampled as the recipe says.
+    """The batches of a training in order, sampled by the recipe.
 
-    With `sampling = places` a row of a batch is one place in each set, with one picture, or `positives` drone pictures. A place
-    without a picture in a set leaves its row of that set to another place, drawn anew each epoch, under that place's own label;
-    `lpn.training.losses` compares rows of one label only.
+    With `sampling = places`, a row of a batch is one place in each set, with one picture, or with `positives` drone pictures. If
+    a place has no picture in a set, another place, drawn anew each epoch, takes its row there under its own label;
+    `lpn.training.losses` compares only rows of one label.
 
-    Each place of an epoch, or each picture with `sampling = pictures`, has its own random seed, so the number of workers
-    changes no result.
+    Each place of an epoch, or each picture with `sampling = pictures`, has its own random seed, so the number of workers changes
+    no result.
 
     Args:
         workers: number of threads; 0 chooses one for the machine, see `choose_workers`.
@@ -91,7 +91,7 @@ class Loader:
             self._pictures = places.pictures()
         elif isinstance(places, TrainingSet):
             self._files = places.drawn_from()
-        # The places that have pictures, by set.
+        # The places with pictures, by set.
         self._there = {name: np.flatnonzero([bool(of) for of in files]) for name, files in self._files.items()}
         # An epoch ends with the shortest set.
         self._length = min(map(len, self._pictures.values()), default=len(places))
@@ -109,7 +109,7 @@ class Loader:
 
     @property
     def shortest(self) -> str:
-        """The set with the fewest pictures, with which an epoch ends; empty if sampling goes over places."""
+        """The set with the fewest pictures, which ends an epoch; empty if sampling goes over places."""
         return min(self._pictures, key=lambda name: len(self._pictures[name]), default="")
 
     @property
@@ -137,7 +137,7 @@ class Loader:
             pool.shutdown(wait=True, cancel_futures=True)
 
     def _batches(self, epoch: int) -> Iterator[tuple[_Labels, BoolArray | None, list[_Row]]]:
-        """Yield each batch's labels of each set, its windows that share ground, and the work for its rows."""
+        """Yield each batch's labels by set, its pairs of windows that share ground, and the work for its rows."""
         seed, sets = [self.recipe.seed, epoch], self.places
         if isinstance(sets, MapWindows):
             for places in self._chunks(len(sets), seed):
@@ -181,10 +181,10 @@ class Loader:
         return self.recipe.positives if name == "drone" else 1
 
     def _labels_of(self, name: str, number: int, places: Int64Array, epoch: int) -> Int64Array:
-        """Return the place that each row of a set shows: its own, or another one if that has no picture in the set.
+        """Return the place shown by each row of a set: its own, or another one if that has no picture in the set.
 
         Args:
-            number: of the set, from 1, as a zero would repeat the random numbers of `_draw_place`.
+            number: the set's number, from 1; a zero would repeat the random numbers of `_draw_place`.
         """
         labels = places.copy()
         for row, place in enumerate(places):
@@ -194,19 +194,19 @@ class Loader:
         return labels
 
     def _draw_picture(self, places: TrainingSet, name: str, number: int, index: int, epoch: int) -> _Drawn:
-        """Augment one picture of a set, (H, W, 3) uint8; runs in a worker."""
+        """Augment one picture of a set, (H, W, 3) uint8, in a worker."""
         # A zero in the last place would repeat the random numbers of the set's order.
         rng = np.random.default_rng([self.recipe.seed, epoch, number, index + 1])
         return {name: [self._augmented(places, self._pictures[name][index][0], name, rng, 0.0, False)]}
 
     def _draw_place(self, places: TrainingSet, place: int, epoch: int, labels: Mapping[str, int]) -> _Drawn:
-        """Draw and augment the pictures of each set, (H, W, 3) uint8 each; runs in a worker."""
+        """Draw and augment the pictures of each set, (H, W, 3) uint8 each, in a worker."""
         rng = np.random.default_rng([self.recipe.seed, epoch, place])
         angle, mirror = draw_place_pose(self.recipe, rng)
         drawn = {}
         for name, of in labels.items():
             files, count = self._files[name][of], self._per_place(name)
-            # Fewer files than pictures are drawn again in turn, as released.
+            # Too few files are repeated in turn, as released.
             chosen = [rng.integers(len(files))] if count == 1 else np.resize(rng.permutation(len(files)), count)
             drawn[name] = [self._augmented(places, files[int(i)], name, rng, angle, mirror) for i in chosen]
         return drawn

@@ -1,4 +1,4 @@
-"""The losses an LPN is trained with, and those of other packages: entry points of the group `lpn.losses`."""
+"""The losses of an LPN, and those of other packages: entry points of the group `lpn.losses`."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from lpn.training.recipe import Recipe
 GROUP = "lpn.losses"
 # The names of our own terms, and of their sum.
 _TERMS = ("loss", "instance", "contrastive", "triplet", "soft_margin", "infonce")
-# A loss of another package: one number of a step, a tensor with a gradient.
+# A loss of another package: a scalar tensor of a step, with a gradient.
 PackageLoss = Callable[["TrainingStep", Recipe], Tensor]
 
 
@@ -43,13 +43,13 @@ def descriptors(parts: Tensor) -> Tensor:
 def infonce_loss(
     first: Tensor, second: Tensor, temperature: float, smoothing: float = 0.0, overlaps: Tensor | None = None
 ) -> Tensor:
-    """Symmetric InfoNCE between two views of the same places.
+    """Return the symmetric InfoNCE between two views of equal places.
 
     Args:
         first, second: descriptors (B, F); row i of both shows place i, and places differ within the batch.
         temperature: divides the mean cosine over parts.
-        smoothing: label smoothing from 0 to 1, shared by the pairs that are not left out.
-        overlaps: pairs of places that share ground, (B, B) bool, which are neither positives nor negatives.
+        smoothing: label smoothing from 0 to 1, shared by the counted pairs.
+        overlaps: pairs of places that share ground, (B, B) bool, which count neither as positives nor as negatives.
     """
     similarity = first @ second.T / temperature
     counted = torch.ones_like(similarity, dtype=torch.bool)
@@ -59,7 +59,7 @@ def infonce_loss(
 
 
 def _smoothed(logits: Tensor, counted: Tensor, smoothing: float) -> Tensor:
-    """Cross-entropy of (B, B) towards its diagonal, over the columns that count; these alone share the smoothing."""
+    """Return the cross-entropy of (B, B) towards its diagonal over the counted columns, which share the smoothing."""
     logs = logits.masked_fill(~counted, -torch.inf).log_softmax(dim=1)
     evenly = logs.masked_fill(~counted, 0.0).sum(dim=1) / counted.sum(dim=1)
     return -((1 - smoothing) * logs.diagonal() + smoothing * evenly).mean()
@@ -82,14 +82,14 @@ def soft_margin_loss(first: Tensor, second: Tensor, alpha: float) -> Tensor:
 
 @dataclass(frozen=True)
 class TrainingStep:
-    """The outputs of a network for one batch, as a loss sees them.
+    """The outputs of a network for one batch, for a loss.
 
     Attributes:
         parts: the embeddings of the parts in each picture set (satellite, drone, street, google), (B, n, D).
         scores: the class scores of each part, (B, n, classes).
-        labels: the class of each row of each set, (B,). A row of a set whose label is not that of the satellite's shows
-            another place, for want of a picture.
-        overlaps: of windows of a map, which rows share ground, (B, B) bool; else None.
+        labels: the class of each row of each set, (B,). A row whose label differs from the satellite's shows another place, for
+            lack of a picture.
+        overlaps: for windows of a map, the pairs of rows that share ground, (B, B) bool; else None.
         number: of the step, from 0, over all epochs.
     """
 
@@ -104,7 +104,7 @@ def loss_terms(step: TrainingStep, recipe: Recipe, own: PackageLoss | None = Non
     """Compute the terms of a recipe's loss, each with its weight, by their names; the loss is their sum.
 
     Args:
-        own: the opened loss of another package that the recipe names.
+        own: the opened loss of another package in the recipe.
 
     Raises:
         InputError: if a package's loss fails, or is not one number.
@@ -132,10 +132,10 @@ def loss_terms(step: TrainingStep, recipe: Recipe, own: PackageLoss | None = Non
 
 
 def open_loss(name: str) -> PackageLoss:
-    """Return the loss that a package registers by an entry point of the group `lpn.losses`.
+    """Return a package's loss by its entry point of the group `lpn.losses`.
 
     Raises:
-        InputError: if no package does, or the loss cannot be loaded.
+        InputError: if no package registers it, or it cannot be loaded.
     """
     found = {point.name: point for point in entry_points(group=GROUP) if point.name not in _TERMS}
     if name not in found:
@@ -171,7 +171,7 @@ def _reason(error: Exception) -> str:
 def _over_pairs(step: TrainingStep, loss: Callable[[Tensor, Tensor, Tensor | None], Tensor]) -> Tensor:
     """Average a loss on the part embeddings (b, n, D) of two views over the views beside the satellite's.
 
-    Only the rows that show the satellite's place are compared.
+    Only rows that show the satellite's place are compared.
     """
     embeddings = {name: parts.float() for name, parts in step.parts.items()}
     tiles, labels = embeddings.pop("satellite"), step.labels
@@ -195,7 +195,7 @@ def _soft_margin(tiles: Tensor, pictures: Tensor, recipe: Recipe) -> Tensor:
 
 
 def hardest_scores(tiles: Tensor, drones: Tensor, places: Tensor, pool: Tensor) -> tuple[Tensor, Tensor]:
-    """Cosine of each satellite with the hardest of its own drone pictures, and with the hardest of other places in a pool.
+    """Return the cosines of each satellite with its hardest own drone picture, and with the hardest of other places in a pool.
 
     Args:
         tiles: descriptors of satellites, (B, F), of unit length.
@@ -231,7 +231,7 @@ def released_metric_loss(positive: Tensor, negative: Tensor, recipe: Recipe) -> 
 
 
 def _released_loss(step: TrainingStep, recipe: Recipe) -> Tensor:
-    """Return the recipe's released metric loss; a satellite whose place has no drone picture is not counted."""
+    """Return the recipe's released metric loss; a satellite without a drone picture of its place is not counted."""
     labels = step.labels
     tiles, drones = (descriptors(step.parts[name].float()) for name in ("satellite", "drone"))
     drones = drones.reshape(len(tiles), recipe.positives, -1)

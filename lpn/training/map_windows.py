@@ -1,4 +1,4 @@
-"""The training set of a map: random windows, each as the tile that is cut and as a drone's camera would show the same ground."""
+"""The training set of a map: random windows, each as a cut tile and as a simulated photo of its ground."""
 
 from __future__ import annotations
 
@@ -31,13 +31,13 @@ from lpn.training.recipe import Recipe
 _SIZES = (0.5, 2.0)
 # The largest window as a share of the map's shorter side: a batch needs windows that do not overlap.
 _LARGEST = 0.5
-# Sizes at which the places for windows are computed; between them sizes are drawn evenly in their logarithm.
+# Number of sizes for which places for windows are computed; sizes between them are drawn log-uniformly.
 _LEVELS = 6
-# Least share of a window that the map shows, its places by side, and the most places of a size.
+# Least valid share of a window, its places by side, and the most places of a size.
 _MIN_VALID = 0.75
 _STEPS = 8
 _MAX_PLACES = 50_000
-# Side of the ground that is read about a window, as a multiple of the window's side.
+# Side of the ground read around a window, as a multiple of the window's side.
 _AROUND = 1.8
 # Proportions of the photos, and the range of fields of view in degrees.
 _PROPORTIONS = ((4, 3), (3, 2), (16, 9))
@@ -45,13 +45,13 @@ _FOV = (50.0, 85.0)
 
 
 class MapWindows:
-    """Windows of a map to train on, each a place of its own; every epoch draws others.
+    """Windows of a map to train on, each a place of its own; every epoch draws new ones.
 
     Args:
         basemap: the map.
-        recipe: its `windows` are the places of an epoch; its other settings change the views.
-        sizes: smallest and largest side of a window in metres; by default half to twice what the network's input shows at the
-            map's resolution, as far as they fit.
+        recipe: its `windows` are the number of places of an epoch; its other settings change the views.
+        sizes: smallest and largest side of a window in metres; by default half to twice the ground of the network's input at
+            the map's resolution, as far as they fit.
 
     Attributes:
         sizes: the sides in metres.
@@ -83,18 +83,18 @@ class MapWindows:
         return self.recipe.windows
 
     def digest(self) -> str:
-        """Hash map and sizes: a run can be resumed only with the same ones."""
+        """Hash map and sizes: a run can be resumed only with equal ones."""
         return hashlib.sha256(json.dumps([self.basemap.digest(), self.sizes]).encode()).hexdigest()
 
     def overlapping(self, places: Int64Array, epoch: int) -> BoolArray:
-        """Return which windows of an epoch share ground, (B, B), for their numbers (B,); each does so with itself."""
+        """Return the pairs of an epoch's windows, by their numbers (B,), that share ground, (B, B); the diagonal is True."""
         windows = self.windows(epoch)
         return overlaps(np.stack([windows[place].corners for place in places.tolist()]))
 
     def draw(self, place: int, epoch: int) -> dict[str, list[UInt8Array]]:
         """Return the picture of each view of a window, (H, W, 3) uint8; thread safe.
 
-        The satellite view is the window as retrieval cuts it. The drone view is cut from a photo as retrieval cuts one.
+        The satellite view is a window as in retrieval. The drone view is cut from a photo as in retrieval.
         """
         recipe, window = self.recipe, self.windows(epoch)[place]
         rng = np.random.default_rng([recipe.seed, epoch, place + 1])
@@ -124,13 +124,13 @@ class MapWindows:
 
 @dataclass(frozen=True)
 class SimulatedPhoto:
-    """A photo of a window by a camera, and how a square is cut from it.
+    """A camera's photo of a window, and the square that is cut from it.
 
     Attributes:
         frame: the camera: heading, pitch, roll, field of view, height above ground, and the photo's pixels.
-        centre: metres east and north of what the photo's middle shows, (2,).
-        heading: at which the square is cut, in degrees from the photo's top; 0 keeps the top.
-        share: of the photo's width that the square's side shows.
+        centre: metres east and north of the photo's middle on the ground, (2,).
+        heading: of the square, in degrees from the photo's top; 0 keeps the top.
+        share: of the photo's width that the square's side covers.
     """
 
     frame: Frame
@@ -151,7 +151,7 @@ class SimulatedPhoto:
 def draw_photo(window: Window, recipe: Recipe, rng: np.random.Generator) -> SimulatedPhoto:
     """Draw a camera that looks at a window, with the recipe's tilt, scale, and shift, from any heading.
 
-    The square is cut with the window's heading up, wrong by up to the recipe's `rotation`. Its pixels are those of the network's
+    The square has the window's heading up, with an error of up to the recipe's `rotation`. It has the pixels of the network's
     input.
     """
     proportion = _PROPORTIONS[rng.integers(len(_PROPORTIONS))]
@@ -172,12 +172,12 @@ def draw_photo(window: Window, recipe: Recipe, rng: np.random.Generator) -> Simu
 
 @dataclass(frozen=True, eq=False)
 class GroundPicture:
-    """A picture of the ground about a window, at about the resolution of the window's views.
+    """A picture of the ground around a window, at about the resolution of the window's views.
 
     Attributes:
-        window: what the picture shows, north up.
-        picture: the ground (pixels, pixels, 3); where the map has no data, the colour of the nearest place that has some.
-        valid: 0 or, where there is data, 255 (pixels, pixels).
+        window: the area of the picture, north up.
+        picture: the ground (pixels, pixels, 3); pixels without data have the colour of the nearest valid one.
+        valid: 255 for pixels with data, else 0, (pixels, pixels).
     """
 
     window: Window
@@ -186,14 +186,14 @@ class GroundPicture:
 
     @classmethod
     def read(cls, basemap: Map, window: Window, pixels: int) -> GroundPicture:
-        """Read the ground about a window, at the resolution at which the window fills `pixels` a side."""
+        """Read the ground around a window, at the resolution at which the window fills `pixels` a side."""
         around = Window(window.x, window.y, _AROUND * window.size)
         picture, valid = basemap.read(around, math.ceil(_AROUND * pixels))
         mask = valid.astype(np.uint8) * np.uint8(255)
         return cls(around, _filled(picture, mask), mask)
 
     def tile(self, window: Window, pixels: int) -> UInt8Array:
-        """Cut a window's picture as `Map.read` does, (pixels, pixels, 3): black where the map has no data."""
+        """Cut a window's picture like `Map.read`, (pixels, pixels, 3), black without data."""
         matrix = self._to_pixels(four_point_homography(corner_pixels(pixels, pixels), window.corners))
         cut = _warp(self.picture, matrix, pixels, pixels)
         nearest = cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP
@@ -206,14 +206,14 @@ class GroundPicture:
         return cut_square(taken, shot.heading, shot.share, pixels)
 
     def _to_pixels(self, to_ground: Float64Array) -> Float64Array:
-        """Return the homography from a view's pixels to the picture's, (3, 3), from that to metres."""
+        """Return the homography from a view's pixels to the picture's, (3, 3), by its homography to metres."""
         origin, along = self.window.to_pixels([(0.0, 0.0), (1.0, 1.0)], len(self.picture))
         step = along - origin
         return np.array([[step[0], 0, origin[0]], [0, step[1], origin[1]], [0, 0, 1]]) @ to_ground
 
 
 def overlaps(corners: npt.ArrayLike) -> BoolArray:
-    """Return which convex quadrilaterals, (N, 4, 2), share ground, (N, N), by the axes that could separate them.
+    """Return the pairs of convex quadrilaterals, (N, 4, 2), that share ground, (N, N), by the separating axes.
 
     Only the first two sides of each count, so they are rectangles.
     """
@@ -229,13 +229,13 @@ def overlaps(corners: npt.ArrayLike) -> BoolArray:
 
 
 def _check_sizes(basemap: Map, pixels: int, sizes: tuple[float, float] | None) -> tuple[float, float]:
-    """Return the sides of windows in metres, or raise InputError."""
+    """Return the sides of windows in metres; InputError if they are not possible."""
     west, south, east, north = basemap.bounds
     most = _LARGEST * min(east - west, north - south)
     if sizes is None:
         low, high = (factor * pixels * basemap.resolution for factor in _SIZES)
         low, high = min(low, most / 2), min(high, most)
-        # A map of an irregular outline has data for smaller windows only.
+        # A map of irregular outline may have data for smaller windows only.
         while high > 1.5 * low and not len(_places(basemap, high)[0]):
             high *= 0.8
         return low, high
@@ -261,7 +261,7 @@ def _places(basemap: Map, size: float) -> tuple[Float64Array, float]:
 
 
 def _filled(picture: UInt8Array, mask: UInt8Array) -> UInt8Array:
-    """Give each pixel without data the colour of the nearest one that has some."""
+    """Give each pixel without data the colour of the nearest valid one."""
     if mask.all() or not mask.any():
         return picture
     _, labels = cv2.distanceTransformWithLabels(255 - mask, cv2.DIST_L2, 3, labelType=cv2.DIST_LABEL_PIXEL)

@@ -28,14 +28,14 @@ class TestSplit:
     """Retrieval on the test split. The first task selects the epoch, so its result is optimistically biased.
 
     Args:
-        zoom: of the pictures of each view, that of the training, see `Recipe.zoom`.
+        zoom: the training's zoom of each view's pictures, see `Recipe.zoom`.
 
     Attributes:
-        column: the column of log.csv by which the best epoch is chosen.
-        description: the same metric in words.
+        column: the column of log.csv that selects the best epoch.
+        description: this metric in words.
 
     Raises:
-        LPNError: when the split is incomplete or a picture of it is broken, see `lpn.datasets.integrity.check_test_split`.
+        LPNError: when the split is incomplete or one of its pictures is broken, see `lpn.datasets.integrity.check_test_split`.
     """
 
     __test__ = False  # not a test, despite its name
@@ -72,7 +72,7 @@ class TestSplit:
 
 
 class HeldOut:
-    """Retrieval of the satellite pictures of held-out training places by their drone or street pictures, as `TestSplit`.
+    """Retrieval of held-out training places' satellite pictures by their drone or street pictures, see `TestSplit`.
 
     Args:
         places: the files of each set of each place; those without a pair of pictures are not measured.

@@ -20,7 +20,7 @@ class MixedPrecision:
     With float16 the loss is scaled, so that small gradients do not underflow.
 
     Attributes:
-        fell_back: True if the recipe's float16 is not computed, for lack of CUDA.
+        fell_back: True if the recipe's float16 is replaced, for lack of CUDA.
     """
 
     def __init__(self, recipe: Recipe, device: torch.device) -> None:
@@ -38,7 +38,7 @@ class MixedPrecision:
         return nullcontext() if self.dtype == torch.float32 else torch.autocast(self.device.type, self.dtype)
 
     def convolutions(self) -> AbstractContextManager[object]:
-        """Context of a step: cuDNN takes the fastest algorithm for the fixed size of a batch, and float32 is not TF32."""
+        """Context of a step: cuDNN uses the fastest algorithm for the fixed size of a batch, and float32 without TF32."""
         return torch.backends.cudnn.flags(enabled=True, benchmark=True, allow_tf32=self.dtype != torch.float32)
 
     def step(self, loss: Tensor, optimizer: torch.optim.Optimizer) -> None:
@@ -52,8 +52,8 @@ class MixedPrecision:
 def choose_dtype(recipe: Recipe, device: torch.device) -> torch.dtype:
     """Choose the dtype of the forward pass.
 
-    "auto" is bfloat16 where the hardware has it, else float16 on CUDA and float32 elsewhere. Emulated bfloat16 would be
-    slower than float32, and so would float16 on a CPU: there it is what "auto" chooses.
+    "auto" is bfloat16 if the hardware has it, else float16 on CUDA and float32 elsewhere. Emulated bfloat16 would be slower
+    than float32, and so would float16 on a CPU, which therefore means "auto" there.
     """
     if recipe.precision in ("float32", "bfloat16"):
         return torch.bfloat16 if recipe.precision == "bfloat16" else torch.float32
@@ -79,7 +79,7 @@ def build_optimizer(network: LPN, recipe: Recipe) -> torch.optim.Optimizer:
 
 
 def rate_factor(recipe: Recipe, step: int, steps: int) -> float:
-    """Learning rate at a step relative to the recipe's.
+    """Return the learning rate at a step relative to the recipe's.
 
     Args:
         step: number of the step, from 0, over all epochs.
@@ -95,7 +95,7 @@ def rate_factor(recipe: Recipe, step: int, steps: int) -> float:
 
 
 def loss_factor(recipe: Recipe, step: int, steps: int) -> float:
-    """Factor of the loss at a step, below 1 during a warm-up of the loss; the arguments are those of `rate_factor`."""
+    """Return the factor of the loss at a step, below 1 during its warm-up; the arguments are those of `rate_factor`."""
     return _warmup_factor(recipe, step, steps) if recipe.warmup == "loss" else 1.0
 
 
@@ -107,16 +107,16 @@ def _warmup_factor(recipe: Recipe, step: int, steps: int) -> float:
 def average_weights(network: LPN, decay: float) -> AveragedModel:
     """Make an exponential moving average of weights and BatchNorm statistics.
 
-    The decay rises to `decay` with the count n of averaged steps: it is min(decay, n / (9 + n)). Set `n_averaged` to n
-    before each update; AveragedModel would copy the weights at 0. Each branch of the network averages its tensors, so those
-    that two branches share move twice a step.
+    The decay rises to `decay` with the count n of averaged steps: it is min(decay, n / (9 + n)). Set `n_averaged` to n before
+    each update; AveragedModel would copy the weights at 0. Each branch of the network averages its tensors, so tensors that two
+    branches share move twice a step.
     """
 
     def update(averages: list[Tensor], values: list[Tensor], _: Tensor | int) -> None:
         if not averages[0].is_floating_point():
             torch._foreach_copy_(averages, values)
             return
-        n = int(average.n_averaged)  # on the CPU, where reading it does not stall a GPU
+        n = int(average.n_averaged)  # on the CPU, so that reading it does not stall a GPU
         move = get_ema_multi_avg_fn(min(decay, n / (9 + n)))  # type: ignore[no-untyped-call]
         move(averages, values, n)
         shared = [pair for pair in zip(averages, values, strict=True) if branches[pair[0].data_ptr()] > 1]

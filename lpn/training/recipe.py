@@ -1,4 +1,4 @@
-"""The settings of a training: their defaults, their ranges, and which exclude each other."""
+"""The settings of a training: their defaults, their ranges, and their conflicts."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _Amount = Annotated[float, Meta(ge=0)]
 _Share = Annotated[float, Meta(ge=0, le=1)]
 _Count = Annotated[int, Meta(ge=0)]
 _Number = Annotated[int, Meta(ge=1)]
-# The terms of msgspec's errors in words.
+# msgspec's error terms in words.
 _WORDS = {
     "`float`": "a number",
     "`int`": "a whole number",
@@ -204,7 +204,7 @@ class Recipe:
         self.check_conflicts()
 
     def check_ranges(self) -> None:
-        """Raise InputError for a value outside its range, which the annotation of its field states."""
+        """Raise InputError for a value outside the range in its field's annotation."""
         for name, hint in _hints().items():
             value = getattr(self, name)
             try:
@@ -251,11 +251,11 @@ class Recipe:
 
     @property
     def sets(self) -> tuple[str, ...]:
-        """Names of the picture sets that are trained on, where there are such pictures."""
+        """Names of the picture sets to train on, if they exist."""
         return ("satellite", "drone", *(["street"] if self.street else []), *(["google"] if self.google else []))
 
     def zoom(self, view: View) -> float:
-        """Return the zoom of a view's pictures, by which drone pictures and tiles show the same ground; see `ground_ratio`."""
+        """Return the zoom of a view's pictures for equal ground of drone pictures and tiles; see `ground_ratio`."""
         ratio = {"drone": self.ground_ratio, "satellite": 1 / self.ground_ratio}.get(view, 1.0)
         return max(ratio, 1.0)
 
@@ -265,11 +265,11 @@ class Recipe:
 
 
 class _Conflict(NamedTuple):
-    """Settings that have to have one of some values in the recipes that `applies` selects.
+    """Settings that must have one of some values in the recipes that `applies` selects.
 
     Attributes:
-        reason: what excludes other values; it may name settings.
-        otherwise: another way out.
+        reason: the reason against other values; it may name settings.
+        otherwise: another remedy.
     """
 
     applies: Callable[[Recipe], bool]

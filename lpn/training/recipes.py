@@ -1,4 +1,4 @@
-"""Recipes by name, the source of each of their settings, and the methods that the paper compares: `recipes.toml`."""
+"""Recipes by name, the source of each of their settings, and the paper's compared methods: `recipes.toml`."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ _OF_BASELINE = "ours: the rate of the released baseline"
 
 _DATA: dict[str, dict[str, dict[str, Any]]] = tomllib.loads(Path(__file__).with_suffix(".toml").read_text("utf-8"))
 _PUBLISHED = _DATA["published"]
-# Keys of a published recipe that are no settings.
+# Keys of a published recipe that are not settings.
 _KEYS = ("of", "silent", "baseline")
 
 
 def _own(entries: Mapping[str, Any]) -> dict[str, tuple[Any, str]]:
-    """Return value and source of each setting that a table of a published recipe names."""
+    """Return value and source of each setting in a table of a published recipe."""
     default = Recipe()
     return {
         name: (getattr(default, name), entry) if isinstance(entry, str) else tuple(entry)
@@ -39,7 +39,7 @@ def _own(entries: Mapping[str, Any]) -> dict[str, tuple[Any, str]]:
 
 
 def _published(recipe: str) -> dict[str, tuple[Any, str]]:
-    """Return value and source of each setting of a published recipe that some source states."""
+    """Return value and source of each setting that a published recipe states."""
     entries = _PUBLISHED[recipe]
     own, found = _own(entries), {}
     for name, (value, source) in _published(entries["silent"]).items() if "silent" in entries else ():
@@ -50,30 +50,26 @@ def _published(recipe: str) -> dict[str, tuple[Any, str]]:
 
 
 def _resolved(tables: Mapping[str, Mapping[str, Any]], name: str) -> dict[str, Any]:
-    """Return the settings of one of our recipes or of a method, with those of what it builds on."""
+    """Return the settings of one of our recipes or of a method, with those of its base."""
     base = _resolved(tables, tables[name]["of"]) if "of" in tables[name] else {}
     return base | {setting: value for setting, value in tables[name].items() if setting != "of"}
 
 
 _STATED = {name: _published(name) for name in _PUBLISHED}
-# All recipes by name; docs/recipes.md says what each is for.
+# All recipes by name; docs/recipes.md has their purposes.
 RECIPES: dict[str, Recipe] = {
     **{name: Recipe(**{setting: value for setting, (value, _) in of.items()}) for name, of in _STATED.items()},
     **{name: Recipe(**_resolved(_DATA["ours"], name)) for name in _DATA["ours"]},
 }
-# The settings by which each method of the paper's tables replaces those of a recipe: its loss, and some others.
+# The settings of each method of the paper's tables that replace a recipe's: its loss, and some others.
 METHODS = {name: _resolved(_DATA["methods"], name) for name in _DATA["methods"]}
-# The methods with a loss on cosines of satellites with drone pictures, and with those all that have the baseline's network.
+# The methods with a loss on cosines of satellites with drone pictures; all have the baseline's network.
 METRIC_LOSSES = tuple(name for name, of in METHODS.items() if of["metric"] != "none" and of["pooling"] == "average")
 OF_BASELINE = ("instance", *METRIC_LOSSES)
 
 
 def method(name: str, recipe: Recipe) -> Recipe:
-    """Apply a method of `METHODS` to a recipe.
-
-    Raises:
-        InputError: if there is no such method, or the recipe has none.
-    """
+    """Apply a method of `METHODS` to a recipe; InputError if there is no such method, or the recipe has none."""
     if name not in METHODS:
         raise InputError(f"There is no method {name!r}; choose one of {', '.join(METHODS)}.")
     if recipe.windows:
@@ -87,7 +83,7 @@ def method(name: str, recipe: Recipe) -> Recipe:
 
 
 def find(recipe: str, method_name: str | None = None) -> Recipe:
-    """Return a recipe of `RECIPES`, for its own method or for one of `METHODS` with the rates of that method's script.
+    """Return a recipe of `RECIPES`, for its own method or for one of `METHODS` with that method's script's rates.
 
     Raises:
         InputError: if there is no such recipe or method, or the recipe has no methods.
@@ -101,7 +97,7 @@ def find(recipe: str, method_name: str | None = None) -> Recipe:
 
 
 def _of_baseline(recipe: str, method_name: str | None) -> dict[str, tuple[Any, str]]:
-    """Return the settings that the script of the baseline replaces in a published recipe."""
+    """Return the settings of a published recipe that the baseline's script replaces."""
     found = _own(_PUBLISHED.get(recipe, {}).get("baseline", {})) if method_name in OF_BASELINE else {}
     return found if method_name == "instance" else {name: (value, _OF_BASELINE) for name, (value, _) in found.items()}
 
@@ -110,8 +106,8 @@ def source(recipe: str, setting: str, method_name: str | None = None) -> str:
     """Return the source of a setting: "paper, ...", a file and line of released code, or "ours: ...".
 
     Args:
-        recipe: one of `RECIPES`; those that are not published are ours.
-        method_name: one of `METHODS`, for which the released code may have another value.
+        recipe: one of `RECIPES`; unpublished ones are ours.
+        method_name: one of `METHODS`; the released code may have another value for it.
     """
     if recipe not in _STATED:
         return "ours"

@@ -1,4 +1,4 @@
-"""The files of a run's folder beside its models: run.json, log.csv, and state.pt, from which it is resumed."""
+"""The files of a run's folder beside its models: run.json, log.csv, and state.pt, the basis of a resumed run."""
 
 from __future__ import annotations
 
@@ -35,11 +35,11 @@ _ANEW = "start the run again without --resume, in another --out"
 
 
 class Provenance(msgspec.Struct, frozen=True, omit_defaults=True):
-    """Where a model or a figure comes from.
+    """The origin of a model or a figure.
 
     Attributes:
         command: the command line.
-        version: of lpn, with the commit where the package lies in a checkout.
+        version: of lpn, with the commit if the package lies in a checkout.
         machine: kind of processors and accelerator.
         date: year, month, and day.
     """
@@ -52,7 +52,7 @@ class Provenance(msgspec.Struct, frozen=True, omit_defaults=True):
 
 @cache
 def here() -> Provenance:
-    """Return the provenance of what this process makes."""
+    """Return the provenance of results of this process."""
     program = Path(sys.argv[0]).name
     # `python -m lpn` runs a file of another name.
     arguments = ["lpn" if program == "__main__.py" else program, *map(_without_folders, sys.argv[1:])]
@@ -66,7 +66,7 @@ def _without_folders(argument: str) -> str:
 
 
 def _machine() -> str:
-    """Describe processors and accelerator, such as "AMD EPYC 7763, 2 cores" or the same with a GPU's name."""
+    """Describe processors and accelerator, such as "AMD EPYC 7763, 2 cores", with a GPU's name if there is one."""
     name, info = "CPU", Path("/proc/cpuinfo")
     if info.is_file():
         name = next(
@@ -78,7 +78,7 @@ def _machine() -> str:
 
 
 def _version() -> str:
-    """Return the version, and the commit of the checkout that the package lies in."""
+    """Return the version, with the package's checkout's commit, if any."""
     root = Path(lpn.__file__).parents[1]
     if not (root / ".git").exists():
         return lpn.__version__
@@ -91,13 +91,13 @@ def _version() -> str:
 
 
 class RunFile(msgspec.Struct, frozen=True):
-    """run.json: how a run was begun.
+    """run.json: the start of a run.
 
     Attributes:
         made: command, version with commit, machine, and date.
-        packages: versions of Python and of what decides the numbers.
+        packages: versions of Python and of the packages that affect the numbers.
         recipe: every setting of the training.
-        given: the other options of `lpn train`, which a bare `--resume` takes.
+        given: the other options of `lpn train`, which a bare `--resume` reuses.
     """
 
     made: Provenance
@@ -177,7 +177,7 @@ class ResumeState:
 
 
 def read_state(path: Path, recipe: Recipe, places: str) -> ResumeState:
-    """Read the state of the same training.
+    """Read the state of this training.
 
     Raises:
         InputError: when there is none, or it has another recipe or other training pictures.

@@ -34,9 +34,9 @@ from lpn.training.recipe import Recipe
 from lpn.training.run_folder import ResumeState, RunFile, begin, epoch_line, read_run, read_state, save_log
 from lpn.training.training_set import Fold, TrainingSet
 
-# A training has diverged if its mean loss exceeds the loss of the first step (about chance) by this factor.
+# A training has diverged if its mean loss exceeds this multiple of the first step's loss (about chance).
 _EXPLODED = 10.0
-# The mean is checked from this step of an epoch, or at its end if it has fewer steps.
+# The mean is checked from this step of an epoch on, or at the end of a shorter epoch.
 _SURE_AFTER = 100
 
 
@@ -44,16 +44,16 @@ class Trainer:
     """A training run in a folder; docs/training.md lists its files.
 
     Args:
-        source: the data set with the training pictures, or the map that is trained on.
+        source: the data set with the training pictures, or the map to train on.
         out: the run's folder.
         recipe: every setting of the training.
-        init: pretrained weights of the backbone, which every recipe starts from, the name of a model that ships, or "auto" for
-            weights that `lpn.models.pretrained_weights` finds here; tensors that do not fit are skipped.
+        init: pretrained weights of the backbone, needed by every recipe, the name of a shipped model, or "auto" for weights that
+            `lpn.models.pretrained_weights` finds; tensors that do not fit are skipped.
         from_scratch: start from random weights instead.
-        resume: continue after the last whole epoch in `out`, with the same losses as an uninterrupted run.
-        evaluate_every: number of epochs between tests; the best tested model is saved. 0 tests at the end only.
+        resume: continue after the last whole epoch in `out`, with the losses of an uninterrupted run.
+        evaluate_every: number of epochs between tests; the best tested model is saved. 0 tests only at the end.
         workers: number of threads that prepare pictures, without effect on the result; 0 chooses it.
-        validate: share of the places held out of the training to choose the best epoch, or a fold that is held out.
+        validate: share of the places held out to choose the best epoch, or a held-out fold.
         device: the device to train on; by default the GPU if there is one.
         test: measure the last model on the test split.
         window_sizes: smallest and largest side in metres of the windows of a map; None chooses them.
@@ -128,11 +128,11 @@ class Trainer:
 
     @property
     def updates(self) -> int:
-        """The updates of the weights that `run` makes: those that are left, if the run is resumed."""
+        """The number of weight updates that `run` will make; for a resumed run, the remaining ones."""
         return self.steps * (self.recipe.epochs - len(self.history))
 
     def plan(self) -> str:
-        """Say in one sentence what `run` trains on, and the steps and updates that it makes."""
+        """Describe in one sentence the training data of `run`, and its steps and updates."""
         recipe = self.recipe
         if isinstance(self.places, MapWindows):
             what, rows = f"{_counted(len(self.places), 'window')} of {self.name} an epoch", "windows"
@@ -185,7 +185,7 @@ class Trainer:
         self, epoch: int, batches: Iterator[TrainingBatch], on_progress: Callable[[str], object]
     ) -> EpochMetrics:
         self.network.train()
-        # One seed for each epoch: a resumed run repeats what an uninterrupted one does.
+        # One seed for each epoch, so that a resumed run repeats an uninterrupted one.
         torch.manual_seed(self.recipe.seed * 100_003 + epoch)
         started, total, pictures, rate = time.perf_counter(), 0.0, 0, 0.0
         previous: Tensor | None = None
@@ -217,7 +217,7 @@ class Trainer:
         }
 
     def _check_loss(self, loss: float, total: float, epoch: int, step: int) -> float:
-        """Return the loss of a step (from 1); raise if training diverged. `total` is the sum of earlier losses."""
+        """Return the loss of a step (from 1); raise if the training diverged. `total` is the sum of earlier losses."""
         if not math.isfinite(loss):
             raise self._diverged(f"The loss became {loss}", epoch, step)
         if math.isnan(self.first_loss):
@@ -237,7 +237,7 @@ class Trainer:
         )
 
     def _select(self) -> None:
-        """Test the last epoch if it is due, and save its model if it is the best so far."""
+        """Test the last epoch if a test is due, and save its model if it is the best so far."""
         epoch, validator = len(self.history), self.validator
         due = self.evaluate_every and epoch and (epoch % self.evaluate_every == 0 or epoch == self.recipe.epochs)
         if not due or validator is None or validator.column in self.history[-1]:
@@ -252,7 +252,7 @@ class Trainer:
         self._save()
 
     def _finish(self) -> None:
-        """Test the last epoch if it was not tested yet, and print which epoch was the best."""
+        """Test the last epoch unless it was tested, and print the best epoch."""
         split, validator = self.test_split, self.validator
         if split is not None and split.column not in self.history[-1]:
             self.history[-1] |= split.measure(self._load("last"), self.console)
@@ -289,7 +289,7 @@ class Trainer:
     def _open_places(
         self, source: Dataset | Map, window_sizes: tuple[float, float] | None, validate: float | Fold
     ) -> dict[int, dict[str, list[Path]]]:
-        """Open what is trained on, and return the places that are held out."""
+        """Open the training data, and return the held-out places."""
         self.places: TrainingSet | MapWindows
         recipe = self.recipe
         if isinstance(source, Map):
@@ -326,7 +326,7 @@ class Trainer:
         filled, total, missing = checkpoints.load_backbone(network, init)
         rest = f"; missing or incomplete, so as initialised: {', '.join(missing)}" if missing else ""
         self.console.print(f"{init.name} fills {filled} of the backbone's {total} tensors{rest}.")
-        # Windows of a map have no classes, so the descriptors of a trained model are what is trained on.
+        # Windows of a map have no classes, so training starts from the descriptors of a trained model.
         if isinstance(self.places, MapWindows):
             self.console.print(checkpoints.load_heads(network, init))
 
@@ -357,14 +357,14 @@ class Trainer:
 
 
 def check_single_process(command: str) -> None:
-    """Raise InputError if torchrun started the command in several processes, which would write the same files."""
+    """Raise InputError if torchrun started several processes, which would write to the same files."""
     processes = os.environ.get("WORLD_SIZE", "1")
     if processes != "1":
         raise InputError(f"{command} is one process, and WORLD_SIZE is {processes}; start it without torchrun.")
 
 
 def check_start(init: Path | None, from_scratch: bool) -> None:
-    """Raise InputError unless a training is given the weights that it starts from, or is to start from random ones."""
+    """Raise InputError unless a training has weights to start from, or starts from random ones."""
     if init is not None and from_scratch:
         raise InputError("--init and --from-scratch exclude each other; give one of them.")
     if init is None and not from_scratch:

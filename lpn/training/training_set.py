@@ -1,6 +1,6 @@
 """The training set: the pictures of each place, and a cache of decoded pictures.
 
-A place is trained on in the views that it has. Two views are needed, as one alone has nothing to be compared with.
+A place is trained on in its existing views. It needs at least two, because one alone has nothing to compare.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ CACHE_BYTES = 2_000_000_000
 
 
 class Fold(NamedTuple):
-    """One part of the places of a training set, which is held out of a cross-validation's training.
+    """One held-out part of the places of a training set, for cross-validation.
 
     Attributes:
         number: from 0.
-        folds: the number of parts; they have the same size, or differ by one place.
-        seed: of the split, which has nothing to do with a recipe's.
+        folds: the number of parts, which are equal or differ by one place.
+        seed: of the split, independent of a recipe's.
     """
 
     number: int
@@ -45,9 +45,9 @@ class Trainable(NamedTuple):
     """The places of a training set, by their labels.
 
     Attributes:
-        places: those that are trained on, which have pictures of two views.
+        places: those to train on, which have pictures of two views.
         left_out: those with pictures of one view alone.
-        gaps: for each set, those of `places` without a picture in it; sets without any are absent.
+        gaps: for each set, the `places` without a picture in it; sets without any pictures are absent.
     """
 
     places: list[int]
@@ -56,7 +56,7 @@ class Trainable(NamedTuple):
 
 
 def trainable(labels: Mapping[str, Collection[int]]) -> Trainable:
-    """Tell which places can be trained on, from the labels of each set (satellite, drone, street, google).
+    """Return the places that can be trained on, by the labels of each set (satellite, drone, street, google).
 
     Pictures of google are of the street view.
     """
@@ -72,15 +72,15 @@ def trainable(labels: Mapping[str, Collection[int]]) -> Trainable:
 class TrainingSet:
     """The training pictures: for each set (satellite, drone, street, google), the files of each place.
 
-    Broken pictures (see `lpn.datasets.integrity`) are left out, with one message. Places are left out as `trainable` says, and
-    are named.
+    Broken pictures (see `lpn.datasets.integrity`) are left out, with one message. Places are left out by `trainable`, and
+    named.
 
     Args:
-        names: the sets that are trained on, see `Recipe.sets`.
+        names: the sets to train on, see `Recipe.sets`.
 
     Attributes:
         labels: label of each place.
-        files: for each set, the files of each place, which may be none.
+        files: for each set, the files of each place, possibly none.
         panoramas: True if the street pictures cover the full circle.
 
     Raises:
@@ -132,11 +132,11 @@ class TrainingSet:
 
     @property
     def views(self) -> tuple[View, ...]:
-        """The views that are trained."""
+        """The trained views."""
         return tuple(view for view in VIEWS if view in self.files)
 
     def digest(self) -> str:
-        """Hash the list of training pictures: a run can be resumed only on the same list."""
+        """Hash the list of training pictures: a run can be resumed only on an equal list."""
         names = {
             name: [[str(file.relative_to(self.root)) for file in place] for place in s]
             for name, s in self.files.items()
@@ -175,9 +175,9 @@ class TrainingSet:
         return held
 
     def drawn_from(self) -> dict[str, list[list[Path]]]:
-        """Return `files` for batches with a picture of every set of each place: street and google stand in for each other.
+        """Return `files` for batches with a picture of every set for each place: street and google replace each other.
 
-        A place lacks one view at most then.
+        A place then lacks at most one view.
         """
         if not {"street", "google"} <= set(self.files):
             return self.files
@@ -220,14 +220,14 @@ def _check_sets(by_place: Mapping[str, object], root: Path) -> None:
 
 
 def _filled(files: dict[str, list[list[Path]]]) -> dict[str, list[list[Path]]]:
-    """Return the sets that have pictures of any place."""
+    """Return the sets with pictures of any place."""
     return {name: places for name, places in files.items() if any(places)}
 
 
 def _without_broken(
     by_place: dict[str, dict[int, list[Path]]], root: Path, console: Console
 ) -> dict[str, dict[int, list[Path]]]:
-    """Return the sets without broken pictures, and without places and sets that have no others."""
+    """Return the sets without broken pictures, and without emptied places and sets."""
     files = [file for places in by_place.values() for of_place in places.values() for file in of_place]
     broken = picture_errors(files)
     if not broken:
@@ -252,12 +252,12 @@ def _by_label(pictures: list[Picture]) -> dict[int, list[Path]]:
 
 
 def named(labels: Sequence[int]) -> str:
-    """Return the first few places by their numbers, and how many more there are."""
+    """Return the first few places by their numbers, and the number of further ones."""
     return first_few([f"{label:04d}" for label in labels], 12)
 
 
 def paired_pictures(held: Mapping[int, Mapping[str, Sequence[Path]]]) -> dict[View, list[Picture]]:
-    """Return the drone pictures of places, or without any their street pictures, and the tiles of the same places.
+    """Return the drone pictures of places, or without any their street pictures, and the tiles of these places.
 
     Args:
         held: the files of each set of each place, see `TrainingSet.hold_out`.

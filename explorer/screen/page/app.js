@@ -20,7 +20,7 @@ const NOTED = 8000; // ms of a note
 const KEPT = "lpn-theme";
 
 /**
- * `said` is a sentence in the headline's place: one that is `busy` goes with the next result, another with the next act.
+ * `said` is a sentence in the headline's place: a `busy` one disappears with the next result, others with the next action.
  * @type {{page: any, state: any, result: any, rail: any, curve: any, yours: any, mark: any, angle: number, focus: number, pin: number, hovered: number | null, truth: boolean, colour: boolean, said: {text: string, busy: boolean, result: any} | null, note: string, lost: boolean}}
  */
 const view = { page: null, state: null, result: null, rail: null, curve: null, yours: { photos: [], thumbnails: "" }, mark: null, angle: 0, focus: -1, pin: -1, hovered: null, truth: false, colour: false, said: null, note: "", lost: false };
@@ -28,7 +28,7 @@ const [photo, tile, rows, curve, strip, sum] = ["#photo", "#tile", "#rows", "#cu
 const list = new RailList(find("#list"));
 
 let kept = null;
-// What a result depends on: while the state differs from it, the numbers are faded.
+// The inputs of a result: while the state differs in them, the numbers are faded.
 const OF_PAGE = ["place", "task", "model"];
 const OF_RESULT = [...OF_PAGE, "scoring", "query", "own", "compare", "weights", "heat"];
 const isStale = () => view.result.angle !== view.angle || OF_RESULT.some((name) => JSON.stringify(view.result.state[name]) !== JSON.stringify(view.state[name]));
@@ -63,7 +63,7 @@ const channel = connect(
       soon();
     },
     result: (result) => {
-      if (OF_PAGE.some((name) => result.state[name] !== view.state[name])) return; // that of the new page comes
+      if (OF_PAGE.some((name) => result.state[name] !== view.state[name])) return; // the new page's result will follow
       view.result = result;
       if (view.said?.busy) view.said = null;
       if (view.curve?.sequence !== result.curve) view.curve = null;
@@ -121,7 +121,7 @@ try {
   kept = localStorage.getItem(KEPT);
 } catch {} // the browser may deny its storage
 
-/** Say something in the headline's place; the result that is shown stays, faded. */
+/** Show a sentence in the headline's place; the current result stays, faded. */
 const say = (text, busy = false) => {
   if (text || view.said?.busy === busy) view.said = text ? { text, busy, result: view.result } : null;
   soon();
@@ -131,7 +131,7 @@ const act = (name, args = {}) => {
   channel.act(name, args);
 };
 
-/** Note something in place of the headline's reason, which comes back after a while. */
+/** Show a note in place of the headline's reason, which returns after a while. */
 let noted = 0;
 const note = (text) => {
   view.note = text;
@@ -140,14 +140,14 @@ const note = (text) => {
   soon();
 };
 
-// One request is in flight, and the newest angle is next.
+// One request is in flight; the newest angle is sent next.
 let sent = null;
 const turnTo = (angle) => {
   if (!view.result || !view.page.turns) return;
   say("");
   view.angle = Math.round(wrap(angle) * 10) / 10;
   view.focus = view.pin;
-  if (sent === null && view.angle !== view.state.angle) sendAngle(); // the server answers a change only
+  if (sent === null && view.angle !== view.state.angle) sendAngle(); // the server answers only changes
   soon();
 };
 const sendAngle = () => {
@@ -156,7 +156,7 @@ const sendAngle = () => {
 };
 const arrived = () => {
   sent = null;
-  // A result of the newest angle is there, or comes.
+  // The newest angle's result has arrived, or will.
   if (view.result && view.angle !== view.state.angle && view.angle !== view.result.angle && !view.lost) sendAngle();
 };
 const set = (values) => {
@@ -190,7 +190,7 @@ onPicture(() => {
   loaded++;
   soon();
 });
-// What each part of the page was drawn from: it is drawn anew when that changes.
+// The inputs of each part of the page; it is redrawn when they change.
 const drawnFrom = new Map();
 const redraw = (part, from, draws) => {
   const before = drawnFrom.get(part);
@@ -205,7 +205,7 @@ const draw = () => {
   document.body.classList.toggle("down", Boolean(view.said && result && view.said.result === result));
   drawHeadline(view);
   if (!page || !state) return;
-  redraw("head", [page, state, view.rail, view.said], () => drawHead(view)); // a model that does not open is not chosen
+  redraw("head", [page, state, view.rail, view.said], () => drawHead(view)); // a model that fails to open is not selected
   panels.show(page.panels, state.panel);
   if (!result) return drawTurn(view);
   const stale = isStale();
@@ -227,7 +227,7 @@ const draw = () => {
   document.body.dataset.sequence = String(Number(document.body.dataset.sequence ?? 0) + 1);
 };
 
-// One part is lit wherever it is drawn: that under the pointer, else the pinned one; never in a drag.
+// One part is highlighted everywhere: the one under the pointer, else the pinned one; none in a drag.
 const focusOn = (hovered) => {
   const part = hovered < 0 ? view.pin : hovered;
   if (part !== view.focus && !dragged() && view.result && view.page.parts > 1 && !isStale()) light(part);
@@ -238,7 +238,7 @@ const light = (part) => {
   for (const one of [rows, strip, sum]) markFocus(one, part);
   focusPictures(view, part);
 };
-/** Keep a part lit, or no longer. */
+/** Pin a part, or unpin it. */
 const pin = (part) => {
   if (!view.result || view.page.parts === 1) return;
   view.pin = part === view.pin ? -1 : part;
@@ -265,7 +265,7 @@ for (const one of [rows, sum])
     if (part && !target.closest("[data-weight]")) pin(Number(part));
   });
 
-// Part weights: the number at a row's head is dragged, or moved by arrows.
+// Part weights: drag the number at a row's head, or use the arrow keys.
 const weigh = (before, part, by) => {
   const weights = [...before];
   weights[part] = Math.round(20 * Math.max(0, Math.min(2, before[part] + by))) / 20;
@@ -321,7 +321,7 @@ const step = (by) => act("step", { by });
 find("#model").onclick = () => set({ model: String((Number(view.state.model) + 1) % view.page.models.length) });
 find("#models").onchange = (event) => {
   set({ model: event.target.value });
-  event.target.blur(); // keys are the page's again
+  event.target.blur(); // return the keys to the page
 };
 find("#full").onclick = () => openPanel(view.page.panels.find((one) => one.place === "full").name);
 find("#own").onclick = () => own.choose();

@@ -4,12 +4,12 @@ const PART = 512 * 1024;
 const AGAIN = 2000; // ms
 const MOST = 30_000_000; // bytes of a photo
 
-/** The name of this tab, by which the server knows its scene. */
+/** The name of this tab; the server finds its scene by it. */
 export const tab = [...crypto.getRandomValues(new Uint8Array(8))].map((one) => one.toString(16).padStart(2, "0")).join("");
 
 /**
  * Connect, and connect again whenever the connection is lost.
- * @param {Record<string, (value: any) => void>} receive what to do with each kind of message
+ * @param {Record<string, (value: any) => void>} receive handlers by the kind of message
  * @param {() => void} opened
  * @param {() => void} lost
  */
@@ -34,7 +34,7 @@ export const connect = (receive, opened, lost) => {
   return {
     set: (values) => send({ set: values }),
     act: (name, args = {}) => send({ do: name, args }),
-    /** Send a file in parts, which fails for one that cannot be read; the server refuses one that is too large by its size alone. */
+    /** Send a file in parts; fails for an unreadable file. The server refuses a too large one by its size alone. */
     sendFile: async (file, first) => {
       send({ do: "upload", args: { name: file.name, size: file.size, first } });
       for (let start = 0; start < file.size && file.size <= MOST; start += PART) {

@@ -7,7 +7,7 @@ const SHOWN = 40;
 
 /**
  * @typedef {{label: string, act: () => void, key?: string, keys?: string[], hidden?: boolean}} Command
- * What a person can do: `key` is shown, `keys` do it, and a hidden one stands among the keys alone.
+ * A user's action: `key` is shown, `keys` trigger it, and a hidden one is listed among the keys only.
  */
 
 export class Commands {
@@ -16,7 +16,7 @@ export class Commands {
    * @param {any} list the rail's
    * @param {() => Command[]} commands
    * @param {() => any} yours the own photos
-   * @param {(text: string) => void} search has the server list the photos of a text
+   * @param {(text: string) => void} search requests the list of photos that match a text
    */
   constructor(dialog, list, commands, yours, search) {
     this.dialog = dialog;

@@ -40,7 +40,7 @@ export const drawCurve = (box, points, result, angle, stale, hovered) => {
     told.textContent = `${turned(near[0])}: ${ranked ? `rank ${value(near)}` : shown(near[2])}`;
     told.style.left = left(near[0]);
   }
-  // Behind the curve of a panorama lies all of it, and a frame around what the photo shows.
+  // The whole panorama lies behind its curve, with a frame around the part that the photo shows.
   const whole = find(".whole", box);
   whole.hidden = !result.photo.around;
   if (whole.hidden) return;

@@ -33,7 +33,7 @@ export const makeSvg = (name, attributes = {}, ...children) => {
 };
 
 const sheets = new Map();
-/** Add a style sheet once, behind or before the page's own ones. @returns {Promise<any>} when it is there */
+/** Add a style sheet once, behind or before the page's own ones. @returns {Promise<any>} resolves when it is loaded */
 export const addStyle = (address, before = false) => {
   if (!sheets.has(address)) {
     const sheet = make("link", { rel: "stylesheet", href: address });
@@ -42,7 +42,7 @@ export const addStyle = (address, before = false) => {
   }
   return sheets.get(address);
 };
-/** @returns {Promise<any>} a library of `vendor`, as its makers publish it, once its style sheet is there, below the page's own */
+/** @returns {Promise<any>} an unchanged library of `vendor`, after its style sheet, which precedes the page's own */
 export const load = async (name) => {
   await addStyle(`screen/vendor/${name}.css`, true);
   return import(`../vendor/${name}.js`);
@@ -61,12 +61,12 @@ export const partColour = (part, count, on = "") => variable(count === 1 ? `--${
 export const partInk = (part, count) => partColour(part, count, "on-");
 
 export const wrap = (degrees) => ((((degrees + 180) % 360) + 360) % 360) - 180;
-/** @returns {string} a turn as it is shown: an arrow, as readers differ in the sense of its sign */
+/** @returns {string} a turn for display, with an arrow, because readers differ on its sign */
 export const turned = (angle) => `${angle > 0 ? "↺ " : angle < 0 ? "↻ " : ""}${Math.abs(Math.round(angle))}°`;
 export const shown = (value) => value.toFixed(3);
 export const isPhone = () => innerWidth <= 760;
 
-// Pictures by their addresses; each asks for a new drawing when it has come.
+// Pictures by their addresses; each requests a redraw when it has loaded.
 const pictures = new Map();
 let whenLoaded = () => {};
 export const onPicture = (callback) => (whenLoaded = callback);

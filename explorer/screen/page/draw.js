@@ -12,7 +12,7 @@ export const HEATS = {
 };
 const [photoBox, tileBox] = ["#photo", "#tile"].map((one) => find(one));
 
-/** @returns {number} the tile that stands beside the photo: the truth while T is held, the pinned one, or the answer */
+/** @returns {number} the tile beside the photo: the truth while T is pressed, the pinned one, or the answer */
 export const shownTile = ({ result, truth }) => (truth && result.truth !== null ? result.truth : result.pinned ? result.rival : result.answer);
 
 export const drawHead = ({ page, state, rail }) => {
@@ -53,7 +53,7 @@ export const drawHeadline = ({ said, note, page, result }) => {
   }
 };
 
-/** Show the photo of the state, which may be there before its result. */
+/** Show the state's photo, perhaps before its result. */
 export const drawTurn = ({ state, result, angle }) => {
   const frame = find(".frame", photoBox);
   const coming = !result || state.photo !== result.photo.src;

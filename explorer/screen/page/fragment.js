@@ -7,7 +7,7 @@ import { plot } from "./plot.js";
 
 const LIVE = "button, select, input, textarea, summary";
 
-/** Put HTML into a box: what is open, focused, or scrolled in it stays so. */
+/** Put HTML into a box, and preserve open, focused, and scrolled elements. */
 export const put = (box, html) => {
   const open = findAll("details[open] > summary", box).map((one) => one.textContent);
   const focused = findAll(LIVE, box).indexOf(document.activeElement);
@@ -29,7 +29,7 @@ export const listen = (box, { set, act }) => {
   });
 };
 
-/** HTML with charts, in the theme's colours, and as wide as there is room. */
+/** HTML with charts, in the theme's colours and at the available width. */
 export class Fragment {
   constructor(box, { set }) {
     this.box = box;
@@ -46,7 +46,7 @@ export class Fragment {
     this.draw();
   }
 
-  /** Draw the charts anew if the theme or the room has changed. */
+  /** Redraw the charts if the theme or the available width has changed. */
   async draw() {
     const { box } = this;
     const now = `${document.documentElement.className} ${box.clientWidth}`;

@@ -36,8 +36,8 @@ export class Panels {
     const known = panels.find((one) => one.name === name);
     this.box.hidden = !known;
     document.documentElement.dataset.panel = known?.place ?? "";
-    dispatchEvent(new Event("resize")); // the rings take the room that is left
-    // A panel that was still opening writes into a box that is gone.
+    dispatchEvent(new Event("resize")); // the rings take the remaining space
+    // A panel that is still opening writes into a removed box.
     const left = find(".content", this.box);
     const content = left.cloneNode();
     left.replaceWith(content);

@@ -4,9 +4,9 @@ import { find, isPhone, make, makeSvg, partColour, partInk, picture, variable } 
 import { cellsOf, isLight, paintHeat } from "./heat.js";
 
 const HEAT_SIDE = 320;
-const MOST_WIDE = 2.5; // of a strip's crop, which is else a line
+const MOST_WIDE = 2.5; // width by height of a strip's crop, which is otherwise a line
 
-/** The CSS turn of the photo, which the page turns itself, as the server does. */
+/** The CSS turn of the photo; the page turns it like the server. */
 export const photoTurn = (photo, angle) => (photo.around ? "none" : `rotate(${-angle}deg) scale(${photo.zoom})`);
 
 /** @returns {any} a figure for `showPicture`, as wide as its place */
@@ -32,7 +32,7 @@ export const showPicture = (figure, described, focus, count, transform, label) =
   canvas.height = HEAT_SIDE;
   paintHeat(canvas.getContext("2d"), canvas.width, canvas.height, described, focus);
   const svg = find("svg", figure);
-  // Drawn once for each picture, size, and theme: an element that is replaced under the pointer loses its events.
+  // Draw once for each picture, size, and theme: an element replaced under the pointer loses its events.
   const drawn = drawnParts.get(svg);
   if (drawn?.described !== described || drawn.size !== innerWidth || drawn.light !== isLight()) drawParts(svg, described, count);
   drawnParts.set(svg, { described, size: innerWidth, light: isLight() });
@@ -47,7 +47,7 @@ export const rollPicture = (figure, photo, angle) => {
   find(".heat", figure).style.clipPath = outline(photo, angle);
 };
 
-/** The corners of a turned photo: what lies beyond them is black for the network, and has no heat. */
+/** The corners of a turned photo: the area beyond them is black for the network, and has no heat. */
 const outline = ({ around, zoom }, angle) => {
   if (around) return "none";
   const [cos, sin] = [Math.cos, Math.sin].map((of) => 50 * zoom * of((-angle * Math.PI) / 180));

@@ -7,12 +7,12 @@ const signed = (text) => text.replace("-", "−");
 const drawn = new Map(); // by its box
 
 /**
- * Draw a chart that Python describes in a box, in place of what the box holds; the legend has the values under the pointer.
+ * Replace a box's contents by a chart that Python describes; the legend has the values under the pointer.
  * @param {any} box
  * @param {object} chart
- * @param {string} chart.label what the chart shows, for screen readers
+ * @param {string} chart.label description for screen readers
  * @param {number[]} chart.x
- * @param {[string, string]} chart.axes what x and y are
+ * @param {[string, string]} chart.axes names of x and y
  * @param {string} chart.name of x in the legend
  * @param {{label: string, values: any[], colour: string, dash?: boolean}[]} chart.lines `colour` names a variable of the theme
  * @param {[number, string]} [chart.of_y] decimals and unit of the lines' values
@@ -38,7 +38,7 @@ export const plot = async (box, chart, pick) => {
   const ofX = (one) => (one === null ? "" : chart.names ? (chart.names[chart.x.indexOf(one)] ?? "") : signed(String(Number(one.toPrecision(3)))));
   const ofY = (_, one) => (one === null ? "" : signed(one.toFixed(decimals)) + unit);
   const axis = { stroke: soft, font: FONT, labelFont: FONT, labelSize: 18, grid: { stroke: line, width: 1 }, ticks: { stroke: line, width: 1, size: 4 } };
-  // Of a logarithmic scale, the powers of ten have lines.
+  // On a logarithmic scale, the powers of ten have lines.
   const grid = (log) => ({ ...axis.grid, ...(log ? { filter: (_, splits) => splits.map((one) => (Number.isInteger(Math.log10(one)) ? one : null)) } : {}) });
   const ticks = chart.names ? chart.x : chart.ticks;
   const stand = ({ scales, ctx, bbox, valToPos }) => {

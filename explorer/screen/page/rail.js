@@ -1,4 +1,4 @@
-// The list of queries at the left, of which only those in sight are in the page; the server sends it in pieces.
+// The list of queries at the left. Only visible entries are in the page; the server sends the list in pieces.
 
 import { find, findAll, make } from "./dom.js";
 
@@ -34,7 +34,7 @@ export class RailList {
     list.addEventListener("scroll", () => this.draw());
   }
 
-  /** Show a list; the chosen query comes in sight when it has changed, but other queries begin with the first. */
+  /** Show a list: another chosen query scrolls into view, another list starts at its top. */
   show(rail, query) {
     if (rail.feed !== this.rail?.feed) this.pieces.clear();
     const moved = query !== this.query || rail.feed !== this.rail?.feed;

@@ -11,7 +11,7 @@ export const stack = (tile, total, least) => {
   const count = tile.shares.length;
   const sum = tile.shares.reduce((one, other) => one + other, 0);
   const segments = tile.shares.map((share, part) => {
-    const width = (100 * Math.max(share, 0)) / Math.max(total, sum); // all parts are in sight
+    const width = (100 * Math.max(share, 0)) / Math.max(total, sum); // all parts stay visible
     const colour = partColour(part, count);
     const number = count > 1 && width >= least ? String(part + 1) : "";
     return make("i", { "data-part": part, text: number, style: { width: `${width}%`, background: colour, color: partInk(part, count) } });
@@ -19,7 +19,7 @@ export const stack = (tile, total, least) => {
   return make("div", { class: sum > total ? "stack cut" : "stack", title: sum > total ? "Longer than the scale" : null }, ...segments);
 };
 
-/** Make the rows of so many parts once. */
+/** Make the rows of `count` parts once. */
 const layRows = (rows, count) => {
   if (rows.dataset.parts === String(count)) return;
   rows.dataset.parts = count;
@@ -34,7 +34,7 @@ const layRows = (rows, count) => {
   rows.replaceChildren(make("div", { class: "head" }), ...Array.from({ length: count }, (_, part) => row(part)), make("p", { class: "beside" }));
 };
 
-/** Show the words over the rows; while they are the same they stay, as a person may be reading their tips. */
+/** Show the words over the rows; unchanged words stay, because the user may be reading their tips. */
 const showHead = (head, page, result) => {
   const { rival_word: word, headline: { found }, tiles, weights } = result;
   const rival = tiles[result.rival];

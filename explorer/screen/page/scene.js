@@ -3,7 +3,7 @@
 import { tab } from "./channel.js";
 import { find, findAll, make } from "./dom.js";
 
-const PATIENCE = 1500; // ms until the frame is made although the page is busy
+const PATIENCE = 1500; // ms after which the frame is made even if the page is busy
 
 const whenIdle = (work) => (window.requestIdleCallback ? requestIdleCallback(work, { timeout: PATIENCE }) : setTimeout(work, PATIENCE));
 
@@ -11,8 +11,8 @@ export class SceneFrame {
   /**
    * @param {any} box
    * @param {{act: (name: string, args?: any) => void}} channel
-   * @param {{press: (event: KeyboardEvent) => void, release: (event: KeyboardEvent) => void}} keys what a key does
-   * @param {(found: any) => void} picked what the pointer is over: a tile, a part, or nothing, and `why` it is told
+   * @param {{press: (event: KeyboardEvent) => void, release: (event: KeyboardEvent) => void}} keys handlers of keys
+   * @param {(found: any) => void} picked receives the target of the pointer, a tile, a part, or nothing, and `why`
    */
   constructor(box, channel, keys, picked) {
     this.box = box;
@@ -25,7 +25,7 @@ export class SceneFrame {
     this.live = null;
   }
 
-  /** Make the frame, or hide the box: without WebGL, and for a task that has no place, which is called a city or a map. */
+  /** Make the frame, or hide the box: without WebGL, and for a task without a place (a city or a map). */
   show(views, view, place) {
     find("[data-view=city]", this.box).textContent = place;
     this.box.hidden = this.live === false || !views.length;
@@ -34,7 +34,7 @@ export class SceneFrame {
       button.setAttribute("aria-pressed", String(button.dataset.view === (views.includes(view) ? view : views[0])));
     }
     if (this.box.hidden || this.live !== null) return;
-    this.live = undefined; // it is looked for once
+    this.live = undefined; // WebGL is looked for once
     whenIdle(() => {
       this.live = Boolean(document.createElement("canvas").getContext("webgl2"));
       if (this.live) this.begin();
@@ -54,7 +54,7 @@ export class SceneFrame {
     this.box.classList.add("ready");
   }
 
-  /** The connection is lost, or another place comes: what viser's page still shows is hidden. */
+  /** Hide viser's page, because the connection is lost, or another place comes. */
   away() {
     this.box.classList.remove("ready");
   }
@@ -62,12 +62,12 @@ export class SceneFrame {
   /** viser's page connects again by itself only while it has the focus, which this page keeps. */
   reload() {
     this.box.classList.remove("ready");
-    this.frame?.setAttribute("src", this.frame.src); // nobody may reload the browser's page of an error
+    this.frame?.setAttribute("src", this.frame.src); // the user cannot reload the browser's error page in it
   }
 
-  /** Keys go to the screen, and the server says what the pointer is over. */
+  /** Send keys to the screen, and the pointer's position to the server. */
   listen() {
-    if (!this.frame.contentDocument) return; // the browser's page of an error
+    if (!this.frame.contentDocument) return; // the browser's error page
     const inner = this.frame.contentWindow;
     inner.addEventListener("keydown", (event) => {
       event.stopImmediatePropagation();

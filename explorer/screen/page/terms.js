@@ -4,7 +4,7 @@ import { find, make } from "./dom.js";
 
 const GAP = 6;
 
-/** The attributes of words that the glossary has not, with their meaning. */
+/** The attributes of words outside the glossary, with their meaning. */
 export const tip = (meaning) => ({ class: "term", tabindex: 0, "data-tip": meaning });
 
 /** @type {Promise<Record<string, string>> | null} */
@@ -18,7 +18,7 @@ const meanings = () =>
 
 /** @type {any} */
 let explainedTerm = null;
-/** Hide the meaning that is shown. */
+/** Hide the shown meaning. */
 export const hide = () => {
   find("#tip")?.remove();
   explainedTerm?.removeAttribute("aria-describedby");

@@ -28,7 +28,7 @@ PANELS: dict[str, Panel] = _found()
 
 
 def folder(name: str) -> Path | None:
-    """Return the folder of a panel's module and style sheet; None for an unknown name, and for one that does not open."""
+    """Return the folder of a panel's module and style sheet; None if it is unknown, or never opens."""
     panel = PANELS.get(name)
     if panel is None or panel.part is None:
         return None
@@ -38,6 +38,6 @@ def folder(name: str) -> Path | None:
 
 
 def scripted(name: str) -> bool:
-    """Return whether a panel has a script of its own, beside the HTML of its Python."""
+    """Return whether a panel has a script of its own."""
     found = folder(name)
     return found is not None and (found / f"{name}.js").is_file()

@@ -1,4 +1,4 @@
-"""What the city shows of a result: frames, badges, the drone's camera, and who looks at them. Geometry alone; no viser here."""
+"""The city's drawing of a result: frames, badges, the drone's camera, and the viewpoint. Geometry alone; no viser here."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ from lpn.tasks.gallery_geometry import GalleryGeometry
 
 # Vertical field of view in radians.
 FOV = math.radians(38)
-# Metres above the ground at which frames of tiles lie, and from the drone's camera to its photo.
+# Metres from the ground to the frames of tiles, and from the drone's camera to its photo.
 LIFT, DEPTH = 3.0, 34.0
-# The view: degrees beside the photo's heading, and below the horizon; share of the picture that it fills.
+# The view: degrees beside the photo's heading, degrees above the horizon, and the share of the picture that it fills.
 _BESIDE, _BELOW, _ROOM = 35.0, -38.0, 0.8
 # Ranked tiles that have frames.
 _FRAMES = 3
@@ -58,14 +58,14 @@ class PhotoCamera:
 
 @dataclass(eq=False)
 class LaidCity:
-    """What is drawn over the ground.
+    """The shapes above the ground.
 
     Attributes:
         lines, badges: by their names.
-        photo: the drone's camera; None where it is not known.
-        metres: a text and its place, of the line from a wrong answer to the truth.
+        photo: the drone's camera; None if it is unknown.
+        metres: a text and its place, at the line from a wrong answer to the truth.
         tiles: gallery position, middle, and half side of each frame, the last drawn first.
-        position, target, axes: of the camera that looks at it.
+        position, target, axes: of the view's camera.
     """
 
     photo: PhotoCamera | None
@@ -79,7 +79,7 @@ class LaidCity:
 
 
 def lay(result: ScreenResult, places: GalleryGeometry, aspect: float, dark: bool) -> LaidCity:
-    """Return what the city shows of a result, for a picture of an aspect: the nearest tiles, the truth, and the camera."""
+    """Return the city's shapes for a result and a picture's aspect: nearest tiles, truth, and camera."""
     photo, heading = _photo(result, places)
     city = LaidCity(photo, shapes.camera_axes(heading + _BESIDE, _BELOW))
     seen = [] if photo is None else [photo.place]
@@ -135,7 +135,7 @@ def _frame(
 
 
 def _badge(city: LaidCity, match: Match, result: ScreenResult, places: GalleryGeometry, dark: bool) -> None:
-    """Put a tile's rank and verdict at a corner, as large in the picture as those of all others, and beside the photo."""
+    """Put a tile's rank and verdict at a corner beside the photo, as large in the picture as all other badges."""
     middle, half = places.ground[match.index], _half(match, places)
     sign = match.true if match.true or match.index == result.first.index else None
     pixels = shapes.badge(str(match.rank), _colour(match, result, dark), sign)
@@ -161,7 +161,7 @@ def _hidden(city: LaidCity, middle: Float64Array, high: float, share: float) -> 
 
 
 def _footprint(city: LaidCity, photo: PhotoCamera, dark: bool) -> None:
-    """Draw the ground that the photo shows, and the rays to its corners."""
+    """Draw the outline of the photo on the ground, and the rays to its corners."""
     across = math.tan(photo.fov / 2)
     rays = [photo.axes @ np.array([x * across, y * across, 1.0]) for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
     hits = [shapes.on_level(photo.place, direction, LIFT) for direction in rays]

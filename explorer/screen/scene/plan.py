@@ -1,4 +1,4 @@
-"""The buildings of a rendered city, as its plan `world.json` has them."""
+"""The buildings of a rendered city, from its plan `world.json`."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ log = logging.getLogger(__name__)
 
 
 def buildings(root: Path, origin: Position) -> tuple[Float32Array, Int64Array] | None:
-    """Return vertices in metres east, north, and up from an origin, and triangles; None without a plan that can be read."""
+    """Return vertices in metres east, north, and up, (V, 3), and triangles, (F, 3); None without a readable plan."""
     if not (root / PLAN).is_file():
         return None
     try:

@@ -17,7 +17,7 @@ from lpn.core.numbers import rounded_to_sum
 from lpn.drawing.theme import Colour
 from lpn.tasks.gallery_geometry import GalleryGeometry
 
-# Vertical field of view in radians of the rings, which are seen from far away.
+# Vertical field of view of the rings in radians; they are seen from far away.
 _APART_FOV = math.radians(16)
 # Pixels of a picture of the scene; the height of a stack of rings, and its turn.
 _PIXELS, _TALL, _TURN = 256, 2.3, math.radians(33)
@@ -27,8 +27,8 @@ class Scene:
     """Draws results in one tab's frame.
 
     Attributes:
-        client: of viser, whose page is in the frame.
-        nodes: the handles of what the newest result shows, by their names.
+        client: viser's client, whose page is in the frame.
+        nodes: the handles of the newest result's nodes, by their names.
     """
 
     def __init__(self, client: viser.ClientHandle) -> None:
@@ -38,21 +38,21 @@ class Scene:
         self._apart = client.scene.add_frame("/apart", show_axes=False, visible=False)
         self._task: object = None
         self._buildings: viser.SceneNodeHandle | None = None
-        # What the pointer can hit: in the city gallery positions with middle and half side, else the layers.
+        # Targets of the pointer: in the city gallery positions with middle and half side, else the layers.
         self._tiles: list[tuple[int, Float64Array, float]] = []
         self._layers: list[tuple[float, float, float]] = []
         self._apart_by = 0.0
         client.gui.configure_theme(dark_mode=True, show_logo=False, show_share_button=False)
         client.gui.main_panel.dock_right()
         client.gui.main_panel.set_width(240)
-        # The one class of viser's page: its notice of software WebGL would cover the scene.
+        # The only CSS class of viser's page that is used: its notice of software WebGL would cover the scene.
         client.gui.add_html("<style>.mantine-Notifications-root{display:none!important}</style>")
         client.scene.add_light_hemisphere(
             "/city/sky", sky_color=(215, 228, 255), ground_color=(120, 110, 100), intensity=2.2
         )
 
     def show(self, result: ScreenResult, lines: Sequence[tuple[Float64Array, Colour]] = ()) -> None:
-        """Draw a result in place of the one before, in the state's view and theme, and further lines over the city."""
+        """Draw a result in place of the last one, in the state's view and theme, with further lines over the city."""
         dark = result.state.theme == "dark"
         places = result.task.geometry
         halves = _halves(result)
@@ -120,7 +120,7 @@ class Scene:
         self._look(laid.position, laid.target, city.FOV, 0.5, 6000.0)
 
     def _build_city(self, result: ScreenResult, places: GalleryGeometry) -> None:
-        """Lay the ground, and the buildings where a plan has them, once for each task."""
+        """Draw the ground, and the buildings if there is a plan, once for each task."""
         scene, workspace = self._client.scene, result.workspace
         west, south, east, north = places.bounds()
         mosaic = workspace.mosaic(result.task)
@@ -230,7 +230,7 @@ class Scene:
         position: Float64Array,
         axes: Float64Array | None,
     ) -> None:
-        """Show a picture whose right and down are the first two of some axes (3, 3)."""
+        """Show a picture whose right and down directions are the first two columns of `axes`, (3, 3)."""
         opaque = pixels.shape[-1] == 3
         self.nodes[name] = self._client.scene.add_image(
             name,
@@ -252,14 +252,14 @@ class Scene:
 
 
 def views_of(result: ScreenResult) -> list[str]:
-    """Return what the scene of a result can show: "city" where tiles have positions, "apart" where parts are square rings."""
+    """Return the views of a result's scene: "city" if tiles have positions, "apart" if parts are square rings."""
     halves = _halves(result)
     apart = halves is not None and len(halves) > 1
     return ["city"] * (result.task.geometry is not None) + ["apart"] * apart
 
 
 def _halves(result: ScreenResult) -> list[float] | None:
-    """Return the half side of each ring; None if the parts of one of the two views are no square rings."""
+    """Return the half side of each ring; None if a view's parts are no square rings."""
     halves = None
     for view in result.task.views:
         areas = result.workspace.areas(view)
@@ -275,7 +275,7 @@ def _prepared(picture: UInt8Array, activation: Any, dark: bool, quarter: int) ->
 
 
 def _background(dark: bool) -> UInt8Array:
-    """Return a gradient behind the scene, whose lower end is the panel's colour."""
+    """Return a gradient behind the scene; its lower end has the panel's colour."""
     low = np.array(shapes.GROUND[dark], float)
     high = np.minimum(low * (1.5 if dark else 1.0) + 6, 250)
     share = np.linspace(0, 1, 64)[:, None, None]

@@ -25,14 +25,14 @@ WRONG: dict[bool, Colour] = {True: (255, 123, 95), False: (142, 21, 18)}
 INK: dict[bool, Colour] = {True: (245, 247, 249), False: (20, 24, 28)}
 SOFT: dict[bool, Colour] = {True: (170, 182, 192), False: (82, 92, 102)}
 GROUND: dict[bool, Colour] = {True: (22, 28, 34), False: (246, 245, 241)}
-# Red, green, blue, and opacity of heat from weak to strong, as the page paints it.
+# The page's red, green, blue, and opacity of heat from weak to strong.
 _HEAT = {
     True: ["1a0a28", "681870", "b62292", "f468b8", "ffb8da", "fff6fb"],
     False: ["ffffff", "f6c4de", "e26eb2", "b0288e", "68106c", "280434"],
 }
 _OPACITY = {True: (0, 0.4, 0.74, 0.88, 0.95, 1), False: (0, 0.6, 0.9, 0.95, 0.97, 1)}
 _BARE = 0.3
-# Pixels of a ribbon's picture for a unit of the scene, and how much finer it is drawn before it is shrunk.
+# Pixels of a ribbon's picture for a unit of the scene, and the factor of its supersampling.
 _RIBBON, _FINER = 160, 2
 # Strokes of the signs on badges, in pixels.
 _CHECK, _CROSS = [[(0, 24), (16, 40), (44, 2)]], [[(2, 2), (40, 40)], [(40, 2), (2, 40)]]
@@ -41,7 +41,7 @@ _WIDTH, _LETTERS = 1.5, 0.26
 
 
 def heated(picture: UInt8Array, activation: Float32Array | None, dark: bool) -> UInt8Array:
-    """Return a picture in grey under its heat, (H, W, 3); the picture itself without heat."""
+    """Return a grey picture under its heat, (H, W, 3); without heat, the picture itself."""
     if activation is None:
         return picture
     height, width = picture.shape[:2]
@@ -55,7 +55,7 @@ def heated(picture: UInt8Array, activation: Float32Array | None, dark: bool) -> 
 
 
 def rectangle(centre: Sequence[float], half: float, z: float) -> Float32Array:
-    """Return the sides of a square that lies level, (4, 2, 3)."""
+    """Return the sides of a horizontal square, (4, 2, 3)."""
     corners = np.array(
         [(centre[0] + x * half, centre[1] + y * half, z) for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
     )
@@ -77,7 +77,7 @@ def dashes(start: AnyArray, end: AnyArray, on: float, off: float) -> Float32Arra
 
 
 def half_sides(boxes: Sequence[PartBox]) -> list[float] | None:
-    """Return the half side of each part that is a square around the middle of a picture from -1 to 1; None for others."""
+    """Return the half side of each part if all are squares around the middle of a picture from -1 to 1; else None."""
     for left, top, right, bottom in boxes:
         if max(abs(left + right - 1), abs(top + bottom - 1), abs(left - top)) > 1e-6:
             return None
@@ -85,7 +85,7 @@ def half_sides(boxes: Sequence[PartBox]) -> list[float] | None:
 
 
 def strips(picture: UInt8Array, half: float, hole: float) -> list[tuple[UInt8Array, float, float, float, float]]:
-    """Cut a square ring out of a square picture that reaches from -1 to 1, as one square or four strips round the hole.
+    """Cut a square ring out of a square picture from -1 to 1, as one square or as four strips around the hole.
 
     Args:
         half, hole: half sides of the ring and of its hole, which may be 0.
@@ -110,7 +110,7 @@ def strips(picture: UInt8Array, half: float, hole: float) -> list[tuple[UInt8Arr
 def ribbon(
     length: float, share: float, rival: float | None, text: str, colour: Colour, soft: Colour
 ) -> tuple[UInt8Array, float]:
-    """Draw the ribbon of a part's share with the rival's as dashes: RGBA pixels, and their height in units of the scene."""
+    """Draw a part's share as a ribbon, with the rival's as dashes: RGBA pixels, and their height in units of the scene."""
     share = max(share, 0.0)  # calibrated ones may be less
     thin = _WIDTH * share < _LETTERS  # its text stands above it
     height = max(_WIDTH * max(share, rival or 0.0, 0.12) + 0.12, (_WIDTH * share + 2.4 * _LETTERS) * thin)
@@ -136,7 +136,7 @@ def ribbon(
 
 
 def badge(text: str, colour: Colour, sign: bool | None) -> UInt8Array:
-    """Draw a text on a rounded patch as wide as it, RGBA: with a check for True, a cross for False."""
+    """Draw a text on a rounded patch of its width, RGBA: with a check for True, a cross for False."""
     font, ink = captions.font(64), (*_ink_on(colour), 255)
     wide = round(ImageDraw.Draw(Image.new("L", (1, 1))).textlength(text, font))
     image = Image.new("RGBA", (max(wide + 48 + (0 if sign is None else 60), 96), 96), (*colour, 0))
@@ -156,7 +156,7 @@ def _ink_on(colour: Colour) -> Colour:
 
 
 def square(picture: UInt8Array, side: int) -> UInt8Array:
-    """Return a picture at a number of pixels a side."""
+    """Resize a picture to `side` pixels a side."""
     return images.resize(picture, side, side)
 
 
@@ -190,7 +190,7 @@ def _area(outline: AnyArray) -> float:
 
 
 def _ears(outline: AnyArray) -> list[tuple[int, int, int]]:
-    """Return the triangles of a polygon that turns to the left, by cutting off its ears."""
+    """Triangulate a counter-clockwise polygon by cutting off its ears."""
 
     def turn(a: AnyArray, b: AnyArray, c: AnyArray) -> float:
         return float((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]))
@@ -206,7 +206,7 @@ def _ears(outline: AnyArray) -> list[tuple[int, int, int]]:
             ):
                 break
         else:
-            at, ear = 0, (left[-1], left[0], left[1])  # a polygon that crosses itself has none
+            at, ear = 0, (left[-1], left[0], left[1])  # a polygon that crosses itself has no ear
         triangles.append(ear)
         left.pop(at)
     return [*triangles, (left[0], left[1], left[2])]
@@ -227,7 +227,7 @@ def camera_axes(heading: float, tilt: float) -> Float64Array:
 def fitting(
     points: AnyArray, axes: Float64Array, fov: float, aspect: float, room: float
 ) -> tuple[Float64Array, Float64Array]:
-    """Return the position of a camera that sees all points, (3,), and the point that it looks at, (3,).
+    """Return the position of a camera that sees all points, (3,), and its target, (3,).
 
     Args:
         points: (N, 3).
@@ -245,13 +245,13 @@ def fitting(
 
 
 def ray(axes: Float64Array, fov: float, aspect: float, x: float, y: float) -> Float64Array:
-    """Return the direction from a camera through a place of its picture, (3,); x and y are shares from its upper left corner."""
+    """Return the direction from a camera through a point of its picture, (3,); x and y are shares from the upper left corner."""
     across = math.tan(fov / 2)
     return np.asarray(axes @ np.array([(2 * x - 1) * across * aspect, (2 * y - 1) * across, 1.0]), np.float64)
 
 
 def on_level(origin: AnyArray, direction: AnyArray, z: float) -> Float64Array | None:
-    """Return where a ray meets a level plane, (3,); None behind it."""
+    """Return the point at which a ray meets a level plane, (3,); None behind it."""
     if abs(direction[2]) < 1e-9 or (away := (z - origin[2]) / direction[2]) <= 0:
         return None
     return np.asarray(origin + away * direction, np.float64)

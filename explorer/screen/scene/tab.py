@@ -1,4 +1,4 @@
-"""The scene of one tab: drawn from the newest result behind it, once its frame is there."""
+"""The scene of one tab, drawn after each result as soon as its frame exists."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ _OTHER_SHAPE = 0.02
 
 
 class TabScene:
-    """Draws on a thread of its own, and answers what the pointer is over.
+    """Draws on a thread of its own, and finds what the pointer is over.
 
     Attributes:
-        client: viser's, of the tab's frame; None without one.
-        drawn: the scene of the frame; None until something is drawn in it.
+        client: viser's client of the tab's frame; None without a frame.
+        drawn: the scene of the frame; None until something is drawn.
 
     Args:
         send: hands a message to the page.
-        lines: returns what panels add to the scene of a result.
+        lines: returns the panels' lines for the scene of a result.
     """
 
     def __init__(
@@ -50,11 +50,11 @@ class TabScene:
         self._worker.wake()
 
     def take(self, result: ScreenResult, state: ScreenState) -> None:
-        """Take a result, in a state's view and theme, to be drawn by `draw`."""
+        """Take a result, in a state's view and theme, for `draw`."""
         self._shown = result, state
 
     def draw(self) -> None:
-        """Draw what was taken last."""
+        """Draw the last taken result."""
         self._worker.wake()
 
     def hover(self, arguments: Mapping[str, Any]) -> None:
@@ -65,7 +65,7 @@ class TabScene:
             self.drawn.hover(self._part)
 
     def pick(self, arguments: Mapping[str, Any]) -> None:
-        """Say what is at `x` and `y` of the scene, in shares of its sides, and `why` the page asks: a "hover" or a "click"."""
+        """Send the object at `x` and `y` of the scene, in shares of its sides; `why` the page asks is a "hover" or a "click"."""
         why = "click" if arguments.get("why") == "click" else "hover"
         place = [arguments.get(name) for name in ("x", "y")]
         if self.drawn is not None and all(isinstance(one, (int, float)) and 0 <= one <= 1 for one in place):
@@ -73,11 +73,11 @@ class TabScene:
             self._send({"picked": {**(found or {}), "why": why}, "kind": why})
 
     def stop(self) -> None:
-        """End after what is being drawn."""
+        """End after the current drawing."""
         self._worker.stop()
 
     def _fit(self, camera: viser.CameraHandle) -> None:
-        """Draw again for a frame of another shape, which viser's page tells with its camera."""
+        """Draw again for a frame of another shape, which viser's page reports with its camera."""
         if abs(camera.aspect - self._aspect) > _OTHER_SHAPE:
             self._worker.wake()
 

@@ -1,1 +1,1 @@
-"""The layouts of data sets, a file each. A package brings another by an entry point, see `lpn.datasets`."""
+"""The layouts of data sets, one for each file. Packages add others by entry points, see `lpn.datasets`."""

@@ -50,7 +50,7 @@ class CVACT(Dataset):
                 yield from self.together(*pair)
 
     def _find(self, file: str) -> str:
-        """Return the path of a picture in any of the published folders; one without a folder, if it is not there."""
+        """Return the path of a picture in any of the published folders; if it is missing, a path without a folder."""
         files = (f"{folder}{file}{suffix}" for folder in _FOLDERS for suffix in (".jpg", ".png"))
         return next((path for path in map(self.files.find, files) if path is not None), f"{file}.jpg")
 

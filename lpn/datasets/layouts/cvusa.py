@@ -45,7 +45,7 @@ class CVUSA(Dataset):
 
 
 def _read(file: Path, name: str) -> list[tuple[str, str]]:
-    """Return the pairs of a split; none, if it is not there."""
+    """Return the pairs of a split; none if its list is missing."""
     pairs: list[tuple[str, str]] = []
     for line, values in read_rows(file, name) if file.is_file() else ():
         where = f"Line {line} of {name}"

@@ -5,8 +5,8 @@
     train/satellite/000001/{H80,H90,H100}.tif and {H80,H90,H100}_old.tif
     test/{query,gallery}_{drone,satellite}/000001/*
 
-The text file gives each place, the folder above a file, one position; a later line replaces an earlier one. The gallery holds the
-places to train on, too.
+The text file gives each place, the folder above a file, one position; a later line replaces an earlier one. The gallery also
+holds the training places.
 """
 
 from __future__ import annotations

@@ -5,7 +5,7 @@
     [images/]test/gallery_no_train(250)/<place>/*    distractors
     test_951_version.json, test_24G_version.json     not read: texts, and boxes of their objects
 
-The view of a picture is that of its name: drone_view, satellite_view, street_view; or, as in University-1652, image-<number> for
+A picture's name gives its view: drone_view, satellite_view, street_view; or, as in University-1652, image-<number> for
 a drone and the place's number for a satellite. Every other picture of a place is a street picture.
 """
 

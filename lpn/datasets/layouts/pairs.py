@@ -5,8 +5,8 @@
     tiles/b.jpg,photos/b1.jpg,test,7
 
 The first line names two or three of satellite, street, drone, and optionally split (train or test; default test) and place
-(a whole number). A cell may be empty if a line has no picture of a view. Without a place, lines with the same satellite
-picture (without satellites: the same picture of the first view) show the same place. Positions stand in a `geo.csv` beside it.
+(a whole number). A cell may be empty if a line has no picture of a view. Without a place, lines with one satellite picture
+(without satellites: one picture of the first view) show one place. Positions stand in a `geo.csv` beside it.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class PairsCSV(Dataset):
         places: dict[str | int, int] = {
             files[by]: place for _, files, _, place in lines if place is not None and by in files
         }
-        # A new place differs from those that are given.
+        # New places get numbers above the listed ones.
         fresh = max((place for *_, place in lines if place is not None), default=-1) + 1
         rows: dict[tuple[str, str], PictureRow] = {}
         for new, (where, files, split, given) in enumerate(lines, fresh):
@@ -53,7 +53,7 @@ class PairsCSV(Dataset):
                 row = PictureRow(f"{split}/{view}", file, place, Path(file).with_suffix("").as_posix())
                 if (before := rows.setdefault((row.of, file), row).label) != place:
                     raise DataError(f"{where} gives {printable(file)} the place {place}, after {before}; keep one.")
-        # The lists stand in the order of the columns, whichever view the first lines have.
+        # The lists follow the order of the columns, not of the first lines' views.
         return sorted(rows.values(), key=lambda row: views.index(row.of.partition("/")[2]))
 
     def _line(self, views: Sequence[str], where: str, row: dict[str, str]) -> tuple[dict[str, str], str, int | None]:
@@ -66,7 +66,7 @@ class PairsCSV(Dataset):
         files = {view: listed_path(row[view], where) for view in views if row[view]}
         if not files:
             raise DataError(f"{where} names no picture; expected one of {', '.join(views)}.")
-        # One picture may be listed in two spellings, and is one place all the same.
+        # A picture in two spellings is still one picture.
         found = {view: self.files.find(file) or file for view, file in files.items()}
         return found, split, None if place is None else int(place)
 

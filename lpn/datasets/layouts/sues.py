@@ -6,8 +6,8 @@
     Testing/<height>/query_{drone,satellite}/0001/*  80 places; also test/<height>/...
     Testing/<height>/gallery_{drone,satellite}/0001/*    all 200 places
 
-The label of a picture is its place's number, and the group of a drone picture its height in metres. Tiles are the same at all
-heights.
+The label of a picture is its place's number; the group of a drone picture is its height in metres. All heights share their
+tiles.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ def _drone_folder(root: Path) -> Path | None:
 
 
 def _split(root: Path, split: str, names: list[str], before: str) -> Iterator[PictureRow]:
-    """Yield the drone pictures of all heights, and the tiles of the first height that has some."""
+    """Yield the drone pictures of all heights, and the tiles of the first height with tiles."""
     top = next((root / name for name in _SPLITS[split] if (root / name).is_dir()), None)
     if top is None:
         return
@@ -95,7 +95,7 @@ def _raw(root: Path, drone: Path | None) -> Iterator[PictureRow]:
     trained = _trained(root / INDEX)
     rows = []
     for place in sorted(path for path in drone.iterdir() if path.name.isdecimal()):
-        # The folder of a height stands where that of a place does elsewhere.
+        # The folder of a height is where other layouts have a place's folder.
         for row in place_rows("drone", place):
             file = Path(row.file)
             if file.parent.name in HEIGHTS:
@@ -111,7 +111,7 @@ def _at(row: PictureRow, name: str, height: str) -> PictureRow:
 
 
 def _trained(file: Path) -> set[int]:
-    """Return the numbers below `index:` in the published list of places to train on."""
+    """Return the numbers below `index:` in the published list of training places."""
     numbers = {int(number) for number in re.findall(r"\b\d{1,4}\b", read_text(file, INDEX).partition("index")[2])}
     if not numbers:
         raise DataError(f"{INDEX} names no place; expected its key index with the numbers of the places to train on.")

@@ -1,4 +1,4 @@
-"""GTA-UAV (Ji et al. 2024), and UAV-VisLoc in the form that GTA-UAV's programs give it: drone pictures with lists of true tiles.
+"""GTA-UAV (Ji et al. 2024), and UAV-VisLoc prepared by GTA-UAV's programs: drone pictures with lists of true tiles.
 
     drone/images/*.png                                         other folders are possible: the lists name them
     satellite/<zoom>_<offset>_<x>_<y>.png                      GTA-UAV
@@ -32,8 +32,8 @@ from lpn.datasets.listed_paths import fold, listed_path, name_of
 _MAP_PIXELS, _METRES = 24_576, 0.45
 _TILE = 256
 _LARGEST_LIST = 500_000_000
-# UAV-VisLoc's maps: latitude and longitude of the top-left and of the bottom-right corner, height and width in pixels. Map 09, of
-# several sheets, is not cut into tiles.
+# UAV-VisLoc's maps: latitude and longitude of the top-left and of the bottom-right corner, height and width in pixels. Map 09,
+# which has several sheets, is not cut into tiles.
 _MAPS = {
     "01": (29.774065, 115.970635, 29.702283, 115.996851, 26762, 9774),
     "02": (29.817376, 116.033769, 29.725402, 116.064566, 34291, 11482),
@@ -65,8 +65,8 @@ class _Pair(NamedTuple):
 class TilePairs(Dataset):
     """A folder of GTA-UAV, or of UAV-VisLoc as GTA-UAV's programs prepare it, in one of its areas.
 
-    A tile's label is its number. A drone picture's label is that of the tile it overlaps most. Tiles that are true for a test
-    picture are queries, too.
+    A tile's label is its number; a drone picture's is the number of its most overlapping tile. True tiles of test pictures are
+    queries, too.
     """
 
     kind = "GTA-UAV"
@@ -119,7 +119,7 @@ class TilePairs(Dataset):
     def _flown(
         self, of: str, pairs: Sequence[_Pair], tiles: dict[str, str], numbers: dict[str, int]
     ) -> Iterator[PictureRow]:
-        """Yield the drone pictures that are there and have a true tile."""
+        """Yield the existing drone pictures with a true tile."""
         for pair in pairs:
             for name in pair.listed:
                 if name not in tiles:
@@ -137,7 +137,7 @@ class TilePairs(Dataset):
                 self.leave_out(pair.file, "has none of its true tiles")
 
     def _pairs(self, name: str) -> tuple[list[_Pair], PositionProtocol]:
-        """Return the pairs of a list with paths as they are on this machine, and whether they are GTA-UAV's or UAV-VisLoc's."""
+        """Return the pairs of a list, with paths of this machine, and the data set of the list, GTA-UAV or UAV-VisLoc."""
         entries = read_json(self.root / name, name, _LARGEST_LIST)
         first = entries[0] if isinstance(entries, list) and entries else None
         key = next((key for key in _LOCATIONS if isinstance(first, dict) and key in first), None)

@@ -6,8 +6,8 @@
     45/2fps/test/gallery_{satellite,street}/<place>/*
     .../test/query_{drone,satellite,street}/<place>/*       made by its organize_univ.py
 
-A list that an angle and a rate do not have is that of 45/2fps. Where query_drone is not there, queries are the videos of the
-places of query_satellite. Bird's-eye views (bev) are not read.
+Lists that an angle and a rate lack are taken from 45/2fps. Without query_drone, the queries are the videos of the places of
+query_satellite. Bird's-eye views (bev) are not read.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ class UniV(University):
     """A folder of UniV with the videos of one angle and one rate; labels are those of University-1652.
 
     Args:
-        root: the folder of the data set, or that of some videos, such as ROOT/45/2fps.
-        split: such as "45/2fps"; by default the first of 45 degrees, and of those the lowest rate.
+        root: the folder of the data set, or of some of its videos, such as ROOT/45/2fps.
+        split: such as "45/2fps"; by default the lowest rate of 45 degrees, if it exists.
     """
 
     kind = "UniV"
@@ -50,7 +50,7 @@ class UniV(University):
 
     @classmethod
     def recognises(cls, root: Path) -> bool:
-        """Return whether there are folders of an angle and a rate, or the folder is one."""
+        """Return whether the folder has folders of an angle and a rate, or is one of them."""
         return bool(_videos(root)) or (root.resolve().parent.name in _ANGLES and _is_rate(root.resolve()))
 
     def splits_there(self) -> list[str]:

@@ -3,8 +3,8 @@
     train/{satellite,drone,street,google}/<id>/*     JPEG, PNG, WebP, BMP, GIF, TIFF
     test/{query,gallery}_{satellite,drone,street}/<id>/*
 
-In the test split a text file may stand in place of a folder; it names another folder, whose pictures have this role, too.
-The label of a picture is its folder's integer name.
+In the test split, a text file in place of a folder names another folder whose pictures also have this role. The label of a
+picture is its folder's integer name.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from lpn.datasets.base import Dataset, PictureRow, sizes
 from lpn.datasets.listed_paths import hidden_name
 from lpn.datasets.rendered import PLAN, is_rendered
 
-# The lists in the order in which they are shown.
+# The lists in the order of display.
 LISTS = (
     *(f"train/{name}" for name in ("satellite", "drone", "street", "google")),
     *(f"test/{role}_{view}" for role in ("query", "gallery") for view in ("drone", "satellite", "street")),
@@ -56,15 +56,15 @@ class University(Dataset):
             yield from place_rows(name, self.folder_of(name))
 
     def folder_of(self, name: str) -> Path:
-        """Return the folder of one of the lists; it may be named by a text file in its place."""
+        """Return the folder of one of the lists; a text file in its place may name it."""
         return linked_folder(self.root / name)
 
 
 def place_rows(of: str, folder: Path) -> Iterator[PictureRow]:
-    """Yield the pictures of <folder>/<place>/*, in order of place and file name; none if there is no such folder.
+    """Yield the pictures of <folder>/<place>/*, by place and file name; none without the folder.
 
     Raises:
-        DataError: if a folder of a place is not a number.
+        DataError: if the folder of a place is not named by a number.
     """
     for name in _names(folder, folders=True) if folder.is_dir() else []:
         place = folder / name
@@ -80,7 +80,7 @@ def place_rows(of: str, folder: Path) -> Iterator[PictureRow]:
 
 
 def _names(folder: Path, folders: bool) -> list[str]:
-    """Return the sorted names of the folders in a folder, or of all else: a broken link is later reported as unreadable."""
+    """Return the sorted names of the folders in a folder, or of everything else, broken links included."""
     with os.scandir(folder) as entries:
         return sorted(entry.name for entry in entries if not hidden_name(entry.name) and _is_folder(entry) == folders)
 

@@ -1,10 +1,10 @@
-"""VIGOR (Zhu et al. 2021): panoramas and tiles of four cities; a panorama lies in one tile's middle and in up to three others.
+"""VIGOR (Zhu et al. 2021): panoramas and tiles of four cities; a panorama lies in one tile's middle and in up to three more.
 
     <city>/panorama/<id>,<latitude>,<longitude>,.jpg       also ground/<city>/...
     <city>/satellite/satellite_<latitude>_<longitude>.png  also satellite/<city>/...
-    splits/<city>/satellite_list.txt                       a tile a line; or splits__corrected, where there is no splits
+    splits/<city>/satellite_list.txt                       one tile a line; splits__corrected if there is no splits
     splits/<city>/same_area_balanced_{train,test}.txt      panorama, then four times: tile, and its offset in two numbers
-    splits/<city>/pano_label_balanced.txt                  the same for the whole city
+    splits/<city>/pano_label_balanced.txt                  as above, for the whole city
 
 The same-area split trains and tests on panoramas of all cities. The cross-area split trains on NewYork and Seattle, and tests on
 Chicago and SanFrancisco. The first of the four tiles is true, and the others are half-true (semi-positives). The gallery is every
@@ -26,7 +26,7 @@ from lpn.datasets.listed_paths import fold, listed_path, name_of
 
 CITIES = ("Chicago", "NewYork", "SanFrancisco", "Seattle")
 _SPLITS = ("splits", "splits__corrected")
-# The cities to train on and to test on, and the lists of a city, by area.
+# The training cities, the test cities, and the lists of a city, by area.
 _CITIES: dict[str, dict[str, tuple[str, ...]]] = {
     "same-area": {"train": CITIES, "test": CITIES},
     "cross-area": {"train": ("NewYork", "Seattle"), "test": ("Chicago", "SanFrancisco")},
@@ -34,7 +34,7 @@ _CITIES: dict[str, dict[str, tuple[str, ...]]] = {
 _LISTS = {"same-area": "same_area_balanced_{}.txt", "cross-area": "pano_label_balanced.txt"}
 _TILES = "satellite_list.txt"
 _MARKS = (*(f"{splits}/{{}}/" for splits in _SPLITS), "{}/panorama/", "ground/{}/")
-# The paper states these numbers; the authors' repository states none, and the released lists were not at hand to count.
+# The paper states these numbers. The authors' repository states none, and the released lists were not available for a count.
 _FULL = {"same-area": (52_609, 52_605, 90_618), "cross-area": (51_520, 53_694, 46_563)}
 _COORDINATES = re.compile(r"(-?\d+\.\d+)[,_](-?\d+\.\d+),?\.\w+$")
 
@@ -95,7 +95,7 @@ class VIGOR(Dataset):
         return geo.Position(float(point[1]), float(point[2]))
 
     def _folder(self, city: str, inner: str, outer: str) -> str:
-        """Return the folder of a city's pictures, in either of the two published forms."""
+        """Return the folder of a city's pictures, in either published form."""
         return f"{outer}/{city}" if (self.root / outer / city).is_dir() else f"{city}/{inner}"
 
     def _tiles(self, top: str, city: str) -> dict[str, str]:

@@ -6,8 +6,8 @@
     <region>/query/height<h>_rot<r>/footage/height<h>_rot<r>_<key>.jpeg
     <region>/{positive,semi_positive}.json                   names of tiles by key; semi_positive.json may lack keys
 
-Positives and semi-positives are both true, and a query is ranked among the tiles of its region alone. Queries are the flights at
-100, 125, and 150 m that are turned by multiples of 45 degrees. The published recall is the mean over the regions.
+Positives and semi-positives are both true, and a query is ranked among the tiles of its region alone. Queries are flights at
+100, 125, and 150 m, at turns by multiples of 45 degrees. The published recall is the mean over the regions.
 """
 
 from __future__ import annotations
@@ -37,8 +37,8 @@ _HEIGHTS, _STEP = (100, 125, 150), 45
 class WorldUAV(Dataset):
     """A folder of World-UAV in one of its splits, or the folder of one region; its only task is "drone-to-satellite".
 
-    A tile's label is its number; a drone picture's is that of its first positive. Groups are the regions; in one region they are
-    its flights, all of them queries.
+    A tile's label is its number; a drone picture's is its first positive's. Groups are the regions. In one region, they are its
+    flights, all of them queries.
     """
 
     kind = "World-UAV"
@@ -89,7 +89,7 @@ class WorldUAV(Dataset):
         ]
 
     def _regions(self, name: str, split: str) -> list[str]:
-        """Return the paths of the regions of a list that are there."""
+        """Return the paths of the existing regions of a list."""
         lists = (f"{folder}/{name}{_SUFFIXES[split]}.txt" for folder in _INDEX)
         title = next((name for name in lists if (self.root / name).is_file()), None)
         if title is None:
@@ -129,7 +129,7 @@ class WorldUAV(Dataset):
                     yield PictureRow(of, file, label, name, group, true=of_key, region=region)
 
     def _true(self, region: str, tiles: dict[str, str]) -> dict[str, list[str]]:
-        """Return the true tiles of each key of a region, positives first; those that are not there are left out."""
+        """Return the existing true tiles of each key of a region, positives first."""
         positive, semi = (self._names_by_key(f"{region}/{name}".lstrip("/")) for name in (_POSITIVE, _SEMI))
         true: dict[str, list[str]] = {}
         for key, names in positive.items():
@@ -144,7 +144,7 @@ class WorldUAV(Dataset):
         return true
 
     def _names_by_key(self, name: str) -> dict[str, list[str]]:
-        """Return the names of tiles by key; a file that is not there has none."""
+        """Return the names of tiles by key; none for a missing file."""
         lists = read_json(self.root / name, name) if (self.root / name).is_file() else {}
         values = [*lists.values()] if isinstance(lists, dict) else [None]
         if not all(isinstance(names, list) and all(isinstance(tile, str) for tile in names) for names in values):

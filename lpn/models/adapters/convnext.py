@@ -12,7 +12,7 @@ from lpn.models.adapters.entries import Entries
 from lpn.models.adapters.network import HeldNorm
 from lpn.models.backbones import Bottleneck, ResNet
 
-# The names of the original implementation by those of timm.
+# Names of the original implementation by timm's names.
 _TIMM_NAMES = {
     r"downsample_layers\.0\.": "stem.",
     r"downsample_layers\.(\d+)\.": r"stages.\1.downsample.",
@@ -22,7 +22,7 @@ _TIMM_NAMES = {
     r"stages\.(\d+)\.(\d+)\.(norm|gamma)": r"stages.\1.blocks.\2.\3",
     r"norm\.": "head.norm.",
 }
-# ConvNeXts by the blocks of their third stage and the channels of their first, and ResNets by the blocks of their third stage.
+# ConvNeXts by the blocks of their third stage and the channels of their first; ResNets by the blocks of their third stage.
 _CONVNEXTS = {
     (9, 96): "ConvNeXt-T",
     (27, 96): "ConvNeXt-S",
@@ -36,12 +36,12 @@ STRIDE = 32
 
 
 def with_timm_names(entries: Entries) -> Entries:
-    """Return the entries of a ConvNeXt of the original implementation under timm's names."""
+    """Return the entries of an original ConvNeXt under timm's names."""
     return entries.renamed(_TIMM_NAMES)
 
 
 class Trunk(nn.Module):
-    """A ConvNeXt of timm's names, also V2, up to its map: (B, 3, H, W) -> (B, C, H/32, W/32)."""
+    """A ConvNeXt, also V2, with timm's names, up to its map: (B, 3, H, W) -> (B, C, H/32, W/32)."""
 
     def __init__(self, entries: Entries) -> None:
         super().__init__()
@@ -65,7 +65,7 @@ class Trunk(nn.Module):
 
 
 class ResNetTrunk(nn.Module):
-    """A ResNet of bottlenecks of torchvision's names up to its map of stride 32."""
+    """A bottleneck ResNet with torchvision's names, up to its map of stride 32."""
 
     def __init__(self, entries: Entries) -> None:
         super().__init__()
@@ -85,7 +85,7 @@ class ResNetTrunk(nn.Module):
 
 
 def hand_made_trunk(entries: Entries) -> Trunk | ResNetTrunk:
-    """Build what MCCG and the methods built on it have under `convnext.`: a ConvNeXt, or a ResNet under `convnext.model.`."""
+    """Build the trunk under `convnext.` of MCCG and its successors: a ConvNeXt, or a ResNet under `convnext.model.`."""
     if entries.has("convnext.model.conv1.weight"):
         return ResNetTrunk(entries.under("convnext.model."))
     return Trunk(with_timm_names(entries.under("convnext.")))

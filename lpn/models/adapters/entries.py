@@ -1,4 +1,4 @@
-"""The entries of a published checkpoint as an adapter reads them: by prefix, with their shapes checked, and reads noted."""
+"""The entries of a published checkpoint for an adapter: by prefix, with their shapes checked, and reads recorded."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from lpn.core.errors import ModelFileError
 
 _EPSILON = 1e-5
 _BLOCK = re.compile(r"(?:.*\.)?(?:blocks|layers|stages)\.\d+(?=\.)")
-# Entries that layers have; one of them alone is no layer.
+# Entries of layers that may be unused as a whole; one of them alone is no layer.
 _OF_LAYER = ("weight", "bias", "running_mean", "running_var", "gamma")
 
 
@@ -26,9 +26,9 @@ class Entries:
         name: of the file, for messages.
         state: the tensors.
         options: of `opts.yaml`; empty without one.
-        names: those of the file by the names of `state`, where they differ.
-        prefix: what was cut off the names of `state`, for messages.
-        read: the file's names of the tensors that were read, in common with the entries that these are part of.
+        names: the file's names by the names of `state`, if they differ.
+        prefix: the removed prefix of the names of `state`, for messages.
+        read: the file's names of all read tensors, shared with the entries that these are part of.
     """
 
     name: str
@@ -43,7 +43,7 @@ class Entries:
         return self.names.get(key, self.prefix + key)
 
     def has(self, prefix: str) -> bool:
-        """Return whether some name begins with a prefix."""
+        """Return whether any name begins with a prefix."""
         return any(key.startswith(prefix) for key in self.state)
 
     def under(self, prefix: str) -> Entries:
@@ -53,7 +53,7 @@ class Entries:
         return replace(self, state=cut, names=names, prefix=self.prefix + prefix)
 
     def renamed(self, patterns: Mapping[str, str]) -> Entries:
-        """Return the entries under other names: the first pattern that matches a name's begin replaces it."""
+        """Return the entries under other names: the first pattern that matches a name's beginning replaces it."""
         state, names = {}, {}
         for key, value in self.state.items():
             found = ((pattern, to) for pattern, to in patterns.items() if re.match(pattern, key))
@@ -67,10 +67,10 @@ class Entries:
         return replace(self, state={**self.state, key: tensor})
 
     def count(self, pattern: str, first: int = 0) -> int:
-        """Return how many numbers from `first` in a row complete a pattern such as `blocks.{}.norm1.weight`.
+        """Count the consecutive numbers from `first` that complete a pattern such as `blocks.{}.norm1.weight`.
 
         Raises:
-            ModelFileError: if further numbers are there behind one that is missing.
+            ModelFileError: if further numbers follow a missing one.
         """
         number = first
         while pattern.format(number) in self.state:
@@ -86,7 +86,7 @@ class Entries:
         return self.count(f"{name}{{}}.add_block.0.weight", 1)
 
     def left_over(self, unused: str) -> list[str]:
-        """Return the file's names of the entries that nothing has read, but for those that a pattern matches.
+        """Return the file's names of unread entries, except for matches of the pattern `unused`.
 
         Raises:
             ModelFileError: if a layer or a block was read in part, such as its weight without its bias.
@@ -105,7 +105,7 @@ class Entries:
         """Return the shape of an entry.
 
         Raises:
-            ModelFileError: if it is missing, or has another number of sides or an empty one.
+            ModelFileError: if it is missing, has another number of dimensions, or an empty one.
         """
         tensor = self.state.get(key)
         if tensor is None:
@@ -138,19 +138,19 @@ class Entries:
         return value
 
     def fill(self, network: nn.Module) -> None:
-        """Put the entries into a network of the same names, also one on the meta device; further entries are ignored.
+        """Put the entries into a network of equal names, also one on the meta device; further entries are ignored.
 
         Raises:
             ModelFileError: as for `tensor`.
         """
         own = network.state_dict()
         counters = {key: torch.zeros((), dtype=torch.int64) for key in own if key.endswith("num_batches_tracked")}
-        # Parameters that take a tensor as it is must own it: branches of one file may share tensors.
+        # Parameters that take a tensor without a copy must own it: branches of one file may share tensors.
         tensors = {key: self.tensor(key, tuple(value.shape)) for key, value in own.items() if key not in counters}
         network.load_state_dict(tensors | counters, assign=True)
 
     def linear(self, prefix: str, channels: int) -> tuple[Tensor, Tensor]:
-        """Return a head that is one linear layer: A (D, C) and c (D,)."""
+        """Return a head of one linear layer: A (D, C) and c (D,)."""
         size = self.shape(f"{prefix}.weight", 2)[0]
         return self.tensor(f"{prefix}.weight", (size, channels)), self.tensor(f"{prefix}.bias", (size,))
 
@@ -176,6 +176,6 @@ class Entries:
 
 
 def _layer(key: str) -> str:
-    """Return the block that an entry is of, else its layer."""
+    """Return an entry's block, else its layer."""
     block = _BLOCK.match(key)
     return block[0] if block else key.rpartition(".")[0]

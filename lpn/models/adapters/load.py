@@ -35,7 +35,7 @@ def load_file(
     Only tensors are unpickled. An `opts.yaml` beside the file has the options of its training.
 
     Args:
-        kind: whose checkpoint it is; by default the method whose entries it has.
+        kind: the checkpoint's method; by default recognised by its entries.
         pooling: of the tokens of a network of timm or transformers; the mean by default.
         network: the name of the network in timm; None for a method, or a folder of transformers.
 
@@ -74,7 +74,7 @@ def load_file(
 
 
 def _told(pooling: TokenPooling | None, path: Path) -> TokenPooling:
-    """Return the pooling of a network without parts, the mean by default, which is said."""
+    """Return the pooling of a network without parts; the default, the mean, is logged."""
     if pooling is None:
         log.warning(
             "%s has no parts of its own; its tokens are pooled by their mean (--pooling).", printable(path.name)
@@ -83,5 +83,5 @@ def _told(pooling: TokenPooling | None, path: Path) -> TokenPooling:
 
 
 def _model(made: PublishedParts, path: Path, device: torch.device | str, beside: object) -> PublishedModel:
-    # Options and configurations change a network, and are in no tensor.
+    # Options and configurations change a network, but are in no tensor.
     return PublishedModel(made, fingerprint(path, also=repr((made.contract, beside))), device)

@@ -21,7 +21,7 @@ from lpn.models.contract import ForwardPass, Heads, Role
 class PublishedModel(Model):
     """A published model that runs in PyTorch, on a device.
 
-    Pictures may have other sizes than the model's where its positions allow that.
+    Pictures may have other sizes than the model's if its positions allow that.
 
     Args:
         published: its contract and branches.
@@ -39,7 +39,7 @@ class PublishedModel(Model):
         }
 
     def network(self, view: View) -> PartBranch:
-        """Return the branch that describes a view, by its role where branches have roles.
+        """Return the branch that describes a view, by its role if branches have roles.
 
         Raises:
             InputError: if the model lacks the view.
@@ -67,9 +67,9 @@ class PublishedModel(Model):
             return network.account(batch) if account else cast(Tensor, network(batch))
 
     def released_descriptors(self, images: Any, view: View) -> Float32Array:
-        """Return the rows that the released test code writes: (B, D n), the part index fastest.
+        """Return the rows of the released test code: (B, D n), the part index fastest.
 
-        They are `descriptors` in that order, except for DenseUAV with the heads FSRA and LPN, whose rows have the length
+        They are `descriptors` in that order. Only the rows of DenseUAV with the heads FSRA and LPN have the length
         sqrt((k + 1) / k) for k regions or rings beside the class token.
 
         Raises:
@@ -79,7 +79,7 @@ class PublishedModel(Model):
         return parts.transpose(0, 2, 1).reshape(len(parts), -1) * np.float32(self.length)
 
     def heads(self, view: View) -> Heads:
-        """Return the static heads; nothing where features have them applied."""
+        """Return the static heads; empty if the features include them."""
         weight = self.network(view).weight
         return Heads() if weight is None or not self.contract.has_cells else Heads(_array(weight))
 

@@ -1,4 +1,4 @@
-"""Networks of timm by name: as tokens, as a map, or as the vector that the network pools."""
+"""Networks of timm by name: as tokens, as a map, or as the network's own pooled vector."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class NamedTokens(nn.Module):
 
 
 class Whole(PartBranch):
-    """One vector as the network itself pools it, without cells."""
+    """One vector by the network's own pooling, without cells."""
 
     def __init__(self, network: nn.Module) -> None:
         super().__init__((1, 1))
@@ -56,10 +56,10 @@ def filled_map(name: str, entries: Entries, size: tuple[int, int]) -> TimmMap:
 
 
 def named_vector(name: str, entries: Entries, size: tuple[int, int]) -> tuple[PartBranch, int]:
-    """Return a network of timm with the pooling that it has without a classifier, and the numbers of its vector.
+    """Return a network of timm with its own pooling and without a classifier, and the length of its vector.
 
-    The network's vector for a picture of noise is compared with the mean of its cells, with and without the LayerNorm after the
-    pooling. If one of the two equals the vector, the branch has cells; otherwise it has none.
+    The network's vector for a picture of noise is compared with the mean of its cells, with and without the LayerNorm after
+    the pooling. If one of the two equals the vector, the branch has cells; otherwise it has none.
 
     Raises:
         InputError: if timm has no such network, or it takes no pictures of that size.
@@ -100,6 +100,6 @@ def _fill(network: nn.Module, name: str, entries: Entries) -> None:
 
 
 def _held_norm(network: Any) -> HeldNorm | None:
-    """Return the LayerNorm that a network has behind its pooling."""
+    """Return the LayerNorm after a network's pooling, or None."""
     found = timm_networks.norm_behind(network)
     return None if found is None else HeldNorm(found.weight.detach(), found.bias.detach(), found.eps)

@@ -31,7 +31,7 @@ class PartBranch(nn.Module):
 
     Attributes:
         grid: (h, w) of the map of a picture of the model's input size; 1 x 1 without cells.
-        weight: A, the static heads, (n, D, C); None if features have them applied, or there are none.
+        weight: A, the static heads, (n, D, C); None if features include them, or there are none.
     """
 
     grid: tuple[int, int]
@@ -51,11 +51,7 @@ class PartBranch(nn.Module):
         raise NotImplementedError
 
     def check_size(self, size: tuple[int, int], trained: tuple[int, int]) -> None:
-        """Check that the network takes pictures (height, width); by default only of the size that it was trained with.
-
-        Raises:
-            InputError: if it does not.
-        """
+        """Raise InputError unless the network takes pictures (height, width); by default only of its training size."""
         self._check_size(size, trained, size == trained, "pictures of that size alone")
 
     @staticmethod
@@ -85,13 +81,13 @@ class HeldNorm(nn.Module):
 
 
 class MeanVector(PartBranch):
-    """One vector without a head: the mean over the cells of a map, as it is or under a LayerNorm.
+    """One vector without a head: the mean over the cells of a map, plain or under a LayerNorm.
 
     Args:
         trunk: gives a map (B, C, h, w).
         norm: of the mean; None for none.
         step: pixels along a side of one cell.
-        fixed: whether pictures must have the size that the network was trained with.
+        fixed: whether pictures must have the network's training size.
     """
 
     def __init__(
@@ -101,7 +97,7 @@ class MeanVector(PartBranch):
         self.trunk, self.norm, self.step, self.fixed = trunk, norm, step, fixed
 
     def check_size(self, size: tuple[int, int], trained: tuple[int, int]) -> None:
-        """Check that both sides are multiples of a cell's, or those of the size that the network was trained with."""
+        """Check that both sides are multiples of a cell's, or equal the training size."""
         if self.fixed:
             super().check_size(size, trained)
         else:
@@ -130,16 +126,16 @@ class MeanVector(PartBranch):
 
 
 def whole_mean(features: Tensor) -> Tensor:
-    """Return the cells of a mean over the whole map: (B, C, h, w) -> (B, 1, h, w)."""
+    """Return the cell weights of a mean over the whole map: (B, C, h, w) -> (B, 1, h, w)."""
     batch, _, height, width = features.shape
     return features.new_full((batch, 1, height, width), 1.0 / (height * width))
 
 
 def on_grid(values: Tensor, grid: tuple[int, ...]) -> Tensor:
-    """Return values (..., h w) as (..., h, w)."""
+    """Reshape values (..., h w) to (..., h, w)."""
     return values.reshape(*values.shape[:-1], *grid)
 
 
 def by_heads(pooled: Tensor, weight: Tensor, bias: Tensor) -> Tensor:
-    """Apply a head to each part: (B, n, C), A (n, D, C), and c (n, D) give (B, n, D)."""
+    """Apply a head to each part: (B, n, C) -> (B, n, D), by A (n, D, C) and c (n, D)."""
     return torch.matmul(weight, pooled.unsqueeze(3)).squeeze(3) + bias

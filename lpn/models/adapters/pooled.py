@@ -1,4 +1,4 @@
-"""Parts that are heads on weighted means of a network's cells, and of the tokens that stand in front of them."""
+"""Parts that are heads on weighted means of a network's cells and prefix tokens."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class MapCells(nn.Module):
 
 
 class FixedWeights(nn.Module):
-    """The same weights of tokens for every picture.
+    """Constant weights of tokens.
 
     Args:
         weights: (n, prefix + N).
@@ -54,14 +54,14 @@ def first_alone(count: int) -> FixedWeights:
 
 
 class RegionWeights(nn.Module):
-    """FSRA's regions: tokens in the order of falling heat, cut into k regions of floor(N / k), of which the last takes the rest.
+    """FSRA's regions: tokens by falling heat, cut into k regions of floor(N / k), with the rest in the last one.
 
-    A token's heat is the mean over its channels. One extra part is the class token, or the mean of all tokens if there is none.
+    A token's heat is the mean over its channels. One extra part is the class token, or without one the mean of all tokens.
 
     Args:
         regions: k.
         class_token: whether the first token is the class token, which is in no region.
-        whole: the number of the further part.
+        whole: the number of the extra part.
 
     Raises:
         ModelFileError: if there are more regions than tokens.
@@ -100,11 +100,11 @@ class RegionWeights(nn.Module):
 class PooledTokens(PartBranch):
     """A head for each part on a weighted mean of tokens.
 
-    Tokens in front of the cells, such as a class token, have no place in the picture. Their share of a part is a constant.
+    Tokens before the cells, such as a class token, have no place in the picture. Their share of a part is a constant.
 
     Args:
-        trunk: gives tokens (B, prefix + N, C), those of the cells row by row behind the others; it has the attributes `prefix`
-            and `grid`.
+        trunk: gives tokens (B, prefix + N, C), with those of the cells last, row by row; it has the attributes `prefix` and
+            `grid`.
         weights: of the tokens in the parts.
         heads: A (n, D, C) and c (n, D).
         cells: False if no part pools over the map; the branch then gives no evidence.
@@ -135,11 +135,11 @@ class PooledTokens(PartBranch):
 class StrongestTokens(PartBranch):
     """DenseUAV's SingleBranch with `head_pool` "max" or "avg+max": a head on the maximum of all tokens but the class token.
 
-    Each channel belongs to the token that attains it; the account has the head applied.
+    Each channel belongs to the token that attains it; the account includes the head.
 
     Args:
-        trunk: as of `PooledTokens`, with a class token.
-        mean: whether the mean of the same tokens is added.
+        trunk: as for `PooledTokens`, with a class token.
+        mean: whether to add the mean of these tokens.
     """
 
     def __init__(self, trunk: Any, heads: tuple[Tensor, Tensor], mean: bool) -> None:

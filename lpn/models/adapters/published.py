@@ -1,4 +1,4 @@
-"""The common part of the builders of published models: the model as its checkpoint tells, its views, sizes, and options."""
+"""The common part of the builders of published models: views, sizes, and options of a checkpoint."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from lpn.models.contract import AccountLevel, Contract, Role
 from lpn.models.options import picture_size
 
 PAIR: tuple[View, ...] = ("satellite", "drone")
-# Entries that the published code keeps and does not use for descriptors.
+# Entries of the published code that descriptors do not use.
 _UNUSED = re.compile(
     r".*(\bclassifier\.\d+\.|num_batches_tracked$)|(bn|gem\d+|model\.fc|transformer\.fc|convnext\.(head|model\.fc))\."
 )
@@ -26,12 +26,12 @@ NORM_HELD = "the LayerNorm's mean and variance"
 
 @dataclass(frozen=True)
 class PublishedParts:
-    """A model that a checkpoint describes.
+    """A model built from a checkpoint.
 
     Attributes:
-        contract: what the model says of itself.
-        branches: by view, or by role where the contract's roles are "role".
-        length: of a descriptor that the released test code writes.
+        contract: the model's contract.
+        branches: by view, or by role if the contract's roles are "role".
+        length: of a descriptor in the released test code.
     """
 
     contract: Contract
@@ -50,11 +50,11 @@ def published(
     embedding: int = 0,
     **further: Any,
 ) -> PublishedParts:
-    """Return a model of branches by view, or by the roles query and gallery; views of the same branch share its weights.
+    """Return a model of branches by view, or by the roles query and gallery; views of one branch share its weights.
 
     Args:
         parts: their names with numbers; none for a method of one vector.
-        embedding: numbers of a part; 0 for those of the branch's heads.
+        embedding: length of a part; 0 for that of the branch's heads.
         further: other fields of the contract.
     """
     roles = "query" in branches
@@ -88,7 +88,7 @@ def by_view(
     level: AccountLevel,
     held: str = "",
 ) -> PublishedParts:
-    """Build a model whose satellite and drone share `model_1`; `model_2`, where there is one, describes the street."""
+    """Build a model whose satellite and drone share `model_1`; `model_2`, if it exists, describes the street."""
     three = entries.has("model_2.")
     check_option(entries, "views", 3 if three else 2)
     made = [branch(own) for own in numbered(entries)]
@@ -100,13 +100,13 @@ def by_view(
 
 
 def distinct(entries: Entries, *prefixes: str) -> list[Entries]:
-    """Return the entries of one or two branches by their prefixes; those of the first alone if both describe alike."""
+    """Return the entries of one or two branches by their prefixes; only the first if both are equal."""
     alike = len(prefixes) == 2 and equal(entries, *prefixes)
     return [entries.under(prefix) for prefix in (prefixes[:1] if alike else prefixes)]
 
 
 def numbered(entries: Entries) -> list[Entries]:
-    """Return the entries of `model_1`, and those of `model_2` where they are there and describe otherwise."""
+    """Return the entries of `model_1`, and those of `model_2` if they exist and differ."""
     return distinct(entries, "model_1.", *(["model_2."] if entries.has("model_2.") else []))
 
 
@@ -116,9 +116,9 @@ def by_role(made: Sequence[PartBranch]) -> dict[View | Role, PartBranch]:
 
 
 def count_regions(entries: Entries) -> int:
-    """Return the number of FSRA's regions by the heads beside that of the class token.
+    """Return the number of FSRA's regions, from the heads beside the class token's.
 
-    With one block the released code describes by the class token alone, so its region's head may be there or not.
+    With one block, the released code describes by the class token alone, so a region's head is optional.
     """
     count = entries.count_heads("classifier_heat")
     if count or entries.options.get("block") != 1:
@@ -132,12 +132,12 @@ def region_names(count: int) -> list[str]:
 
 
 def regions_level(regions: int) -> dict[str, Any]:
-    """Return the arguments of a contract that say how exact the evidence of FSRA's regions is."""
+    """Return a contract's arguments for the exactness of the evidence of FSRA's regions."""
     return {"level": "exact, with held", "held": "the regions of each picture"} if regions else {"level": "one vector"}
 
 
 def equal(entries: Entries, first: str, second: str) -> bool:
-    """Return whether two branches describe alike; then the second one counts as read."""
+    """Return whether two branches are equal; then the second one counts as read."""
     one, other = entries.under(first), entries.under(second)
     compared = [key for key in one.state if not _UNUSED.match(key)]
     alike = all(key in other.state and torch.equal(one.state[key], other.state[key]) for key in compared)
@@ -147,7 +147,7 @@ def equal(entries: Entries, first: str, second: str) -> bool:
 
 
 def size_of(entries: Entries, default: tuple[int, int], step: int = 1) -> tuple[int, int]:
-    """Return the input size of the options, by default that of the released script.
+    """Return the input size of the options, by default the released script's.
 
     Raises:
         ModelFileError: if it is no multiple of `step`, or huge.
@@ -156,7 +156,7 @@ def size_of(entries: Entries, default: tuple[int, int], step: int = 1) -> tuple[
 
 
 def check_option(entries: Entries, option: str, held: int) -> None:
-    """Refuse an option that contradicts the number that the entries tell (ModelFileError)."""
+    """Raise ModelFileError if an option contradicts the number in the entries."""
     stated = entries.options.get(option, held)
     if stated != held:
         what = "networks describe as many views" if option == "views" else "of these heads"

@@ -1,4 +1,4 @@
-"""The adapters of published models, and which of them a checkpoint is for."""
+"""The adapters of published models, and the choice of one for a checkpoint."""
 
 from __future__ import annotations
 
@@ -19,21 +19,21 @@ from lpn.models.adapters.entries import Entries
 from lpn.models.adapters.published import PublishedParts
 
 GROUP = "lpn.adapters"
-# Prefixes of all names after training with DataParallel, torch.compile, or a class that holds the network as `model` or `net`.
+# Prefixes of all names after training with DataParallel, torch.compile, or a class with the network as `model` or `net`.
 _WRAPPERS = ("module.", "_orig_mod.", "model.", "net.", "network.")
 _SHOWN = 4
 
 
 @dataclass(frozen=True)
 class Adapter:
-    """What reads the checkpoints of one method.
+    """The reader of one method's checkpoints.
 
     Attributes:
         kind: its name for `--kind`; several adapters may have one.
-        needs: patterns of names, each of which some entry matches from its begin. An option of opts.yaml is an entry
+        needs: patterns that must each match the beginning of some entry's name. An option of opts.yaml is an entry
             `opts.yaml:NAME`.
-        build: the model from all entries.
-        unused: a pattern of entries that the released code has for training alone.
+        build: builds the model from all entries.
+        unused: a pattern of entries for training alone.
     """
 
     kind: str
@@ -42,7 +42,7 @@ class Adapter:
     unused: str = r"(?!)"
 
     def fits(self, names: Collection[str]) -> bool:
-        """Return whether all entries that it needs are there."""
+        """Return whether all needed entries exist."""
         return all(any(re.match(pattern, name) for name in names) for pattern in self.needs)
 
 
@@ -56,7 +56,7 @@ LPN = Adapter("lpn", (r"model_\d\.model\.", f"{_HEAD}0.weight", f"{_HEAD}1.weigh
 
 @cache
 def adapters() -> tuple[Adapter, ...]:
-    """Return the adapters of this package and of others, that of LPN first."""
+    """Return the adapters of this package and of others, LPN's first."""
     modules = [import_module(f"{methods.__name__}.{module.name}") for module in iter_modules(methods.__path__)]
     others = [adapter for point in entry_points(group=GROUP) for adapter in point.load()]
     return (LPN, *(adapter for module in modules for adapter in module.ADAPTERS), *others)
@@ -65,16 +65,16 @@ def adapters() -> tuple[Adapter, ...]:
 def choose(
     kind: str | None, state: Mapping[str, Tensor], options: Collection[str], name: str
 ) -> tuple[Adapter, dict[str, Tensor]]:
-    """Return the adapter of a state dict, and its entries without a prefix that training put before all names.
+    """Return the adapter of a state dict, and its entries without a prefix that training added to all names.
 
-    The adapter with the most entries that it needs wins.
+    The adapter with the most needed entries wins.
 
     Args:
         kind: the method that a user named; None to recognise it.
-        options: the names of those beside the file.
+        options: names of the options beside the file.
 
     Raises:
-        ModelFileError: if no adapter fits, or two alike.
+        ModelFileError: if no adapter fits, or two fit equally.
         InputError: if there is no such kind.
     """
     known = [adapter for adapter in adapters() if kind in (None, adapter.kind)]
@@ -101,7 +101,7 @@ def choose(
             break
         inner = {key.removeprefix(prefix): value for key, value in inner.items()}
     if kind is not None:
-        # The names of training may be missing; the builder names an entry that it lacks.
+        # The names of training may be missing; the builder reports a missing entry.
         return known[0], inner
     entries = first_few([printable(key)[:80] for key in inner], _SHOWN) or "nothing"
     raise ModelFileError(

@@ -1,4 +1,4 @@
-"""Networks of timm and of transformers, built by their own loaders, whose tokens are pooled by name into parts."""
+"""Networks of timm and of transformers, built by their own loaders, with tokens pooled into parts."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ log = logging.getLogger(__name__)
 
 
 class TimmTokens(nn.Module):
-    """A network of timm: (B, 3, H, W) to its map (B, C, h, w), and the vector of its class token (B, C), None without one."""
+    """A network of timm: (B, 3, H, W) to its map (B, C, h, w), and its class token (B, C), or None."""
 
     def __init__(self, network: TimmMap) -> None:
         super().__init__()
@@ -79,7 +79,7 @@ class TokenParts(PartBranch):
 
     Args:
         trunk: gives the map and the class token, and has `grid`.
-        norm: a LayerNorm behind the network's own mean; only with the pooling "mean".
+        norm: a LayerNorm after the network's own mean; only with the pooling "mean".
     """
 
     def __init__(self, trunk: Any, pooling: TokenPooling, norm: HeldNorm | None = None) -> None:
@@ -120,9 +120,9 @@ class TokenParts(PartBranch):
 
 
 def of_timm(entries: Entries, pooling: TokenPooling, name: str) -> PublishedParts:
-    """Build a network of timm by its name, with weights as timm's own loader reads them.
+    """Build a network of timm by its name, with weights read by timm's own loader.
 
-    The size of pictures is `h` and `w` of the options, else that of the training.
+    The size of pictures is `h` and `w` of the options, else the training's.
 
     Raises:
         ModelFileError: if entries are missing or have wrong shapes.
@@ -143,7 +143,7 @@ def of_timm(entries: Entries, pooling: TokenPooling, name: str) -> PublishedPart
 
 
 def is_of_transformers(folder: Path) -> bool:
-    """Return whether a folder has the configuration that transformers writes beside the weights of a network."""
+    """Return whether a folder has the configuration that transformers writes beside a network's weights."""
     try:
         return "model_type" in read_configuration(folder, NETWORK)
     except ModelFileError:  # other programs write a config.json of their own
@@ -151,10 +151,10 @@ def is_of_transformers(folder: Path) -> bool:
 
 
 def of_transformers(folder: Path, options: Mapping[str, Any], pooling: TokenPooling) -> PublishedParts:
-    """Build a vision transformer from the folder that transformers saved it to; its code is transformers' alone.
+    """Build a vision transformer from a folder that transformers saved; only transformers' own code runs.
 
     Raises:
-        ModelFileError: if transformers cannot open it, or it gives no tokens of patches.
+        ModelFileError: if transformers cannot open it, or it gives no patch tokens.
         MissingPackageError: if transformers is missing.
     """
     try:
@@ -189,7 +189,7 @@ def _parts(
     normalisation: tuple[Triple, Triple],
     norm: HeldNorm | None = None,
 ) -> PublishedParts:
-    """Return the model of a pooling of tokens; it describes all views alike."""
+    """Return the model of a pooling of tokens; one branch describes all views."""
     if pooling.needs_class_token and not trunk.has_class:
         raise InputError(f"{title} has no class token for the pooling {pooling}; take mean, gem, or rings:N.")
     norm = norm if pooling.name == "mean" else None

@@ -15,21 +15,21 @@ from lpn.models.adapters.entries import Entries
 from lpn.models.adapters.network import on_grid
 
 NAMES = {192: "ViT-Ti", 384: "ViT-S", 512: "ViT-M", 768: "ViT-B", 1024: "ViT-L"}
-# FSRA's attention has 8 heads, and scales logits by the width of all of them together.
+# FSRA's attention has 8 heads, and scales logits by their total width.
 _FSRA_HEADS = 8
 # Other vision transformers have heads of 64 numbers up to the large size. Wider ones have heads of several widths.
 _HEAD_WIDTH, _WIDEST = 64, 1024
-# DINOv2's code resamples positions with a scale for sides that are longer by this than they are.
+# DINOv2's code resamples positions with a scale for sides that are this much longer than the original ones.
 _LONGER = 0.1
 
 
 class Tokens(nn.Module):
     """A ViT up to its last norm: (B, 3, H, W) to all tokens, (B, prefix + cells, C).
 
-    The class token comes first where there is one, then registers, then the cells row by row.
+    The class token, if any, comes first, then registers, then the cells row by row.
 
     Args:
-        entries: with timm's names. The option `heads` is their number where heads are not of 64 numbers.
+        entries: with timm's names. The option `heads` is their number unless they have 64 numbers each.
         wide_scale: FSRA's attention: 8 heads, and logits scaled by C^-0.5 in place of (C / 8)^-0.5.
     """
 
@@ -85,7 +85,7 @@ class TokenMap(nn.Module):
     """A ViT's patch tokens as a map: (B, 3, H, W) -> (B, C, h, w).
 
     Args:
-        tokens: gives all tokens, `prefix` of them in front of the cells.
+        tokens: gives all tokens, with `prefix` of them before the cells.
         patch: pixels along a side of one cell.
     """
 
@@ -99,17 +99,17 @@ class TokenMap(nn.Module):
 
 
 def trained_side(entries: Entries) -> tuple[int, int]:
-    """Return the size (height, width) of the square pictures that a ViT's positions are for."""
+    """Return the training size (height, width) of a ViT's square pictures, from its positions."""
     patch, count = entries.shape("patch_embed.proj.weight", 4)[2], entries.shape("pos_embed", 3)[1]
     registers = entries.shape("reg_token", 3)[1] if "reg_token" in entries.state else 0
     cells = count - registers - ("cls_token" in entries.state)
-    # Some networks have no positions for the tokens in front.
+    # Some networks have no positions for prefix tokens.
     side = patch * math.isqrt(cells if cells > 0 and math.isqrt(cells) ** 2 == cells else count)
     return side, side
 
 
 def dinov2(entries: Entries, size: tuple[int, int]) -> Tokens:
-    """Build torch.hub's DINOv2 without registers for pictures of a size, with positions resampled as by its own code.
+    """Build torch.hub's DINOv2 without registers for an input size, with positions resampled as in its own code.
 
     Raises:
         ModelFileError: if entries are missing or have wrong shapes, or the size is no multiple of the patches'.

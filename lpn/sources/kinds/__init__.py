@@ -1,1 +1,1 @@
-"""The kinds of source, a file each; `lpn.sources.recognise` finds them."""
+"""The kinds of source, one for each file; `lpn.sources.recognise` finds them."""

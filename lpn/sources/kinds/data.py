@@ -21,7 +21,7 @@ class DataSource(TaskSource):
     noun = "a data set"
     takes = NETWORK | {"task", "calibrate", "csls", "parts", "shift", "scale", "weather", "per_query", "beside_weather"}
     takes |= {"beside", "beside_kind", "beside_pooling"}
-    priority = -1  # `open_dataset` says of anything else what is wrong with it
+    priority = -1  # `open_dataset` reports the fault of anything else
 
     @classmethod
     def recognises(cls, options: SourceOptions) -> bool:

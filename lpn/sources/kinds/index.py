@@ -54,7 +54,7 @@ class IndexSource(TaskSource):
         return self.options.source or ""
 
     def queries(self, model: Model, index: Index) -> IndexQueries:
-        """Open the queries that are searched for."""
+        """Open the queries to search for."""
         from lpn.datasets import open_dataset
         from lpn.index.queries import dataset_queries, picture_queries
 

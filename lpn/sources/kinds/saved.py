@@ -1,4 +1,4 @@
-"""Descriptors that another program computed, without their network: a result of the published test code, or plain arrays."""
+"""Descriptors by another program, without their network: a result of the published test code, or plain arrays."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ class ResultSource(SavedSource):
         if self.options.data is None:
             raise no_pictures(printable(self.options.path.name))
         saved, dataset = self.load(), open_dataset(self.options.data)
-        saved.check_norms()  # as the contributions of parts require
+        saved.check_norms()  # contributions of parts require these norms
         return saved_task(saved, dataset)
 
     def to_measure(self) -> list[Task]:
@@ -72,7 +72,7 @@ class ResultSource(SavedSource):
 
 
 class ArraySource(SavedSource):
-    """Descriptors that any model made."""
+    """Descriptors of any model as plain arrays."""
 
     noun = "arrays of descriptors"
     takes = _TAKEN | {"gallery", "paths", "order"}

@@ -1,4 +1,4 @@
-"""The true tile against the answer, what would have to change, and a second model beside the first, for the shown photo."""
+"""The true tile against the answer, the change that would reverse them, and a second model, for the shown photo."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from explorer.screen.result import ScreenResult
 from lpn.analysis.comparison import effect_on
 from lpn.tasks.task import Task
 
-# The weights that put the truth first are tried on all photos.
+# Whether the weights that put the truth first are applied to all photos.
 TRIED = PanelField("compare_tried", OneOf(("no", "yes")), "no", "tried", of_query=True)
 
 
@@ -58,7 +58,7 @@ class _Compare(PanelPart):
 
 
 def _counted(result: ScreenResult) -> Task:
-    """Return the task of a result under its weights, with the photos that the screen counts."""
+    """Return the task of a result under its weights, limited to the graded photos."""
     task, workspace = result.task, result.workspace
     doubtful = workspace.doubtful(workspace.rankings[task.key])
     counted = task if doubtful is None else task.without_truth(np.flatnonzero(doubtful).tolist())

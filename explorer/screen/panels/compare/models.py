@@ -1,4 +1,4 @@
-"""A second model's answer to the same photo beside the first one's, and how both do on all photos."""
+"""A second model's answer to the same photo beside the first one's, and both models' results on all photos."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ from lpn.library.analyser import QueryRequest
 from lpn.library.answer import Answer
 from lpn.tasks.task import Task
 
-# The model beside the screen's own; empty for the first other one.
+# The second model; empty for the first other one.
 OTHER = PanelField("compare_model", OneOf("models"), "", "beside")
-# Tiles of a column, photos of a list, and seconds between two looks at what goes on.
+# Tiles of a column, photos of a list, and seconds between two updates.
 _TILES, _PHOTOS, _INTERVAL = 5, 4, 0.5
 
 
@@ -33,8 +33,8 @@ class ModelsMessage:
     """The section of both models.
 
     Attributes:
-        values: as JSON takes them; None without a second model.
-        again: seconds until something may have changed; None if nothing goes on.
+        values: JSON values; None without a second model.
+        again: seconds until the next update; None if nothing goes on.
     """
 
     values: dict[str, Any] | None
@@ -42,7 +42,7 @@ class ModelsMessage:
 
 
 class SecondModel:
-    """Opens the second model of one tab, analyses the shown photo by it, and ranks all photos by both."""
+    """Opens the second model of one tab, analyses the shown photo with it, and ranks all photos by both."""
 
     def __init__(self, tab: Tab) -> None:
         self._tab = tab
@@ -50,20 +50,20 @@ class SecondModel:
         self._joined: list[RankingJob] = []
 
     def open_again(self) -> None:
-        """Open the second model once more, after it failed."""
+        """Open the second model again after a failure."""
         number = self._number(self._tab.state)
         if number:
             self._tab.services.workspace.beside[number - 1].open()
             self._tab.set({})
 
     def close(self) -> None:
-        """End what goes on for the tab."""
+        """Stop the work for the tab."""
         self._join([])
         for requests, _ in self._opened.values():
             requests.close()
 
     def message(self, result: ScreenResult) -> ModelsMessage:
-        """Return the columns of both models, or what the second one waits for."""
+        """Return the columns of both models, or the state of the work that the second one waits for."""
         base, number = self._tab.services.workspace, self._number(result.state)
         if not base.beside:
             return ModelsMessage(None)
@@ -152,7 +152,7 @@ class SecondModel:
         }
 
     def _changes(self, result: ScreenResult, rankings: list[RankingJob]) -> dict[str, Any]:
-        """Return how many photos one model alone finds, and those whose ranks differ most."""
+        """Count the photos that one model alone finds, and return those whose ranks differ most."""
         if any(ranking.result is None for ranking in rankings):
             return {"alone": None}
         first, second = (ranking.ranks for ranking in rankings)
@@ -173,7 +173,6 @@ class SecondModel:
         return self._opened[workspace][1].analyse(task, question, _TILES)
 
     def _number(self, state: ScreenState) -> int:
-        """Return the number of the second model, which is not the screen's own."""
         own, chosen = int(state.model), state[OTHER]
         return int(chosen) if chosen and int(chosen) != own else 0 if own else 1
 
@@ -192,8 +191,8 @@ def changes(
     """Compare two models' 0-based ranks, (Q,), -1 without a truth.
 
     Returns:
-        How many graded photos each model alone finds; then the photos that the second one ranks most higher, and most lower, each
-        with both ranks from 1.
+        Counts of the graded photos that each model alone finds; then the `most` photos that the second model ranks higher,
+        and the `most` that it ranks lower, each with both ranks from 1.
     """
     known = graded & (first >= 0) & (second >= 0)
     alone = int((graded & (first == 0) & (second != 0)).sum()), int((graded & (second == 0) & (first != 0)).sum())
@@ -207,5 +206,5 @@ def changes(
 
 
 def _same(one: Task, other: Task, index: int) -> bool:
-    """Return whether a position means the same tile in two galleries; a data set that changed in between has others."""
+    """Return whether a position means the same tile in both galleries; the data set may have changed in between."""
     return index < len(other.gallery) and one.gallery[index].path == other.gallery[index].path

@@ -1,4 +1,4 @@
-"""The two tiles of the verdict: ranks without each part, the smallest change of weights, and the places that decide."""
+"""The two tiles of the verdict: ranks without each part, the smallest change of weights, and the deciding cells."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ from lpn.explain.counterfactual import Effect
 from lpn.library.answer import pair_evidence
 from lpn.retrieval import Match, scoring
 
-# The lead is that of rounded distances, and differs from the cells' sum by less than this.
+# The lead of rounded distances differs from the cells' sum by less than this.
 _ROUNDED = 0.002
-# The screen's weights have two digits: each factor goes a little further along the change, until rounded ones do.
+# Steps along the change beyond its end, tried until weights of the screen's two digits put the truth first.
 _FURTHER = (1.0, 1.01, 1.03, 1.1, 1.25, 1.5, 2.0)
 
 
 @dataclass(eq=False)
 class TilePair:
-    """The comparison of the true tile with another one, or of the answer with the next where the truth is not known.
+    """The comparison of the true tile with another one, or of the answer with the next tile if the truth is unknown.
 
     Attributes:
-        comparison: None where there is no other tile.
-        usable: weights as the screen takes them that put the truth first; none if it is first, or if no weights do.
+        comparison: None without another tile.
+        usable: weights of two digits that put the truth first; none if it is first already, or no weights do.
         effect: of these weights on all photos; None until it is computed.
     """
 
@@ -46,10 +46,10 @@ class TilePair:
         return cls(result, comparison, () if comparison is None else _usable(result, comparison))
 
     def message(self, trying: bool) -> dict[str, Any]:
-        """Return the comparison as JSON takes it.
+        """Return the comparison as JSON.
 
         Args:
-            trying: the effect on all photos is being computed.
+            trying: whether the effect on all photos is being computed.
         """
         compared = self.comparison
         if compared is None:
@@ -80,7 +80,7 @@ class TilePair:
         return f"{name[:1].upper()}{name[1:]}, {ordinal(followed.rank)} of {self.result.task.tiles:,}, {verb}."
 
     def _rows(self, compared: Comparison) -> list[dict[str, Any]]:
-        """Return for each part its gain as the screen's rows show it, the truth's ranks, and the weights before and after."""
+        """Return each part's gain as the screen's rows show it, the truth's ranks, and the weights before and after."""
         without, weights = compared.without, compared.weights
         n = self.result.workspace.contract.n_parts
         now = 100 * self.result.analysis.ranking.weights
@@ -110,7 +110,7 @@ class TilePair:
         return f"The smallest change of part weights that puts the {followed} first is in the last column.{fine}"
 
     def _painted(self, compared: Comparison) -> dict[str, Any]:
-        """Return the photo's cells by what they add to the truth's lead, and how much of the lead has a place."""
+        """Return each cell's share of the truth's lead, and how much of the lead the cells hold together."""
         analysis = self.result.analysis
         if analysis.query.trace is None:
             return {"photo": None}
@@ -143,7 +143,7 @@ class TilePair:
 
 
 def _usable(result: ScreenResult, compared: Comparison) -> list[float]:
-    """Return weights of two digits near those of the change that put the truth first; none if there are none."""
+    """Return weights of two digits, near the smallest change, that put the truth first; none if there are none."""
     if compared.weights is None or compared.followed.rank == 1:
         return []
     now, new = result.analysis.ranking.weights, compared.weights

@@ -1,6 +1,6 @@
-"""The failure laboratory: all queries in a table, in charts, and on maps, beside the rings of the one that is shown.
+"""The failure laboratory: all queries in a table, in charts, and on maps, beside the rings of the shown query.
 
-`service` computes for all tabs; `selection` has the choices; `table`, `charts`, and `points` make JSON of them.
+`service` computes for all tabs; `selection` has the choices; `table`, `charts`, and `points` make JSON.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from lpn.core.numbers import signed
 from lpn.tasks import notes
 from lpn.tasks.notes import Note
 
-# Seconds between two looks at what is being computed, and corners of a lasso.
+# Seconds between two looks at a computation, and the maximum of a lasso's corners.
 _POLL = 0.3
 _MOST_CORNERS = 300
 
@@ -55,7 +55,8 @@ class LabPart(PanelPart):
             "calibrate": self._calibrate,
         }
         self._services, self._feeds, self._closed = tab.services, tab.services.feeds, False
-        # The laboratories that this tab has waited for, and the filter in force.
+        # The laboratories whose computation this tab joined; the filter in force follows.
+        # The map whose computation this tab joined.
         self._labs: set[Lab] = set()
         self._where = ""
         self._shown: LabSelection | None = None
@@ -69,7 +70,7 @@ class LabPart(PanelPart):
         self._other: Workspace | None = None
         self._calibrating: tuple[Workspace, BackgroundJob[None]] | None = None
         self._busy: dict[str, Any] = {}
-        # Published feeds by name, each with what it was made of.
+        # Published feeds by name, each with the key of its inputs.
         self._published: dict[str, tuple[object, str]] = {}
 
     def close(self) -> None:
@@ -88,12 +89,12 @@ class LabPart(PanelPart):
             self._calibrating[1].leave(self)
 
     def show(self) -> None:
-        """Send the table of the newest state, and its charts or map; the ranks of a second model follow."""
+        """Send the table of the newest state, and its charts or map; a second model's ranks follow."""
         state, tab = self.tab.state, self.tab
         lab, ranking = lab_of(tab.workspace), tab.ranking
         self._labs.add(lab)
         if self._map is not None and (state[TAB] != "map" or state[MAP] not in ("", self._map[1][0])):
-            self._map[0].leave(self, self._map[1])  # nobody waits for a map that is out of sight
+            self._map[0].leave(self, self._map[1])  # the map is out of sight
             self._map = None
         key, queries = ranking.task.key, len(ranking.task.queries)
         findings = lab.findings(key)
@@ -184,7 +185,7 @@ class LabPart(PanelPart):
         self._send("map", data)
 
     def _show_query(self, state: ScreenState, findings: LabFindings, lab: Lab) -> None:
-        """Send where the shown query stands in the table, and its note; an own photo has neither."""
+        """Send the shown query's row and note; an own photo has neither."""
         if state.own:
             self._send("query", {"at": -1, "query": -1, "note": None})
             return
@@ -204,13 +205,13 @@ class LabPart(PanelPart):
         return [base, *(one.workspace for one in base.beside if one.workspace is not None)]
 
     def _labels(self, state: ScreenState) -> dict[str, str]:
-        """Return the models that can be the second one, by their numbers."""
+        """Return labels of the models that can be the second one, by their numbers."""
         base = self._services.workspace
         labels = [base.model_name, *(one.label for one in base.beside)]
         return {str(number): label for number, label in enumerate(labels) if str(number) != state.model}
 
     def _second(self, state: ScreenState, findings: LabFindings) -> LabFindings | None:
-        """Wait for the second model and its ranks, and return the findings with them; None without them."""
+        """Wait for the second model's ranks, and return the findings with them; None without them."""
         number, base = state[SECOND], self._services.workspace
         if number not in self._labels(state):
             return None
@@ -236,7 +237,7 @@ class LabPart(PanelPart):
         return self._compared[1]
 
     def _calibrate(self, _: Mapping[str, Any]) -> None:
-        """Prepare the further scorings of the second model, so that both models are ranked alike."""
+        """Prepare the second model's further scorings, so that both models are ranked alike."""
         other = self._other
         job = None if other is None else other.scorings.prepare(self)
         if other is None or job is None:
@@ -245,10 +246,10 @@ class LabPart(PanelPart):
         self._calibrating = other, job
         self.tab.set({})
 
-    # What the page asks for.
+    # Actions of the page.
 
     def _step(self, arguments: Mapping[str, Any]) -> None:
-        """Show the query that stands some rows further in the table."""
+        """Show the query some rows further in the table."""
         by = arguments.get("by")
         if isinstance(by, int) and not isinstance(by, bool) and len(self._ordered):
             at = np.flatnonzero(self._ordered == self.tab.state.query)
@@ -279,7 +280,7 @@ class LabPart(PanelPart):
             self.tab.set({PICKED.name: encode(rows, self._shown.findings.task) if len(rows) else ""})
 
     def _tip(self, arguments: Mapping[str, Any]) -> None:
-        """Say what a query of the map is."""
+        """Describe a query of the map."""
         query, shown = arguments.get("query"), self._shown
         if shown is None or type(query) is not int or not 0 <= query < len(shown.findings.table):
             return
@@ -292,7 +293,7 @@ class LabPart(PanelPart):
         self._send("tip", {"query": query, "name": findings.task.queries[query].name, "text": text})
 
     def _note(self, arguments: Mapping[str, Any]) -> None:
-        """Save tags and note of a query; what is saved meanwhile by somebody else is told, and saved over the next time."""
+        """Save tags and note of a query. A conflict with another user's change is reported; saving again overwrites it."""
         match arguments:
             case {"task": str(task), "query": int(query), "tags": str(tags), "text": str(text), "before": before}:
                 lab = lab_of(self.tab.workspace)
@@ -318,7 +319,7 @@ class LabPart(PanelPart):
             self._change(lambda: lab.add_tags(paths, tags), f"{len(paths):,} queries are tagged.", -1)
 
     def _change(self, change: Callable[[], None], done: str, query: int) -> None:
-        """Change the notes, and say whether that succeeded; the table follows."""
+        """Change the notes, and report the outcome; the table follows."""
         try:
             change()
             said: dict[str, Any] = {"text": done, "good": True, "query": query}
@@ -342,7 +343,7 @@ class LabPart(PanelPart):
     # Sending.
 
     def _wait(self, job: BackgroundJob[Any], text: str, state: ScreenState) -> bool:
-        """Wait for a job, and tell how far it is; False if it failed, or the state is no longer the newest."""
+        """Wait for a job, and report its progress; False if it failed, or the state is no longer the newest."""
         while not job.wait(_POLL):
             if self._closed or self.tab.state is not state:
                 return False
@@ -361,7 +362,7 @@ class LabPart(PanelPart):
         self.tab.append(kind, {kind: message})
 
     def _publish(self, name: str, key: object, publish: Callable[[str], str]) -> str:
-        """Return a feed that is published again only when what it was made of is another."""
+        """Return a feed, published again only if the key of its inputs has changed."""
         known = self._published.get(name)
         if known is None or known[0] != key:
             known = self._published[name] = key, publish(name)

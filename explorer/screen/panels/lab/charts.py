@@ -39,7 +39,7 @@ def message(selection: LabSelection, rows: Int64Array) -> dict[str, Any]:
 
 
 def _margins(findings: LabFindings, rows: Int64Array) -> dict[str, list[float]]:
-    """Return the middles of bars of margins, and how many found and missed queries each has."""
+    """Return the middles of the bars of margins, and the numbers of found and missed queries in each."""
     margins, graded = findings.outcomes.margin, findings.graded
     limit = float(np.nanmax(np.abs(margins))) if np.isfinite(margins).any() else 1.0
     edges = np.linspace(-limit, limit, _BARS + 1)
@@ -52,7 +52,7 @@ def _margins(findings: LabFindings, rows: Int64Array) -> dict[str, list[float]]:
 
 
 def _recall(findings: LabFindings, rows: Int64Array) -> dict[str, Any]:
-    """Return in how many percent of the graded queries the truth is among the first k tiles, also by the second model."""
+    """Return the percentage of graded queries with a truth among the first k tiles, also by the second model."""
     known = rows[findings.graded.known[rows]]
     if not len(known):
         return {"k": [], "models": [], "percent": []}
@@ -73,11 +73,11 @@ def _recall(findings: LabFindings, rows: Int64Array) -> dict[str, Any]:
 
 
 class _Card:
-    """A card while it is made: lines that stand for queries, and what a click on one sets.
+    """A card while it is made: its lines stand for queries, and each has the filter that a click on it sets.
 
     Args:
-        conditions: of all lines that it may have; those in the filter do not narrow it.
-        codes: of picked queries that do not narrow it either.
+        conditions: of all lines that it may have; a condition in the filter does not narrow the card.
+        codes: of picked queries, which do not narrow it either.
 
     Attributes:
         rows: the selected queries of any outcome, without the card's own choices.
@@ -124,7 +124,6 @@ class _Card:
 
 
 def _without(text: str, condition: str) -> str:
-    """Return a filter without a condition of its own."""
     if not condition:
         return text
     found = f"{_AND}{text}{_AND}".replace(f"{_AND}{condition}{_AND}", _AND, 1)
@@ -213,15 +212,15 @@ def _near_duplicates(task: Task) -> list[NearDuplicate]:
 
 
 def _apart(task: Task, pair: NearDuplicate) -> str:
-    """Return the distance of two tiles on the ground in words; empty if it is not known."""
+    """Return the distance of two tiles on the ground in words; empty if it is unknown."""
     metres = np.nan if task.geometry is None else np.hypot(*np.subtract(*task.geometry.ground[list(pair.tiles)]))
     return f", {metres:,.0f} m apart" if np.isfinite(metres) else ""
 
 
 def _rates(selection: LabSelection, column: Column, rates: Sequence[breakdown.Rate]) -> dict[str, Any]:
-    """Return the shares of missed queries in the bins of a column, among the selected ones that this card leaves.
+    """Return the shares of missed queries in the bins of a column, whose borders are those of all queries.
 
-    The bins are those of all queries. If all or none of the selected ones are missed, all queries are counted.
+    If all or none of the selected queries are missed, all queries are counted.
     """
     findings, rates = selection.findings, rates[:_MOST_LINES]
     failed, masks = findings.graded.failed, [rate.holds(column) for rate in rates]
@@ -250,7 +249,7 @@ def _rates(selection: LabSelection, column: Column, rates: Sequence[breakdown.Ra
 
 
 def _condition(column: Column, rate: breakdown.Rate) -> str:
-    """Return the filter that a bin is; it may select others, which `_Card.add` finds."""
+    """Return the filter for a bin; it may select other queries, too, which `_Card.add` finds."""
     if not rate.known:
         return f"{column.name} = none"
     if column.kind == "text":

@@ -1,4 +1,4 @@
-// The laboratory beside the rings: all queries in a table, in charts, and on maps, and the note of the one that is shown.
+// The laboratory beside the rings: all queries in a table, in charts, and on maps, and the shown query's note.
 
 import { find, findAll, make } from "../../page/dom.js";
 import { Fragment, listen, put } from "../../page/fragment.js";
@@ -131,7 +131,7 @@ class Laboratory {
     if (total) line.append(make("progress", { max: total, value: done, "aria-label": text }));
   }
 
-  /** Save what is typed. */
+  /** Save the typed tags and note. */
   saveNote() {
     const { query, task, tags, text } = this.note;
     this.context.act("note", { query, task, ...this.typed(), before: { tags, text } });
@@ -147,7 +147,7 @@ class Laboratory {
     return { tags: find("input", this.form).value, text: find("textarea", this.form).value };
   }
 
-  /** Show the note of the query, unless a person is writing on another state of it. */
+  /** Show the query's note, unless the user is editing another state of it. */
   showNote({ query, name, task, note }) {
     const { form, note: { query: of, task: ofTask, place: ofPlace, tags: oldTags, text: oldText } } = this;
     const [typed, { place }] = [this.typed(), this.context.view.state];

@@ -95,7 +95,7 @@ export class PointMap {
     this.map.fitBounds(bounds, FIT);
   }
 
-  /** Paint the points: found queries are dots, missed ones crosses, tiles rings, and those out of the choice pale. */
+  /** Paint the points: found queries are dots, missed ones crosses, tiles rings, and unselected points pale. */
   paint() {
     const { queries, palette } = this.message;
     const soft = variable("--soft");
@@ -145,7 +145,7 @@ export class PointMap {
     if (point) this.resting = setTimeout(() => this.act("tip", { query: point.options.query }), REST);
   }
 
-  /** Show what a query is beside its point. */
+  /** Describe a query beside its point. */
   tip({ query, name, text }) {
     if (this.hovered?.options.query !== query) return;
     const said = make("div", {}, make("img", { src: `${this.message.thumbnails}${query}`, alt: "" }), make("div", {}, make("b", { text: name }), make("div", { text })));
@@ -165,7 +165,7 @@ export class PointMap {
     plane.addEventListener("pointermove", move);
     plane.addEventListener("pointerup", () => {
       plane.removeEventListener("pointermove", move);
-      this.lassoed = true; // the click that ends it opens no query
+      this.lassoed = true; // the click that ends the lasso must not open a query
       setTimeout(() => (this.lassoed = false), 0);
       line.remove();
       const drawn = line.getLatLngs();

@@ -1,4 +1,4 @@
-"""The laboratory's map as the page draws it: places, outcomes, and colours of all queries as arrays."""
+"""Arrays of the laboratory's map: positions, outcomes, and colours of all queries."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from lpn.drawing import overlays, theme
 
 # The code of a query without a value, and that of all values beyond the most frequent ones.
 UNKNOWN, OTHER = 255, 8
-# The ends of a numbers' scale in percent of the queries: a few far values do not take all colours.
+# Percentiles at the ends of a scale of numbers, so that a few far values do not take all colours.
 _ENDS = 2.0, 98.0
-# Misses up to this number are joined with their answers on the ground.
+# Up to this many misses are joined with their answers on the ground.
 _MOST_LINES = 60
 
 
@@ -26,9 +26,9 @@ class PointColours:
 
     Attributes:
         codes: of each query, (Q,); `UNKNOWN` without a value.
-        palette: the colour of each code from 0 on, as CSS.
-        labels: of each code, for values that are not numbers; empty for numbers.
-        ends: the least and the greatest number in words; None for other values.
+        palette: CSS colour of each code from 0 on.
+        labels: text of each code; empty for numbers.
+        ends: the least and the greatest number in words; None for texts.
     """
 
     codes: UInt8Array
@@ -74,7 +74,7 @@ def _of_words(column: Column) -> PointColours:
 
 
 def scale(points: PlanePoints) -> tuple[Float64Array, float]:
-    """Return the origin and the unit of `plane`: float32 holds the details of a map about its own middle."""
+    """Return origin and unit of `plane`: float32 resolves the details of a map only about its own middle."""
     both = np.concatenate([points.queries, points.tiles])
     known = both[np.isfinite(both).all(axis=1)]
     if not len(known):
@@ -91,14 +91,14 @@ def plane(points: PlanePoints) -> bytes:
 
 
 def marks(findings: LabFindings, coloured: PointColours, rows: Int64Array) -> bytes:
-    """Return two bytes for each query: 1 for a selected one plus 2 for a missed one, and the code of its colour."""
+    """Return two bytes for each query: 1 if selected plus 2 if missed, and the code of its colour."""
     failed = findings.graded.failed
     flags = np.isin(np.arange(len(failed)), rows) + 2 * failed
     return np.stack([flags.astype(np.uint8), coloured.codes], axis=1).tobytes()
 
 
 def legend(coloured: PointColours, rows: Int64Array) -> dict[str, Any]:
-    """Return what stands below the map: the colours, and how many of the selected queries have each."""
+    """Return the colours of the map, and the number of selected queries of each."""
     counts = np.bincount(coloured.codes[rows], minlength=UNKNOWN + 1)
     return {
         "palette": coloured.palette,
@@ -115,7 +115,7 @@ def ground(points: PlanePoints) -> list[list[float]] | None:
 
 
 def bounds(points: PlanePoints) -> list[list[float]]:
-    """Return the corners of all that has a place, y before x."""
+    """Return the corners of the box around all points, y before x."""
     both = np.concatenate(
         [points.queries, points.tiles, *([] if points.ground is None else [np.reshape(points.ground[1], (2, 2))])]
     )

@@ -1,4 +1,4 @@
-"""What a person has chosen in the laboratory, as rows of the table of fields, and the queries that this selects."""
+"""A user's choices in the laboratory, as rows of the table of fields, and the queries that they select."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ from lpn.tasks.task import Task
 
 # Characters of the filter and of the columns' names.
 _LONGEST = 1000
-# Characters of picked queries that an address keeps; more are left out of it.
+# Maximum of characters of picked queries in an address; a longer text is left out.
 _LONGEST_PICKED = 1500
-# A near miss has its truth among so many first tiles.
+# A near miss has its truth among this many first tiles.
 _NEAR = 5
 _FIXED = ("name", RANK_A, RANK_B, "rank", "margin", "part", "answer", "distance")
-# Columns shown until a person chooses others, those without any value left out.
+# Columns shown until the user chooses others; columns without any value are left out.
 _DEFAULT = ("altitude", "district", "verdict", "tags")
 
 
@@ -47,7 +47,7 @@ class Picked:
 
 @dataclass(frozen=True)
 class OtherModel:
-    """The number of a model of the place, as `ScreenState.model` counts them, or an empty text for none."""
+    """The number of a model of the place, as in `ScreenState.model`; empty for none."""
 
     def read(self, value: object, state: ScreenState, workspace: Workspace) -> str:  # noqa: ARG002
         models = ["", *map(str, range(len(workspace.beside) + 1))]
@@ -72,14 +72,14 @@ FIELDS = (TAB, SHOW, WHERE, PICKED, SORT, COLUMNS, SECOND, MAP, COLOUR)
 
 
 def encode(rows: Int64Array, task: Task) -> str:
-    """Return some queries of a task as a text: four digits of the task, and a packed mask, compressed, in base 64."""
+    """Encode queries of a task: four digits of the task, and a packed mask, compressed, in base 64."""
     mask = np.zeros(len(task.queries), bool)
     mask[rows] = True
     return _digits(task) + base64.urlsafe_b64encode(zlib.compress(np.packbits(mask).tobytes(), 9)).decode("ascii")
 
 
 def decode(text: str, task: Task) -> Int64Array:
-    """Return the queries of a text, ascending; all of them for an empty one.
+    """Return the queries of an encoded text, ascending, (N,); all queries for an empty text.
 
     Raises:
         UnusableError: when the text is not of this task.
@@ -101,7 +101,7 @@ def _digits(task: Task) -> str:
 
 
 def outcome_masks(findings: LabFindings) -> dict[str, BoolArray]:
-    """Return which queries each choice of `SHOW` has, (Q,) each; those about two models only where there are two."""
+    """Return the mask of queries, (Q,), of each choice of `SHOW`; choices about two models need a second one."""
     graded, second = findings.graded, findings.second
     near = graded.failed & (graded.rank > 0) & (graded.rank < _NEAR)
     masks = {"all": np.ones(len(graded), bool), "missed": graded.failed, "near": near, "found": graded.hits}
@@ -117,7 +117,7 @@ class LabSelection:
 
     Attributes:
         where: the filter in force: the state's, or the last valid one.
-        error: why the state's filter is not in force; empty if it is.
+        error: the reason for which the state's filter is not in force; empty if it is.
     """
 
     findings: LabFindings
@@ -127,7 +127,7 @@ class LabSelection:
 
     @classmethod
     def of(cls, findings: LabFindings, state: ScreenState, before: str) -> LabSelection:
-        """Return the selection of a state; `before` is the filter that stays in force if the state's cannot be read."""
+        """Return the selection of a state; `before` stays in force if the state's filter cannot be read."""
         table, where, error = findings.table, state[WHERE], ""
         try:
             table.filter(table.rows(), where)
@@ -155,7 +155,7 @@ class LabSelection:
 
     @cached_property
     def picked(self) -> Int64Array:
-        """The picked queries, ascending; all of them without a choice, and for one on another task."""
+        """The picked queries, ascending; all of them without a choice, or with one of another task."""
         try:
             return decode(self.state[PICKED], self.findings.task)
         except UnusableError:
@@ -173,7 +173,7 @@ class LabSelection:
         return self.findings.table.sort(self.rows(), *self.sort)
 
     def columns(self) -> list[Column]:
-        """Return the columns of the table: the fixed ones, and those that a person chose."""
+        """Return the columns of the table: the fixed ones, and the chosen ones."""
         columns = self.findings.table.columns
         without = "rank" if self.findings.second is not None else ""
         fixed = [name for name in _FIXED if name in columns and name != without]
@@ -183,5 +183,5 @@ class LabSelection:
         return [columns[name] for name in dict.fromkeys([*fixed, *chosen])]
 
     def further_columns(self) -> list[str]:
-        """Return the columns that a person may add to the fixed ones."""
+        """Return the columns that a user may add to the fixed ones."""
         return [name for name in self.findings.table.columns if name not in _FIXED]

@@ -39,9 +39,9 @@ class OtherRanks:
     """A second model's ranks of the same queries.
 
     Attributes:
-        names: of the table's own model, which is A, and of the second one, which is B.
+        names: the table's own model A, and the second model B.
         hits: the queries whose true match B ranks first, (Q,).
-        scorings: of A and of B; their ranks differ by the models alone where these are equal.
+        scorings: of A and of B; if they are equal, ranks differ by the models alone.
     """
 
     names: tuple[str, str]
@@ -54,12 +54,12 @@ class LabFindings:
     """The outcomes of all queries of a task, under equal part weights.
 
     Attributes:
-        outcomes: of the task; `graded` has those that count.
-        table: see `query_outcomes.table`, with the columns of `notes`, and `compared_ranks` where there is `second`.
+        outcomes: of the task; `graded` has the graded ones.
+        table: see `query_outcomes.table`, with the columns of `notes`, and with `compared_ranks` if there is a `second`.
         part_names: the names of the parts that `outcomes` numbers.
-        notes_error: why the notes cannot be used, in one sentence; empty if they can.
+        notes_error: one sentence with the reason for which the notes cannot be used; empty if they can.
         flight: the flight whose answers `table` has; None without one.
-        doubtful: the photos of a flight whose judge is in doubt, (Q,); None without one.
+        doubtful: the photos of a flight with a doubtful judge, (Q,); None without a flight.
         second: the second model's ranks; None without one.
     """
 
@@ -74,7 +74,7 @@ class LabFindings:
 
     @cached_property
     def graded(self) -> Outcomes:
-        """The outcomes, in which the truth of a query whose judge is in doubt is not known."""
+        """The outcomes; the truth of a query with a doubtful judge counts as unknown."""
         if self.doubtful is None:
             return self.outcomes
         return replace(self.outcomes, known=self.outcomes.known & ~self.doubtful)
@@ -85,7 +85,7 @@ class LabFindings:
         return Note(tuple(tags.split()), text)
 
     def compared(self, names: tuple[str, str], other: RankingJob) -> LabFindings:
-        """Return the findings with the ranks of another model, which has ranked the same queries.
+        """Return the findings with another model's ranks of the same queries.
 
         Raises:
             LPNError: when the data set changed before the other model was opened.
@@ -103,10 +103,10 @@ class PlanePoints:
     """Queries and tiles on a plane.
 
     Attributes:
-        queries, tiles: (Q, 2) and (G, 2), y upwards; NaN where a place is not known. On the ground in metres.
+        queries, tiles: (Q, 2) and (G, 2), y upwards; NaN for an unknown place. Places on the ground are in metres.
         axes: the axes in words; may be empty.
         ground: a picture of the ground, and its west, south, east, and north border; None for descriptors.
-        origin: the position that the metres are counted from; None for descriptors, and for a rendered place.
+        origin: the geographic origin of the metres; None for descriptors, and for a rendered place.
     """
 
     queries: Float64Array
@@ -117,7 +117,7 @@ class PlanePoints:
 
 
 def map_kinds(task: Task) -> dict[PlaneKind, str]:
-    """Return the maps that a task has, by what they are called: UMAP needs its extra, and has a limit."""
+    """Return a task's maps and their names; UMAP needs its extra, and has a limit of pictures."""
     kinds: dict[PlaneKind, str] = {} if task.geometry is None else {"ground": "Ground"}
     kinds["pca"] = "PCA"
     few = len(task.queries) + len(task.gallery) <= embedding_map.MOST_FOR_UMAP
@@ -125,7 +125,7 @@ def map_kinds(task: Task) -> dict[PlaneKind, str]:
 
 
 class Lab:
-    """Tables, maps, and notes of a workspace's tasks; thread-safe. A `client` is any object that stands for one tab."""
+    """Tables, maps, and notes of a workspace's tasks; thread-safe. A `client` is any object that identifies a tab."""
 
     def __init__(self, workspace: Workspace) -> None:
         self._workspace, self._jobs, self._lock = workspace, BackgroundJobs(), threading.Lock()
@@ -133,16 +133,16 @@ class Lab:
 
     @property
     def _notes(self) -> Path:
-        """The file of tags and notes; OutputError for the demo's if the user has no folder for them."""
+        """The file of tags and notes; OutputError for the demo's if the user has no home folder."""
         return own_file(self._workspace.root, notes.NAME)
 
     @property
     def notes_place(self) -> str:
-        """Where the notes are, in words and without the server's folders."""
+        """The place of the notes, in words and without the server's folders."""
         return own_file_place(self._workspace.root, notes.NAME, "data")
 
     def findings(self, task: str) -> LabFindings | None:
-        """Return a task's findings with the newest notes and answers of a flight; None before they are computed."""
+        """Return a task's findings with the newest notes and flight answers; None before they are computed."""
         flight = self._workspace.flight
         with self._lock:
             findings = self._findings.get(task)
@@ -153,7 +153,7 @@ class Lab:
             return findings
 
     def build(self, task: str, client: object) -> BackgroundJob[None]:
-        """Start or join the computation of a task's findings, again after a failure."""
+        """Start or join the computation of a task's findings; a failed one starts again."""
         return self._join(task, client, lambda progress: self._build(self._workspace.rankings[task], progress))
 
     def points(self, kind: PlaneKind, task: str, client: object) -> BackgroundJob[PlanePoints]:
@@ -166,14 +166,14 @@ class Lab:
         return self._jobs.join(key, client, work)
 
     def leave(self, client: object, key: Hashable | None = None) -> None:
-        """Stop waiting for a map, by its kind and task, or for anything; work that no tab waits for is cancelled."""
+        """Stop waiting for a map, by its kind and task, or for all work; work without a waiting tab is cancelled."""
         self._jobs.leave(client, key)
 
     def set_note(self, path: str, tags: str, text: str, before: Note | None) -> None:
         """Store the tags and the note of a query on disk.
 
         Raises:
-            LPNError: as `notes.set_note`; then nothing has changed.
+            LPNError: as for `notes.set_note`; then nothing has changed.
         """
         try:
             self._show_notes(notes.set_note(self._notes, path, tags, text, before))
@@ -221,7 +221,7 @@ class Lab:
         )
 
 
-# The laboratories of open workspaces: of a few places, each with a few models.
+# The laboratories of open workspaces: a few places, each with a few models.
 lab_of = lru_cache(maxsize=16)(Lab)
 
 

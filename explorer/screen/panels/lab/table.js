@@ -23,7 +23,7 @@ export class QueryTable {
     this.grid?.destroy();
   }
 
-  /** Show the rows of a message; the grid stays where its columns do. */
+  /** Show the rows of a message; the grid is kept if its columns are unchanged. */
   async show(head) {
     const before = this.head;
     this.head = head;
@@ -42,7 +42,7 @@ export class QueryTable {
       this.grid.on("tableBuilt", () => {
         this.holder = find(".tabulator-tableholder", this.inner);
         find(".tabulator", this.inner.parentElement).setAttribute("aria-label", "Queries: arrow keys walk; Control or Shift and a click mark");
-        this.holder.setAttribute("role", "rowgroup"); // it has the focus, so that it needs a role
+        this.holder.setAttribute("role", "rowgroup"); // it takes the focus, so it needs a role
         find(".tabulator-table", this.holder).setAttribute("role", "presentation");
         this.holder.addEventListener("scroll", () => this.fill());
         this.queries = [];
@@ -90,12 +90,12 @@ export class QueryTable {
     ];
   }
 
-  /** @returns {number[]} the rows that a person has marked, in their order */
+  /** @returns {number[]} the rows that the user has marked, in their order */
   marked() {
     return (this.grid?.getSelectedData() ?? []).map((row) => row.at).sort((one, other) => one - other);
   }
 
-  /** @returns {number[]} the marked rows, which are marked no longer */
+  /** @returns {number[]} the marked rows, after unmarking them */
   takeMarked() {
     const rows = this.marked();
     this.grid.deselectRow();
@@ -111,7 +111,7 @@ export class QueryTable {
       const row = one >= 0 && one < this.grid.getDataCount() && this.grid.getRow(one);
       if (row) row.reformat();
     }
-    if (at >= 0 && (at !== before || again)) await this.grid.scrollToRow(at, "center", false).catch(() => {}); // it may have gone meanwhile
+    if (at >= 0 && (at !== before || again)) await this.grid.scrollToRow(at, "center", false).catch(() => {}); // the row may be gone by now
     this.fill();
   }
 

@@ -55,7 +55,7 @@ def _kind(column: Column) -> str:
 
 
 def entries(findings: LabFindings, shown: list[Column], rows: Int64Array, tiles: str) -> list[tuple[int, list[str]]]:
-    """Return rows of the table: each query and its cells as HTML; `tiles` is the folder of the tiles' thumbnails."""
+    """Return rows of the table: each query with its cells as HTML; `tiles` is the folder of the tiles' thumbnails."""
     margins = np.abs(findings.outcomes.margin)
     limit = float(np.nanmax(margins)) if np.isfinite(margins).any() else 1.0
     return [(row, [_cell(findings, column, row, tiles, limit) for column in shown]) for row in rows.tolist()]
@@ -88,7 +88,7 @@ def _cell(findings: LabFindings, column: Column, row: int, tiles: str, limit: fl
 
 
 def message(selection: LabSelection, rows: Int64Array) -> dict[str, Any]:
-    """Return what stands above the table: the choices with their counts, the filter's error, and a sentence of numbers.
+    """Return the header above the table: the choices with their counts, the filter's error, and a sentence of numbers.
 
     Args:
         rows: the selected queries.

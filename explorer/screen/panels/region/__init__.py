@@ -1,4 +1,4 @@
-"""Search by a region that is drawn on the photo: the tiles by these cells alone, and the ranks of the truth."""
+"""Search by a region drawn on the photo: the tiles by these cells alone, and the ranks of the truth."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from lpn.core.errors import InputError
 from lpn.core.texts import ordinal
 from lpn.library.analyser import start_search
 
-# Cells of a feature map at most, and tiles that are listed.
+# Maximum of cells of a feature map, and number of listed tiles.
 _MOST, _TILES = 4096, 8
 _RUNS = re.compile(r"\d{1,4}(-\d{1,4})?(,\d{1,4}(-\d{1,4})?)*", re.ASCII)
 
@@ -58,7 +58,7 @@ class _Region(PanelPart):
 
 
 def message(result: ScreenResult, painted: tuple[int, ...]) -> dict[str, Any]:
-    """Return the tiles by the painted cells alone, as JSON takes them."""
+    """Return the tiles by the painted cells alone, as JSON."""
     analysis, workspace = result.analysis, result.workspace
     trace = analysis.query.trace
     if trace is None:
@@ -72,7 +72,7 @@ def message(result: ScreenResult, painted: tuple[int, ...]) -> dict[str, Any]:
     try:
         query = None if result.state.own else result.state.query
         ranking = start_search(result.task, query, analysis.query, region, whole.weights)(whole.weights)
-    except InputError as error:  # all of it lies outside the parts that count
+    except InputError as error:  # the region lies outside the parts that count
         return shown | {"said": [str(error)]}
     truth, matches = ranking.positive(), ranking.top(_TILES)
     if truth is not None and truth.rank > _TILES:

@@ -1,4 +1,4 @@
-"""Commands that take something out of the page: reports as pages that need no server, and the figure of a paper."""
+"""Commands that export from the page: reports as pages that need no server, and a paper's figure."""
 
 from __future__ import annotations
 

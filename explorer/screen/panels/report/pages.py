@@ -1,4 +1,4 @@
-"""Files about what the screen shows: the report of one answer or of the worst ones, and the figure of a paper."""
+"""Files about the screen's contents: the report of one answer or of the worst ones, and a paper's figure."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from lpn.models.base import Model
 from lpn.tasks import notes
 from lpn.tasks.task import Task
 
-# Queries of the report of the worst ones.
+# Queries of the report of the worst answers.
 _WORST = 30
 
 
 def save_answer(tab: Tab) -> None:
-    """Have the browser save a report of the answer in sight."""
+    """Have the browser save a report of the shown answer."""
     shown, model = _shown(tab)
 
     def make(progress: ReportProgress) -> tuple[str, bytes]:
@@ -38,7 +38,7 @@ def save_answer(tab: Tab) -> None:
 
 
 def save_worst(tab: Tab) -> None:
-    """Have the browser save a report of the worst missed queries; what is typed into the list of commands finds none."""
+    """Have the browser save a report of the worst missed queries; the rail's search does not narrow them."""
     workspace, ranking = tab.workspace, tab.ranking
     if ranking.result is None:
         raise InputError("The photos are still being ranked; ask for their report when that is done.")
@@ -56,7 +56,7 @@ def save_worst(tab: Tab) -> None:
 
 
 def save_figure(tab: Tab) -> None:
-    """Have the browser save the answer in sight as the figure of a paper, as wide as a page."""
+    """Have the browser save the shown answer as a paper's figure, as wide as a page."""
     shown, model = _shown(tab)
 
     def make(_: ReportProgress) -> tuple[str, bytes]:
@@ -67,7 +67,7 @@ def save_figure(tab: Tab) -> None:
 
 
 def reported(workspace: Workspace, answer: Answer, model: Model | None = None) -> Answer:
-    """Return an answer as a report takes it: graded if the screen counts it, its further tiles described by `model`."""
+    """Return an answer for a report: graded if the screen counts it, its further tiles described by `model`."""
     index, ranking = answer.index, workspace.rankings[answer.task.key]
     if index is not None and ranking.result is not None and not workspace.graded(ranking)[index]:
         answer = answer.ungraded()
@@ -76,21 +76,21 @@ def reported(workspace: Workspace, answer: Answer, model: Model | None = None) -
 
 
 def _shown(tab: Tab) -> tuple[ScreenResult, Model | None]:
-    """Return the answer in sight, and what describes pictures of its workspace behind what a person waits for."""
+    """Return the shown answer, and the model that describes its workspace's pictures in the background."""
     if tab.result is None:
         raise InputError("There is no answer yet; wait until its numbers stand there, and save it then.")
     return tab.result, tab.background.queued(tab.result.workspace.model, background=True)
 
 
 def file_name(name: str) -> str:
-    """Return the beginning of a file name that is valid on any system."""
+    """Return the start of a file name that is valid on any system."""
     return "".join(letter if letter.isalnum() or letter in "-_" else "-" for letter in name)[:60] or "report"
 
 
 def _noted(
     tab: Tab, workspace: Workspace, task: Task, model: Model | None, weights: Float32Array | None = None
 ) -> Task:
-    """Return the task with part weights, the model that describes pictures, and the person's notes, if they can be read."""
+    """Return the task with part weights, the model that describes pictures, and the user's notes if they are readable."""
     bound = None if model is None else workspace.scored_model(model, task).for_task(*task.views)
     try:
         stored = notes.read_notes(own_file(workspace.root, notes.NAME))

@@ -1,4 +1,4 @@
-"""Stories: steps of the page, each an address with a caption; kept by S, told full screen, and exported as one page."""
+"""Stories: steps of the page, each an address with a caption; S adds one. They play full screen, or become one page."""
 
 from __future__ import annotations
 

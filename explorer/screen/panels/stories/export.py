@@ -1,4 +1,4 @@
-"""A story as one page that needs no server: a report of the answers of its steps, each below its caption."""
+"""A story as one page that needs no server: a report of its steps' answers, each below its caption."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def save_story(tab: Tab, story: Story) -> None:
     """Have the browser save a story; its notes are left out.
 
     Raises:
-        InputError: when there is no step, or one shows what is not there.
+        InputError: when the story has no step, or a step shows something that no longer exists.
     """
     if not story.steps:
         raise InputError("The story has no step yet; S keeps what is shown as one.")
@@ -58,7 +58,7 @@ def _state(base: Workspace, shows: str, number: int) -> tuple[Workspace, ScreenS
 
 
 def _remarks(workspace: Workspace, state: ScreenState) -> list[str]:
-    """Say what alters the answer of a step, and what the page has of it that the file has not."""
+    """List the changes of a step's answer, and the parts of the page that the file lacks."""
     weights = ", ".join(f"{weight:g}" for weight in state.weights)
     said = [
         f"Model: {workspace.model_name}." if state.model != "0" else "",

@@ -1,4 +1,4 @@
-"""The panel of stories, and the command that keeps a step."""
+"""The panel of stories, and the command that adds a step."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from explorer.screen.panels.stories.story import Step, Story
 from lpn.core.demo import own_file_place
 from lpn.core.errors import InputError
 
-# The story that is shown, and to which S adds a step.
+# The shown story, to which S adds a step.
 STORY = PanelField("stories_chosen", Line(), "", key="story")
-# What an address has for a person and not for a story.
+# Values of an address that no step holds: they belong to the user, not to the story.
 _LEFT_OUT = ("theme", "story", "only", "find")
 
 
 def keep(tab: Tab) -> None:
-    """Keep what is shown as a step of the chosen story of the person's, or of another one."""
+    """Add the screen's state as a step to the chosen story of the user, or to a new one."""
     if tab.state.own:
         raise InputError(
             "A story shows photos of the data set, and yours leaves with this tab; choose one of the list."
@@ -45,7 +45,7 @@ def _free(names: Collection[str]) -> str:
 
 
 def _address(tab: Tab) -> str:
-    """Return the address of what is shown; it names its place and scoring, as those of an opened page may change."""
+    """Return the address of the screen; it names place and scoring, as their defaults may change."""
     state, workspace = tab.state, tab.services.workspace
     given = fields.parsed(fields.to_address(state, workspace))
     shown = {key: one for key, one in given.items() if key not in _LEFT_OUT and (key, one) != ("panel", "stories")}
@@ -54,7 +54,7 @@ def _address(tab: Tab) -> str:
 
 
 def _caption(tab: Tab) -> str:
-    """Return the headline of what is shown; nothing while it is still computed."""
+    """Return the headline of the shown answer; empty until it is computed."""
     if tab.result is None or fields.needs_answer(tab.result.state, tab.state):
         return ""
     said = tab.result.headline
@@ -108,7 +108,7 @@ class StoriesPart(PanelPart):
         return story
 
     def _changing(self, edit: Callable[[Story, Mapping[str, Any]], Story | None]) -> Action:
-        """Return the action that changes a story in the file, and shows it."""
+        """Return an action that changes a story in the file, and shows it."""
 
         def act(given: Mapping[str, Any]) -> None:
             file = files.own_stories(self.tab.services.workspace)
@@ -118,7 +118,7 @@ class StoriesPart(PanelPart):
         return act
 
     def _picture(self, shows: str) -> str:
-        """Return the address of the photo of a step; nothing for one of another place, or of no place any more."""
+        """Return the address of a step's photo; empty if its place is another one, or no longer exists."""
         if shows not in self._pictures:
             given, services = fields.parsed(shows), self.tab.services
             state, problems = fields.from_values(given, services.workspace)
@@ -134,7 +134,7 @@ def _text(given: Mapping[str, Any], name: str) -> str:
 
 
 def _stepped(story: Story, given: Mapping[str, Any]) -> Story:
-    """Return the story with new words of a step at its new place, or without the step if it has none."""
+    """Return the story with a step's new texts and position; without a position, the step is removed."""
     at, to, steps = given.get("at"), given.get("to"), list(story.steps)
     if not (isinstance(at, int) and 0 <= at < len(steps) and steps[at].shows == given.get("shows")):
         raise InputError("The story has changed meanwhile; look at its steps, and try again.")

@@ -10,7 +10,7 @@ export const open = (content, context) => {
   const box = content.appendChild(make("div", { class: "stories" }));
   let shown = null;
   const change = (action, given = {}) => act(action, { story: shown.story, ...given });
-  /** Keep a step's words at a place of the story; without a place it is removed. */
+  /** Save a step's words at a position in the story; without a position it is removed. */
   const keep = (row, to) => {
     const at = Number(row.dataset.at);
     change("step", { at, shows: shown.steps[at].shows, to, caption: find(".caption", row).value, notes: find(".notes", row).value });

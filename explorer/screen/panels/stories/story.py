@@ -27,8 +27,8 @@ class Step(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     Attributes:
         shows: the state of the page as the query string of its address, without theme and story.
-        caption: what the audience reads.
-        notes: what the presenter reads.
+        caption: for the audience.
+        notes: for the presenter.
     """
 
     shows: Annotated[str, Meta(max_length=4000)]
@@ -45,11 +45,11 @@ class Story(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 @dataclass(frozen=True)
 class Stories:
-    """What a person can be told.
+    """All stories that the page offers.
 
     Attributes:
-        by_name: the shipped stories, then the person's, which replace shipped ones of their names.
-        own: the names of the person's.
+        by_name: the shipped stories, then the user's, which replace shipped ones of equal names.
+        own: the names of the user's.
         error: one sentence about a file that cannot be used.
     """
 
@@ -62,13 +62,13 @@ def read_stories(file: Path) -> list[Story]:
     """Read a file of stories; empty if it does not exist.
 
     Raises:
-        DataError: when the file is damaged, or two stories in it have one name.
+        DataError: when the file is damaged, or two of its stories have one name.
     """
     return _FORMAT.read(file)
 
 
 def stories_of(workspace: Workspace) -> Stories:
-    """Read the stories of a workspace; those of the demo are told of its own model alone, as their captions name its numbers."""
+    """Read the stories of a workspace. The demo's belong to its own model alone, as their captions name its numbers."""
     shipped = workspace.root == DEMO and workspace.model_name == DEMO_MODEL.name
     by_name = {story.name: story for story in read_stories(DEMO / NAME)} if shipped else {}
     try:
@@ -82,11 +82,11 @@ def change(file: Path, story: Story, edit: Callable[[Story], Story | None]) -> S
     """Change a story in a file, and return it.
 
     Args:
-        story: what the file may have in another state by now, or not at all.
+        story: the story as the page has it; the file may have another state of it, or lack it.
         edit: returns the story in its new state; None deletes it.
 
     Raises:
-        InputError: when the changed story cannot be held, or its name is another's.
+        InputError: when the changed story is too large, or its name is taken.
         DataError: when the existing file is damaged; it is not changed.
         OutputError: when the file cannot be written.
     """
@@ -111,7 +111,7 @@ def change(file: Path, story: Story, edit: Callable[[Story], Story | None]) -> S
 
 
 def own_stories(workspace: Workspace) -> Path:
-    """Return the file of a person's stories; OutputError for the demo if the user has no home folder."""
+    """Return the file of a user's stories; OutputError for the demo if the user has no home folder."""
     return workspace.stories or own_file(workspace.root, NAME)
 
 

@@ -5,7 +5,7 @@ import { find, make } from "../../page/dom.js";
 const STEPS = { ArrowRight: 1, ArrowDown: 1, PageDown: 1, " ": 1, Enter: 1, ArrowLeft: -1, ArrowUp: -1, PageUp: -1, Backspace: -1, Home: -Infinity, End: Infinity };
 
 /**
- * Tell a story; its end brings back what was shown before.
+ * Tell a story; its end restores the previous state.
  * @param {{name: string, steps: {shows: string, caption: string, notes: string}[]}} story
  * @param {{go: (search: string) => void, set: (values: any) => void, view: any}} context
  */
@@ -39,7 +39,7 @@ export const tell = ({ name, steps }, { go, set, view }) => {
     event.preventDefault();
     event.stopImmediatePropagation();
   };
-  // A pointer that rests where the page has moved below it lights nothing.
+  // A resting pointer highlights nothing when the page moves below it.
   const moves = (event) => (event.movementX || event.movementY) && (root.dataset.told = "");
   const left = () => document.fullscreenElement || end();
   const end = () => {

@@ -1,4 +1,4 @@
-"""Turn, shift, zoom, and weather of the shown photo: rank, distance, and each part's share, drawn while they are computed."""
+"""Turn, shift, zoom, and weather of the shown photo: rank, distance, and each part's share, drawn as they are computed."""
 
 from __future__ import annotations
 
@@ -33,10 +33,10 @@ class PhotoSweep:
     """The sweep of one result over one property.
 
     Attributes:
-        key: equal for results that have the same sweep.
+        key: equal for results of equal sweeps.
         total: number of points.
-        points: those that are computed.
-        follows: what the tile is called whose rank is drawn.
+        points: the computed ones.
+        follows: the name of the tile whose rank is drawn.
     """
 
     def __init__(self, over: SweptProperty, result: ScreenResult, model: Model) -> None:
@@ -65,7 +65,7 @@ class PhotoSweep:
         return point is not None
 
     def message(self, now: float) -> dict[str, Any]:
-        """Return the points so far as JSON takes them, sorted by the swept property.
+        """Return the points so far as JSON, sorted by the swept property.
 
         Args:
             now: the angle of the photo on the screen.
@@ -114,7 +114,7 @@ class PhotoSweep:
         return said
 
     def _worst(self, profile: SweepResult, before: SweepPoint) -> list[str]:
-        """Say which weather costs most, and which part loses most in it."""
+        """Name the weather that costs most, and the part that loses most in it."""
         worst = min(profile.points, key=lambda point: point.score)
         if worst is before:
             return []
@@ -128,7 +128,7 @@ class PhotoSweep:
         return said
 
     def _heading(self, guess: float) -> str:
-        """Judge the guess of the photo's heading by the nearest tile alone."""
+        """Describe the guess of the photo's heading by the nearest tile alone."""
         state, places = self._result.state, self._result.task.geometry
         place = None if places is None or state.own else places.queries[state.query]
         known = None if place is None else place.heading
@@ -142,7 +142,7 @@ class PhotoSweep:
 
 
 def sweep_key(over: SweptProperty, result: ScreenResult) -> object:
-    """Return what a result's sweep depends on: all but the swept property, and the tile that is followed."""
+    """Return the key of a result's sweep: everything but the swept property, and the tile that is followed."""
     analysis, state = result.analysis, result.state
     followed = None if analysis.positive else result.first.index
     angle = 0.0 if over == "rotation" else state.angle
@@ -160,7 +160,7 @@ def _distance(point: SweepPoint) -> str:
 
 
 class _SweepPart(PanelPart):
-    """Computes one point of the newest sweep a call, so that a change takes effect at once."""
+    """Computes one point of the newest sweep in each call, so that a change takes effect at once."""
 
     def __init__(self, tab: Tab) -> None:
         super().__init__(tab)

@@ -1,4 +1,4 @@
-"""The page behind the verdict: what LPN did, how good it is on this data, how that is judged, and whose pictures these are."""
+"""The page behind the verdict: LPN's steps, its quality on this data, how that is judged, and the pictures' authors."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from explorer.screen.fragments import fragment
 from explorer.screen.panel import Panel, PanelPart
 from explorer.screen.panels.why import words
 
-# Seconds between two looks at a ranking that goes on.
+# Seconds between two looks at an unfinished ranking.
 _INTERVAL = 0.5
 
 

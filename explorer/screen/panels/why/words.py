@@ -1,4 +1,4 @@
-"""The page in words and numbers. Figures are those of the task's ranking, and numbers of this photo those of its result."""
+"""The page in words and numbers: figures from the task's ranking, and this photo's numbers from its result."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from lpn.core.version import __version__
 from lpn.datasets.rendered import shows_rendered
 from lpn.tasks import measure
 
-# Points of the curve of metres.
+# Points of the curve of errors in metres.
 _POINTS = 120
 _DEPTHS = (1, 5, 10)
 _PROJECTS = (
@@ -24,7 +24,7 @@ _PROJECTS = (
 
 
 def page(result: ScreenResult, ranking: RankingJob) -> dict[str, Any]:
-    """Return the page's message: sections of sentences, figures, the curves of metres and of leads, and the rings."""
+    """Return the page's message: sections of sentences, figures, the curves of errors and of leads, and the rings."""
     return {
         "did": _did(result),
         "judged": _judged(result, ranking),
@@ -103,7 +103,7 @@ def _leads(result: ScreenResult, ranking: RankingJob) -> list[list[float]] | Non
 
 
 def _rings(result: ScreenResult) -> list[dict[str, Any]] | None:
-    """Return what each part adds to the truth's lead over the best wrong tile: the means of found and of missed photos."""
+    """Return each part's mean share of the truth's lead over the best wrong tile, of found and of missed photos."""
     known = result.workspace.outcomes(result.task)
     if known is None or result.workspace.contract.n_parts == 1:
         return None
@@ -149,7 +149,7 @@ def _judged(result: ScreenResult, ranking: RankingJob) -> list[str]:
 
 
 def _answer(result: ScreenResult, ranking: RankingJob) -> dict[str, Any]:
-    """Return how far the lead of this answer may be trusted, which needs no truth."""
+    """Return how far the lead of this answer can be trusted; that needs no truth."""
     analysis, workspace, state = result.analysis, result.workspace, result.state
     own = bool(state.own)
     gap, said = result.first.shown_gap, list[str]()
@@ -187,12 +187,12 @@ def _answer(result: ScreenResult, ranking: RankingJob) -> dict[str, Any]:
 
 
 def _names_junk(result: ScreenResult) -> bool:
-    """Return whether the truth names tiles that do not count, which are not known for an own photo."""
+    """Return whether the truth names tiles that do not count; they are unknown for an own photo."""
     return any(len(of.junk) or of.among is not None for of in result.task.truth or ())
 
 
 def _far(result: ScreenResult) -> list[str]:
-    """Say of an own photo how far its answer is beside the answers of photos whose place is here, and is not."""
+    """Compare the distance of an own photo's answer with those of photos whose place is, and is not, in the gallery."""
     measured, ranking = result.workspace.answer_distances(result.task), result.analysis.ranking
     if measured is None:
         return []
@@ -232,7 +232,7 @@ def _scored(result: ScreenResult) -> list[str]:
 
 
 def _pictures(result: ScreenResult) -> list[dict[str, str]]:
-    """Return who made the pictures, the model, and the program: texts, some with an address."""
+    """Return the authors of pictures, model, and program: texts, some with an address."""
     workspace = result.workspace
     said = [{"text": f"Data: {workspace.data_name}."}]
     place = None if workspace.basemap is None else workspace.basemap.place

@@ -1,1 +1,1 @@
-"""One file for each published method, or for methods of one network; each has `ADAPTERS`."""
+"""One file for each published method, or for several methods of one network; each file has `ADAPTERS`."""

@@ -37,12 +37,12 @@ from lpn.models.adapters.vit import NAMES, Tokens, trained_side
 from lpn.models.contract import part_names
 from lpn.models.partition import Partition
 
-# Backbones by timm's name, tried in this order: an entry, and its shape, that no later one has.
+# Backbones by timm's name, in the order of recognition: an entry, with its shape, that no later one has.
 _BACKBONES: dict[str, tuple[str, tuple[int, ...]]] = {
     "resnet50": ("layer3.5.conv3.weight", (1024, 256, 1, 1)),
     "convnext_tiny": ("stages.2.blocks.8.conv_dw.weight", (384, 1, 7, 7)),
 }
-# Heads by the entries that no other head has; the option `head` may have one of the endings, by the backbone.
+# Heads by their unique entries; the option `head` may have one of the endings, by the backbone.
 _GLOBAL, _RINGS, _GEM = "global_classifier.add_block.0.weight", "classifier_lpn_", "pool.gem2.p"
 _FIRST = "classifier1.add_block.0.weight"
 _HEADS = {
@@ -59,7 +59,7 @@ class _Head(NamedTuple):
 
     Attributes:
         names: of its parts.
-        level: the arguments of a contract that say how exact its evidence is.
+        level: the contract's arguments for the exactness of its evidence.
         blocks: the option `block`; the released code divides several parts by its root.
     """
 
@@ -73,8 +73,8 @@ def build(entries: Entries) -> PublishedParts:
     """Build a model of DenseUAV's code, on a vision transformer, a ResNet-50, a ConvNeXt-T, or any network of timm by its name.
 
     Raises:
-        ModelFileError: if entries are missing, have wrong shapes, contradict the options, or are of a backbone or a head that
-            is not read.
+        ModelFileError: if entries are missing, have wrong shapes, contradict the options, or belong to an unsupported backbone
+            or head.
         InputError: if timm is needed and cannot be imported.
     """
     trunk, backbone, size = _backbone(entries)
@@ -87,7 +87,7 @@ def build(entries: Entries) -> PublishedParts:
 
 
 def _backbone(entries: Entries) -> tuple[Any, str, tuple[int, int]]:
-    """Return what gives tokens (B, prefix + N, C), its name, and the input size."""
+    """Return the module for tokens (B, prefix + N, C), its name, and the input size."""
     own = entries.under("backbone.backbone.")
     stated = entries.options.get("model")
     name = str(stated) if isinstance(stated, str) else matching(_BACKBONES, own)
@@ -109,7 +109,7 @@ def _backbone(entries: Entries) -> tuple[Any, str, tuple[int, int]]:
 
 
 def _check_head(entries: Entries, head: Entries) -> None:
-    """Refuse a head that is not read, and options of another head than the one that is there."""
+    """Refuse an unsupported head, and options that contradict the head."""
     own = next((name for name, key in _HEADS.items() if key in head.state), None)
     stated = entries.options.get("head")
     if own is None or "netvlad.centroids" in head.state:
@@ -137,7 +137,7 @@ def _head(entries: Entries, head: Entries, trunk: Any) -> _Head:
         return _class_token(trunk, heads, count) if tokens else _mean(trunk, heads, count)
     heads = head.heads(["classifier"], trunk.channels)
     if _GEM in head.state:
-        # Its weights are a softmax over the places, the same for every picture.
+        # Its weights are a softmax over the places, equal for all pictures.
         _check_plain(entries, trunk, "GeM")
         shares = torch.softmax(head.tensor(_GEM, (count - 1,)), 0)
         branch = PooledTokens(trunk, FixedWeights(nn.functional.pad(shares, (1, 0))[None]), heads)
@@ -156,12 +156,12 @@ def _head(entries: Entries, head: Entries, trunk: Any) -> _Head:
 
 
 def _rings(entries: Entries, head: Entries, trunk: Any, rings: int) -> _Head:
-    """Return the head LPN, which has the class token as its first part, or LPN_CNN, which has rings alone."""
+    """Return the head LPN, whose first part is the class token, or LPN_CNN, which has rings alone."""
     check_option(entries, "block", rings)
     names = [f"{_RINGS}{number + 1}" for number in range(rings)]
     partition = Partition("rings", rings)
     weights = torch.from_numpy(partition.weights(*trunk.grid)).flatten(1)
-    # Numbers are cut off the partition's names, as `by_view` adds its own.
+    # The numbers of the partition's names are removed, as `by_view` adds its own.
     parts = [name.partition(" ")[2] or "ring" for name in part_names(partition)]
     if _GLOBAL not in head.state:
         if trunk.prefix:

@@ -1,4 +1,4 @@
-"""FSRA: regions of a vision transformer's tokens by their heat, and its class token, a head each."""
+"""FSRA: regions of a vision transformer's tokens by their heat, and its class token, each with a head."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""MCCG: one or two gated parts of a map, and the whole, a head each."""
+"""MCCG: one or two gated parts of a map, and the whole map, each with a head."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Gate(nn.Module):
 
 
 class Mccg(PartBranch):
-    """The means of the map under one or two gates, and the LayerNorm of its plain mean, a head each.
+    """The means of the map under one or two gates, and the LayerNorm of its plain mean, each with a head.
 
     On a ResNet-101 the plain mean has no LayerNorm. The first gate has a value for each channel and column, the second for each
     row and channel.
@@ -60,7 +60,7 @@ class Mccg(PartBranch):
         columns = self.gates[0](features.amax(2), features.mean(2))
         maps = [features * columns[:, :, None]]
         if len(self.gates) > 1:
-            # The plane of the second gate has rows and channels as its sides.
+            # The sides of the second gate's plane are rows and channels.
             rows = self.gates[1](features.amax(3).transpose(1, 2), features.mean(3).transpose(1, 2))
             maps.append(features * rows.transpose(1, 2)[..., None])
         return maps

@@ -1,4 +1,4 @@
-"""SALAD and MegaLoc: a DINOv2's cells, shared out to clusters by optimal transport, beside a vector of the class token."""
+"""SALAD and MegaLoc: a DINOv2's cells, assigned to clusters by optimal transport, beside a vector of the class token."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from lpn.models.adapters.published import PublishedParts, published, size_of
 from lpn.models.adapters.registry import Adapter
 from lpn.models.adapters.vit import NAMES, Tokens, dinov2
 
-# The size at which SALAD was published, steps of the optimal transport, and the least length to divide by.
+# The published input size of SALAD, steps of the optimal transport, and the least length for a division.
 _SIZE = (322, 322)
 _STEPS, _LEAST = 3, 1e-12
 _HELD = "the clusters' shares of each cell, and the lengths of the clusters"
@@ -40,15 +40,15 @@ class _Layers(nn.Module):
 
 
 class Salad(PartBranch):
-    """SALAD's vector: that of the class token, then the sum of the cells in each cluster, each scaled to length 1.
+    """SALAD's vector: the class token's, then the sum of the cells in each cluster, each scaled to length 1.
 
     A cell's vector depends on that cell alone. With its shares in the clusters and the clusters' lengths held, each cell has a
-    share in the vector. MegaLoc puts a linear layer behind it.
+    share in the vector. MegaLoc adds a linear layer.
 
     Args:
         trunk: a DINOv2.
         entries: those under `aggregator.` of SALAD, or under `aggregator.agg.` of MegaLoc.
-        head: A (1, D, token + l m) and c (1, D) of MegaLoc, for clusters of l numbers, m in number.
+        head: A (1, D, token + l m) and c (1, D) of MegaLoc, for m clusters of l numbers.
     """
 
     def __init__(self, trunk: Tokens, entries: Entries, head: tuple[Tensor, Tensor] | None = None) -> None:
@@ -105,9 +105,9 @@ class Salad(PartBranch):
 
 
 def transport(scores: Tensor, dust_bin: Tensor) -> Tensor:
-    """Share out N cells to m clusters by entropic optimal transport in three Sinkhorn steps: (B, m, N) -> (B, m, N).
+    """Assign N cells to m clusters by entropic optimal transport in three Sinkhorn steps: (B, m, N) -> (B, m, N).
 
-    A further cluster, whose score is the same for all cells, takes N - m of them, and is left out of the result.
+    A further cluster, with a constant score, takes N - m of them, and is removed from the result.
     """
     batch, clusters, cells = scores.shape
     scores = torch.cat([scores, dust_bin.expand(batch, 1, cells)], 1)
@@ -121,7 +121,7 @@ def transport(scores: Tensor, dust_bin: Tensor) -> Tensor:
 
 
 def build(entries: Entries) -> PublishedParts:
-    """Build SALAD or MegaLoc on a DINOv2; it describes all views alike.
+    """Build SALAD or MegaLoc on a DINOv2; one branch describes all views.
 
     Raises:
         ModelFileError: if entries are missing or have wrong shapes, or pictures have fewer cells than there are clusters.

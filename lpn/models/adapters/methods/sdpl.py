@@ -37,14 +37,14 @@ PART_NAMES = (
 STRIDE = 16
 # The rings need eight cells along a side, and shifts by two cells need sixteen.
 SIDE_STEP, SMALLEST = 128, 256
-# The smallest value that the generalised mean of exponent 3 takes in.
+# Lower bound of values in the generalised mean of exponent 3.
 _FLOOR = 1e-6
 DEPTHS = [3, 4, 6, 3]
 _HIDDEN = ("0", "4", "6", "8")
 
 
 class ShiftedPlane(NamedTuple):
-    """The places of one part at one shift: which cells of the map each of them sums.
+    """The places of one part at one shift, with the cells of the map that each of them sums.
 
     Attributes:
         outer, inner: by place, the cell's number row * S + column, or S * S for none; (places,).
@@ -55,10 +55,10 @@ class ShiftedPlane(NamedTuple):
 
 
 def planes(side: int) -> list[list[ShiftedPlane]]:
-    """Return the ten planes of each shift for a map of `side` x `side` cells, as the released code cuts them.
+    """Return the ten planes of each shift for a map of `side` x `side` cells, cut as in the released code.
 
-    Each shift sets the box of its third ring to zero, and the released code does that to the map itself, so that the shifts
-    that follow find it empty. A checkpoint was trained with it and needs it.
+    Each shift sets the box of its third ring to zero. The released code does that to the map itself, so later shifts
+    find it empty. Checkpoints were trained with this, and need it.
     """
     unit, centre, none = side // 8, side // 2, side * side
     cells = np.arange(none).reshape(side, side)
@@ -73,7 +73,7 @@ def planes(side: int) -> list[list[ShiftedPlane]]:
         return square
 
     def add(ring: Int64Array, *filling: Int64Array) -> tuple[Int64Array, Int64Array]:
-        """Add what is in the middle of a ring; where the ring is not empty there, a place has two cells."""
+        """Add the contents of a ring's middle; if the ring is not empty there, a place has two cells."""
         outer, inner = ring.copy(), np.full_like(ring, none)
         for square in filling:
             begin = (len(ring) - len(square)) // 2
@@ -107,7 +107,7 @@ def build_branch(entries: Entries, heads: Entries, size: tuple[int, int]) -> tup
         heads: the entries of the whole checkpoint.
 
     Raises:
-        ModelFileError: if entries are missing or have wrong shapes, or SDPL takes no pictures of that size.
+        ModelFileError: if entries are missing or have wrong shapes, or the size does not fit SDPL.
     """
     if entries.has("shift_blocks."):
         if size[0] != size[1] or size[0] % SIDE_STEP or size[0] < SMALLEST:
@@ -157,7 +157,7 @@ class Sdpl(PartBranch):
         self._places: dict[int, list[list[tuple[Tensor, Tensor]]]] = {}
 
     def check_size(self, size: tuple[int, int], trained: tuple[int, int]) -> None:
-        """Check that a picture is a square of a size that the rings divide."""
+        """Check that a picture is a square of a size that fits the rings."""
         fits = size[0] == size[1] and size[0] % SIDE_STEP == 0 and size[0] >= SMALLEST
         self._check_size(size, trained, fits, f"squares of a multiple of {SIDE_STEP} pixels from {SMALLEST}")
 
@@ -198,8 +198,8 @@ class Sdpl(PartBranch):
     def account(self, images: Tensor) -> Account:
         """Return the parts and their account, with the pooled values and the weights of the shifts held.
 
-        The features have the heads applied, as each part has a map of its own: (B, 10, D, S, S). The weight of a cell in a
-        part is the share of the part's places that the cell has, weighted over the shifts.
+        The features include the heads, as each part has a map of its own: (B, 10, D, S, S). The weight of a cell in a part is its
+        share of the part's places, weighted over the shifts.
         """
         features = self.trunk(images)
         weights = self.shift_weights(features)
@@ -215,7 +215,7 @@ class Sdpl(PartBranch):
                 both = [flat[:, :, cells] for cells in parts_of_shift[part]]
                 values = both[0] + both[1]
                 mean = generalised_mean(values)
-                # By Euler's theorem the mean is the sum of these shares. What lies on the floor comes from no cell.
+                # By Euler's theorem the mean is the sum of these shares. A value at the lower bound comes from no cell.
                 factor = weights[:, shift, None] / (values.shape[2] * mean * mean)
                 square = torch.where(values > _FLOOR, values * values, 0.0) * factor[:, :, None]
                 rest += factor * _FLOOR**3 * (values <= _FLOOR).sum(2)
@@ -258,7 +258,7 @@ def build(entries: Entries) -> PublishedParts:
     )
 
 
-# SDPL and its baselines have the entries of an LPN of two branches, and one more; of one baseline it is an option.
+# SDPL and its baselines have one entry more than an LPN of two branches; for one baseline it is an option.
 _UNUSED = r"^classifier\d*\.classifier\.|^model_\d\.(bn|model\.fc)\.|^model_\d\.gem\d+\.p$"
 ADAPTERS = tuple(
     Adapter("sdpl", (*LPN.needs, more), build, _UNUSED)

@@ -1,4 +1,4 @@
-"""The baselines of SUES-200, a network of timm for each view with one linear head, and its LPN with one for each ring."""
+"""The baselines of SUES-200, a network of timm for each view with one linear head, and its LPN with a head for each ring."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from lpn.models.contract import Role, part_names
 from lpn.models.partition import Partition
 from lpn.models.timm_networks import TimmMap
 
-# The networks of the option `model` that timm has, each with an entry that those behind it lack, and its shape.
+# timm's networks of the option `model`, each with an entry, and its shape, that later ones lack.
 _NETWORKS: dict[str, tuple[str, tuple[int, ...]]] = {
     "seresnet50": ("layer3.5.se.fc1.weight", (64, 1024, 1, 1)),
     "resnest50d": ("layer3.5.conv2.conv.weight", (512, 128, 3, 3)),
@@ -34,14 +34,14 @@ _NETWORKS: dict[str, tuple[str, tuple[int, ...]]] = {
 }
 
 
-# The network of its LPN, the begin of entries of it, and the channels of its map.
+# The network of its LPN, the prefix of its entries, and the channels of its map.
 _LPN_NETWORK, _LPN_ENTRIES, _LPN_CHANNELS = "seresnet50", "model.layer3.5.se.", 2048
 
 
 class LopsidedSum(PartBranch):
-    """The released test's sum: the head's vector of the picture is scaled to length 1, and the mirror's is added as it is.
+    """The released test's sum: the head's vector of the picture is scaled to length 1, the mirror's is added unscaled.
 
-    Both passes are computed here. The mirror's map is turned back, so that both share the cells of the picture.
+    Both passes are computed here. The mirror's map is flipped back, so that both share the cells of the picture.
 
     Args:
         vector: gives one vector, with or without cells.
@@ -53,14 +53,14 @@ class LopsidedSum(PartBranch):
         self.vector, self.bias = vector, nn.Buffer(head[1])
 
     def check_size(self, size: tuple[int, int], trained: tuple[int, int]) -> None:
-        """Check what the network takes."""
+        """Check the size of a picture for the network."""
         self.vector.check_size(size, trained)
 
     def account(self, images: Tensor) -> Account:
         """Return the vector and its account, with the length of the first pass held."""
         weight = cast(Tensor, self.weight)
         count = images.shape[0]
-        # Both passes are one batch, so that the graph has one trunk, which is what `lpn.models.quantize` looks for.
+        # Both passes are one batch, so that the graph has one trunk, as `lpn.models.quantize` needs.
         both = self.vector.account(torch.cat([images, images.flip(3)]))
         vectors = by_heads(both.parts, weight, self.bias)
         scale = 1 / torch.linalg.vector_norm(vectors[:count], dim=2, keepdim=True)
@@ -75,7 +75,7 @@ def build(entries: Entries) -> PublishedParts:
     """Build a baseline of SUES-200, or its LPN: `model_1` describes the satellite and `model_2` the drone.
 
     Raises:
-        ModelFileError: if entries are missing or have wrong shapes, or the network is none of the baselines that timm has.
+        ModelFileError: if entries are missing or have wrong shapes, or the network is none of timm's baselines.
         InputError: if timm is needed and cannot be imported.
     """
     own = entries.under("model_1.")
@@ -110,7 +110,7 @@ def build(entries: Entries) -> PublishedParts:
 def _lpn(entries: Entries) -> PublishedParts:
     """Build SUES-200's LPN: square rings of a SE-ResNet-50's map, each under a linear head without a BatchNorm.
 
-    The stride of the last stage and the pooling are in no entry: `stride`, by default 1 as in the released code, and `pool`.
+    Options, not entries, hold the last stage's `stride`, by default 1 as in the released code, and the `pool`.
     """
     count = entries.count("classifier{}.add_block.0.weight")
     check_option(entries, "block", count)

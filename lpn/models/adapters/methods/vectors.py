@@ -39,10 +39,10 @@ class ClassToken(PartBranch):
 
 
 class _Network(NamedTuple):
-    """A network of one vector and what its entries tell.
+    """A network of one vector, and the properties in its entries.
 
     Attributes:
-        normalisation: mean and standard deviation; None where the entries do not tell them.
+        normalisation: mean and standard deviation; None if the entries lack them.
     """
 
     branch: PartBranch
@@ -54,7 +54,7 @@ class _Network(NamedTuple):
 
 
 def _of_timm(entries: Entries) -> _Network:
-    """Build a ConvNeXt, a vision transformer with rotary positions, the one that the options name, or else a plain one."""
+    """Build a ConvNeXt, a rotary vision transformer, the network of the options, or else a plain vision transformer."""
     stated = entries.options.get("model")
     if "stages.0.blocks.0.conv_dw.weight" in entries.state:
         size = size_of(entries, (384, 384), STRIDE)
@@ -90,7 +90,7 @@ def _plain(entries: Entries) -> _Network:
         branch = MeanVector(TokenMap(trunk, trunk.prefix, patch), norm, trunk.grid, patch, fixed=True)
     if left := entries.left_over(_TIMM):
         raise _foreign(entries, left[0])
-    # DINOv2 and DeiT III have a scale for each layer and ImageNet's values; most others of timm have 0.5.
+    # DINOv2 and DeiT III have a scale for each layer, and ImageNet's values; most other networks of timm have 0.5.
     scaled = "cls_token" in entries.state and "blocks.0.ls1.gamma" in entries.state
     name = f"{NAMES.get(trunk.channels, 'ViT')}/{patch}"
     return _Network(branch, name, trunk.channels, size, (MEAN, STD) if scaled else (_HALF, _HALF), told=False)
@@ -104,7 +104,7 @@ def _foreign(entries: Entries, entry: str) -> ModelFileError:
 
 
 def _rotary(entries: Entries) -> _Network:
-    """Build the vision transformer with rotary positions that Game4Loc is trained from."""
+    """Build the rotary vision transformer that Game4Loc starts from."""
     width, _, patch, _ = entries.shape("patch_embed.proj.weight", 4)
     size = size_of(entries, (384, 384), patch)
     network, configuration = timm_networks.rotary_transformer(width, entries.count("blocks.{}.norm1.weight"), size)
@@ -138,7 +138,7 @@ def _hand_made(entries: Entries) -> _Network:
 
 
 def build(method: str, entries: Entries) -> PublishedParts:
-    """Build a model of one network for both views, or of one for queries and one for the gallery."""
+    """Build a model with one network for both views, or with one for queries and one for the gallery."""
     if method in ("Sample4Geo", "Game4Loc"):
         two = entries.has("model1.") and entries.has("model2.")
         prefixes = ("model1.", "model2.") if two else ("model." if entries.has("model.") else "",)
@@ -162,7 +162,7 @@ def build(method: str, entries: Entries) -> PublishedParts:
     return published(branches, method, own.name, own.size, embedding=own.width, **level, **further)
 
 
-# Entries of training, and buffers of Swin that are in files of timm before 0.8 alone.
+# Entries of training, and buffers of Swin that only files of timm before 0.8 contain.
 _TIMM = r"^logit_scale|\.(relative_position_index|relative_coords_table|attn_mask)$|^(model\d?\.)?(head|norm|fc|classifier)\."
 _TRAINED = (
     r"^logit_scale\w*$|^w_blocks\d$|^model_\d\.(classifier1|classifier_mcb\d+)\.|\.convnext\.(head|model\.fc)\."
