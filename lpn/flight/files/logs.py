@@ -219,7 +219,6 @@ def for_video(log: Log, number: int, began: float | None = None) -> tuple[list[T
 
 
 def _start(log: Log, began: float | None, timed: Sequence[tuple[LogRow, float]]) -> tuple[float | None, str]:
-    """Return the elapsed time in a log at which a video began, or None, and a note."""
     known = [(row.entry.clock, time) for row, time in timed if row.entry.clock is not None]
     if began is not None and log.utc and known and known[0][0] <= began <= known[-1][0]:
         clock, time = min(known, key=lambda pair: abs(pair[0] - began))

@@ -210,7 +210,6 @@ def _turns(known: _Metadata) -> int:
 
 
 def _position(known: _Metadata) -> tuple[float | None, float | None]:
-    """Return latitude and longitude in degrees, both None if unknown."""
     places: list[tuple[float, float, str]] = []
     for row, pair in known.properties.rows("position"):
         latitude, longitude, *_ = (
@@ -400,7 +399,6 @@ def _sensor_ratio(known: _Metadata, width: float, height: float) -> float | None
 
 
 def _times(known: _Metadata) -> tuple[float | None, float | None]:
-    """Return the time of exposure in UTC and on the camera's clock, in seconds since 1970-01-01."""
     properties = known.properties
     # Editing programs set DateTime, the last of the table, to the time of the change. Some cameras write blanks for zeros.
     name, stamp = next(properties.texts("taken"), ("", ""))

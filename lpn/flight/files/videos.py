@@ -172,7 +172,6 @@ def _blocks(container: Any, stream: Any) -> Iterator[SubtitleBlock]:
 def _chosen(
     capture: Any, video: Path, folder: Path, starts: Iterator[float], telemetry: Telemetry | None
 ) -> tuple[list[Frame], float]:
-    """Write the sharpest frame of each window; return the frames and the time of the video's last picture."""
     frames: list[Frame] = []
     best: tuple[float, float, UInt8Array] | None = None  # sharpness, time, picture
     start, following, time, compared = next(starts), next(starts, math.inf), 0.0, -math.inf

@@ -420,7 +420,6 @@ class LiveLocator:
         return None
 
     def _told_turns(self) -> list[float]:
-        """Return the turns of the last registrations that stand."""
         return [turn for turn, stands in self._turns if stands][-_RECENT:]
 
     @property

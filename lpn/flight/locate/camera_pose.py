@@ -284,7 +284,6 @@ def _solved(matches: PoseMatches, middle: Float64Array, fov: float | None) -> tu
 
 
 def _threshold(matches: PoseMatches) -> float:
-    """Return the pixels within which a match agrees: three expected sigmas."""
     return max(3 * matches.noise, 0.004 * matches.size[0], 1.5)
 
 
@@ -293,7 +292,6 @@ def _intrinsics(focal: float, size: tuple[int, int]) -> Float64Array:
 
 
 def _first(matches: PoseMatches, middle: Float64Array, focal: float) -> _Camera | None:
-    """Return the first estimate of the camera by random samples."""
     parameters = cv2.UsacParams()
     parameters.threshold = _threshold(matches)
     parameters.confidence = 0.999
@@ -401,7 +399,6 @@ def _normal(
 
 
 def _focal_error(camera: _Camera, matches: PoseMatches, middle: Float64Array, inliers: BoolArray) -> float:
-    """Return the 1-sigma error of a solved focal length as a share of it."""
     if inliers.sum() < _LEAST_MATCHES:
         return math.inf
     normal = _normal(camera, matches, middle, inliers, True, _cells(matches.pixels[inliers], matches.size))
@@ -414,7 +411,6 @@ def _focal_error(camera: _Camera, matches: PoseMatches, middle: Float64Array, in
 def _covariance(
     camera: _Camera, matches: PoseMatches, middle: Float64Array, inliers: BoolArray, free: bool, cells: int
 ) -> Float64Array:
-    """Return the covariance of place in metres and of heading, pitch, and roll in degrees, (6, 6)."""
     normal = _normal(camera, matches, middle, inliers, free, cells)
     try:
         inner = np.linalg.inv(normal)[:6, :6]

@@ -190,7 +190,6 @@ class Raster:
         self._handles.append(handle)
 
     def _treated(self) -> bytes:
-        """Return the VRT of the raster as RGB and alpha."""
         treatment, name, own = self.treatment, self.source.name, (self.width, self.height)
         box, method = (0, 0, *own), "nearest" if self._paletted else "average"
 

@@ -204,7 +204,6 @@ def _crs(text: str, **options: bool) -> Any:
 
 
 def _georeference(path: Path, file: Any, options: MapOptions) -> tuple[Any, Float64Array]:
-    """Return the CRS of a raster and the (2, 3) matrix from its columns and rows to coordinates."""
     if options.corners is not None and options.crs is not None:
         raise InputError("Corners are latitudes and longitudes; give --corners or --crs, not both.")
     matrix = None if options.corners is not None else _matrix(path, file)
@@ -305,7 +304,6 @@ def _beside(path: Path, suffixes: Sequence[str]) -> Path | None:
 
 
 def _from_corners(corners: Sequence[float], width: int, height: int, what: str) -> tuple[Any, Float64Array]:
-    """Return CRS and matrix of a picture by latitude and longitude of its top-left and bottom-right corner."""
     top, left, bottom, right = corners
     on_earth = all(map(np.isfinite, corners)) and max(abs(top), abs(bottom)) <= 90 and max(abs(left), abs(right)) <= 180
     east = right + 360 if left > right + 180 else right  # across the antimeridian
