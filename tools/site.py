@@ -1,6 +1,6 @@
-"""A hook of MkDocs: pages of the project's root, and the commands with their options, become pages of the site.
+"""A hook of MkDocs that adds pages of the project's root, and of the commands with their options, to the site.
 
-`make docs` builds the site, and fails where a link or an anchor leads nowhere.
+`make docs` builds the site, and fails on a broken link or anchor.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ def on_files(files: Any, config: Any) -> Any:
 
 
 def on_page_markdown(markdown: str, **_of: Any) -> str:
-    """Let links between docs and the root lead to the site's pages; a link to another file becomes its path as code."""
+    """Rewrite links between docs and the root to the site's pages; a link to another file becomes its path as code."""
     markdown = re.sub(r"\]\((?:docs|\.\.)/((?:[\w-]+\.(?:md|webp|jpg))(?:#[^)]*)?)\)", r"](\1)", markdown)
-    # A list right below a paragraph is one on the page of a repository, and for MkDocs none.
+    # A list right below a paragraph needs a blank line in MkDocs, but not on a repository's page.
     markdown = re.sub(r"^(?![-|\s*\d])(.+)\n(- )", r"\1\n\n\2", markdown, flags=re.MULTILINE)
     return re.sub(r"\[[^\]]*\]\((?:\.\./)*((?!https?:)[^)#]*(?:\.py|\.toml|\.cff|LICENSE|\.txt))\)", r"`\1`", markdown)
 

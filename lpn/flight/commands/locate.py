@@ -148,7 +148,6 @@ class LocateCommand(ModelOptions):
         return survey, locate(basemap, flight, network, options, kept, indexed)
 
     def _survey(self, basemap: Map, flight: Flight, console: Console) -> MatchedSurvey | None:
-        """Return the surveyed positions; None without a table."""
         from lpn.flight.locate.surveyed import match_surveyed, read_surveyed, strangers_sentence
 
         if self.positions is None:
@@ -160,7 +159,6 @@ class LocateCommand(ModelOptions):
         return survey
 
     def _check_files_differ(self) -> None:
-        """Raise InputError if two of the options name one file."""
         seen: dict[Path, str] = {}
         for option, file in (
             ("--positions", self.positions),

@@ -320,7 +320,6 @@ def _no_pictures(files: _Files) -> str:
 
 
 def _named_by(log: Log, file: Path) -> list[Path]:
-    """Return the photos below a log's folder that the log names."""
     rows = logs.rows_by_name(log)
     return [
         photo
@@ -346,7 +345,6 @@ def _with_names(photos: Sequence[Photo]) -> list[Photo]:
 def _flight_of_videos(
     files: _Files, flight_logs: Sequence[Log], folder: Path, name: str, options: FlightOptions
 ) -> Flight:
-    """Return the flight of videos; a note names unreadable ones."""
     parts: list[tuple[videos.VideoFrames, float | None]] = []
     notes = [note for log in flight_logs for note in log.notes]
     broken: list[str] = []

@@ -191,7 +191,6 @@ def _system(told: Mapping[str, str], crs: str | None, degrees: bool, file: str) 
 
 
 def _header(names: Sequence[str], file: str) -> dict[str, int]:
-    """Return the index of each known column."""
     given = {name.strip().lower(): i for i, name in reversed(list(enumerate(names)))}
     header = {
         key: next(given[one] for one in known if one in given) for key, known in COLUMNS.items() if {*known} & {*given}

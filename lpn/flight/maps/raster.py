@@ -248,7 +248,6 @@ class Raster:
         return Treatment(chosen, alpha)
 
     def _decided(self, file: Any, numbers: str, keep_borders: bool) -> Treatment:
-        """Decide stretch and borders on an overview."""
         chosen, deep = self.treatment, self._deep
         values = self._overview(file, chosen.bands)
         with self._handle() as handle:
