@@ -112,7 +112,7 @@ class Client(threading.Thread):
 
 @pytest.fixture
 def network() -> Iterator[ManualModel]:
-    """A network that computes what it still holds when the test ends, so that no thread waits for ever."""
+    """A network that computes all waiting requests when the test ends, so that no thread waits for ever."""
     made = ManualModel()
     yield made
     made.release(MAX_QUEUED)
@@ -130,7 +130,7 @@ def occupy(network: ManualModel, queue: InferenceScheduler, mark: int = 99) -> C
 
 
 def queue_up(queue: InferenceScheduler, *clients: Callable[[], Client]) -> list[Client]:
-    """Start clients one after the other."""
+    """Start clients in succession."""
     begun = []
     for one in clients:
         before = n_queued(queue)

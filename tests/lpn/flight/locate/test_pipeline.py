@@ -195,7 +195,7 @@ def test_a_correction_is_the_truth_and_stands_in_place_of_the_registration(
     first, second, _, last = found.frames
     assert first.by_hand is not None
     assert first.by_hand.camera
-    # Looking to the left by 10 degrees with the top to the east, the camera is south of what its middle shows.
+    # Looking to the left by 10 degrees with the top to the east, the camera is south of its picture's middle.
     np.testing.assert_allclose(first.truth(True), (3.0, -HEIGHT * math.tan(math.radians(10))), atol=1e-3)
     np.testing.assert_allclose(first.truth(False), (3.0, 0.0), atol=1e-3)
     assert first.error("registration") == pytest.approx(4 + HEIGHT * math.tan(math.radians(10)), abs=1e-3)
@@ -435,7 +435,7 @@ def test_a_photo_beyond_what_was_searched_is_searched_again_about_its_place(
 
 
 class _MutualMatcher(SiftMatcher):
-    """SIFT that keeps what several places share, as XFeat does."""
+    """SIFT that, like XFeat, keeps matches of features that several places share."""
 
     name = "Mutual"
     ratio = 1.0
@@ -510,7 +510,7 @@ def test_the_camera_is_told_within_its_radius(
     assert answer.radius is not None
     assert answer.x is not None
     assert answer.y is not None
-    # The radius is that of one axis, so twice it covers 86 % of errors; a tilt told wrongly by 1 sigma fills one.
+    # The radius is of one axis, so twice it covers 86 % of errors; a tilt wrong by 1 sigma moves the place by one radius.
     assert math.hypot(answer.x, answer.y) < 2 * answer.radius
     assert HEIGHT * math.tan(math.radians(1.5)) * 0.9 < answer.radius < 4.0
 
