@@ -197,7 +197,7 @@ def test_other_pictures_or_another_start_are_noticed(places: Path, tmp_path: Pat
     shutil.copytree(places, tmp_path / "places")
     for name in ("query", "gallery"):
         shutil.rmtree(tmp_path / "places" / "test" / f"{name}_drone" / "0010")
-    # The same training pictures, and fewer to test with, under the same folder name: measured again.
+    # The same training pictures with fewer test pictures, under the same folder name, are measured again.
     reproduction(tmp_path / "places", tmp_path / "out").run(["table5"])
     assert (tmp_path / "out" / "table5.csv").read_text() != before
     shutil.rmtree(tmp_path / "places" / "train" / "drone" / "0004")
@@ -309,7 +309,7 @@ def test_what_cannot_be_made_is_said_before_anything_is_trained(places: Path, mo
         ({"models": {"nobody": model}}, ["table1"], "--model names 'nobody'"),
         ({"models": {"lpn": tmp_path / "typo.onnx"}}, ["figure5", "table4"], "no model file"),
         ({"models": {"lpn": model}, "data": [str(landmarks(tmp_path))]}, ["table6"], "needs the view street"),
-        # A view that a row wants and a network would be trained without, and a batch that would never be full.
+        # A view of a row that is missing in training, and a batch that would never be full.
         (
             {"data": [str(places), str(landmarks(tmp_path))]},
             ["table6"],
@@ -696,7 +696,7 @@ def test_the_command_collects_repeated_flags_and_wants_to_know_what(
     assert (seen[0].data, seen[0].seeds, seen[0].scale.name) == ((str(places), "b"), (0, 1), "paper")
     assert seen[0].models == {"lpn": Path("x.onnx"), "instance": Path("y.onnx")}
     assert seen[0].scale.changes == {"batch": 8}
-    # A flag that one recipe excludes fits others; each training's own recipe decides.
+    # A flag that one recipe excludes may fit others, so each training's recipe decides.
     flags = ["--recipe", "released", "--lr", "0.01", "--no-joint-views", "--label-smoothing=0", "--infonce", "1"]
     assert main(["reproduce", "table1", *data, *flags]) == 0
     assert seen[1].scale.changes == {"lr": 0.01, "joint_views": False, "label_smoothing": 0.0, "infonce": 1.0}
