@@ -93,7 +93,7 @@ def real_figures(track: Sequence[Mapping[str, str]]) -> Figures:
 
 
 def within_radii(radii: float) -> Bound:
-    """Every place lies within so many of the baseline's radii of its place."""
+    """Every place lies within this many of the baseline's radii of its place."""
 
     def error(_: str, value: Value, before: Figures) -> str:
         places, allowed = before["places"], before["radii"]

@@ -151,7 +151,7 @@ class LiveLocator:
         self._turns: deque[tuple[float, bool]] = deque(maxlen=_TURNED)
         self._registered_at: float | None = None
         self._place: Float64Array | None = None
-        # Whether the last frame was registered, and whether the user was told of frames of other ground.
+        # Flags: the last frame was registered; the user was told of frames of other ground.
         self._fresh = self._unfit_said = False
         self._notes: list[str] = []
 

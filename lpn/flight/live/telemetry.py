@@ -39,7 +39,7 @@ class TelemetryValue(NamedTuple):
 class LiveTelemetry:
     """A source of heading, height, and position of pictures; this base class adds nothing to the picture's file."""
 
-    # Whether the telemetry's field of view is that across the longer side of the picture, as in subtitles.
+    # True if the telemetry's field of view is across the longer side of the picture, as in subtitles.
     _across_longer_side = False
 
     def value(self, picture: ArrivedPicture) -> TelemetryValue:
