@@ -125,7 +125,7 @@ def _own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture(scope="session")
 def make_once(tmp_path_factory: pytest.TempPathFactory) -> MakeOnce:
-    """A function that fills a folder once for all pytest-xdist workers; no test may change what is in it.
+    """A function that fills a folder once for all pytest-xdist workers; no test may change its contents.
 
     The first worker that asks for a name fills the folder, the others wait for it.
     """

@@ -123,7 +123,7 @@ def test_trials_are_compared_place_by_place_on_training_pictures_alone(
     assert json.loads(table.read_bytes()) == values
     assert (values["places"], values["folds"], values["trained folds"], values["seeds"]) == (13, 2, 2, [0])
     assert values["trials"]["still"]["changes"] == {"colour": 0.0}
-    # The figures are those of the trained networks on the places that each of them did not see.
+    # The figures are of the trained networks, each on its unseen places.
     runs, ranks = tmp_path / "runs", {}
     for trial in trials:
         for number in (0, 1):

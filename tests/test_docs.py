@@ -1,4 +1,4 @@
-"""The pages say what is there: links lead somewhere, tests that are named exist, and short pages stay short."""
+"""The pages are true: links lead somewhere, named tests exist, and short pages stay short."""
 
 from __future__ import annotations
 

@@ -24,7 +24,7 @@ def run(figures, bounds):
 
 
 def run(folder: Path, code: str, *arguments: str, baseline: dict[str, object] | None = None) -> tuple[int, str]:
-    """Run code that measures in a folder, beside a baseline, and return its exit status and what it told."""
+    """Run measuring code in a folder beside a baseline; return its exit status and output."""
     if baseline is not None:
         (folder / "baseline").mkdir(exist_ok=True)
         (folder / "baseline" / "made.json").write_text(json.dumps({"commit": "before", "figures": baseline}))
@@ -130,7 +130,7 @@ sys.exit(keep.main(["--out", "out.json"], measures, Path("baseline")))
     (tmp_path / "again").touch()
     (tmp_path / "baseline").mkdir()
     (tmp_path / "baseline" / "first.json").write_text('{"commit": "before", "figures": {"one": 1.0}}')
-    assert run(tmp_path, code)[0] == 0  # what was measured is compared with the present baseline
+    assert run(tmp_path, code)[0] == 0  # measured figures are compared with the present baseline
     assert (tmp_path / "log").read_text() == "first "
     run(tmp_path, code.replace("sys.exit", 'keep._state = lambda *_: "another state"\nsys.exit'))
     assert (tmp_path / "log").read_text() == "first first "

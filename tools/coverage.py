@@ -1,8 +1,7 @@
 """Lines and branches of each room that the tests run: `python -m tools.coverage [--out FILE] [PYTEST'S ARGUMENTS]`.
 
-`make coverage` measures the quick tests, and writes the committed tools/coverage.json. `-m ''` among the arguments adds those
-marked slow. Processes that tests start count, unless they are killed or get an environment of their own. pyproject.toml has
-the settings.
+`make coverage` measures the quick tests, and writes the committed tools/coverage.json. The argument `-m ''` adds slow tests.
+Processes of tests count, unless they are killed or have another environment. pyproject.toml has the settings.
 """
 
 from __future__ import annotations
@@ -33,7 +32,7 @@ Rooms = dict[str, dict[str, float]]
 
 
 def run_tests(data: Path, arguments: list[str]) -> int:
-    """Run pytest in this folder, write what it and its processes ran beside `data`, and return its exit status."""
+    """Run pytest in this folder, write its coverage beside `data`, and return its exit status."""
     command = [sys.executable, "-m", "coverage", "run", "-m", "pytest", *arguments]
     return subprocess.run(command, env=os.environ | {"COVERAGE_FILE": str(data)}, check=False).returncode
 

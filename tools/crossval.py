@@ -2,8 +2,8 @@
 
     python -m tools.crossval --data ROOT --out runs/crossval --table table.json --trial base --trial wide:ground_ratio=2
 
-Only training pictures are read. Every trial has the same folds, so each place is found or missed once by each trial and seed, and
-two trials are compared place by place. A training that was stopped goes on, and several processes may share the work.
+Only training pictures are read. Every trial has the same folds, so each trial and seed finds or misses each place once, and two
+trials are compared place by place. A stopped training resumes, and several processes may share the work.
 """
 
 from __future__ import annotations
@@ -121,16 +121,15 @@ class CrossValidation:
         dataset: only its training pictures are read.
         out: folder of all runs, `TRIAL-seedS-foldF`.
         recipe: the common settings.
-        trials: the first one is what the others are compared with.
-        init: files of ImageNet's weights or of trained models, at most one for each backbone; "auto" has those found that are not
-            given.
+        trials: the others are compared with the first one.
+        init: files of ImageNet's weights or of trained models, at most one for each backbone; "auto" finds the missing ones.
         folds: number of parts that the places are split into.
         run_folds: number of folds that are trained, from the first; 0 for all.
         seeds: of the trainings; the split is the same for all of them.
         from_scratch: start from random weights.
 
     Raises:
-        InputError: if trials share a name, weights of a backbone are missing, or the runs on disk are others.
+        InputError: if trials share a name, weights of a backbone are missing, or the runs on disk differ.
         DataError: if the data set has no training places.
     """
 
@@ -164,7 +163,7 @@ class CrossValidation:
         self.source = Source(dataset, rendered=False)
         changed = {trial.name: replace(recipe, **trial.changes) for trial in trials}
         starts = {} if from_scratch else self._starts(init, {one.backbone for one in changed.values()})
-        # All trials of a fold come one after the other, so that a run that is stopped has whole comparisons.
+        # All trials of a fold come in succession, so that a stopped run has whole comparisons.
         self.jobs = [
             TrainingJob(
                 Training(trial.name, "lpn"),
@@ -184,7 +183,7 @@ class CrossValidation:
             job.check_same()
 
     def run(self, table: Path) -> dict[str, Any]:
-        """Train and measure what is left, and write the table as JSON after each fold; return the last one.
+        """Train and measure the remaining jobs, write the table as JSON after each fold, and return the last one.
 
         Raises:
             InputError: if the table's name does not end in .json.
@@ -199,7 +198,7 @@ class CrossValidation:
         return values
 
     def table(self) -> dict[str, Any]:
-        """Return the figures of all trainings that are done, as plain data for JSON."""
+        """Return the figures of all finished trainings as plain data for JSON."""
         runs = {trial.name: [(job, self._measured(job)) for job in self.jobs if job.training.name == trial.name and job.done]
                  for trial in self.trials}  # fmt: skip
         first = self.trials[0].name
@@ -260,7 +259,6 @@ class CrossValidation:
         return copy.copy(self.source.places(job.recipe.sets)).hold_out(_fold(job), 0)
 
     def _starts(self, init: Sequence[Path], backbones: set[str]) -> dict[str, Path]:
-        """Return the weights of each backbone, given or found."""
         auto = any(str(file) == AUTO for file in init)
         starts = by_backbone([file for file in init if str(file) != AUTO])
         for backbone in sorted(backbones - set(starts)):
@@ -277,7 +275,7 @@ class CrossValidation:
 
 
 def _step(job: TrainingJob) -> tuple[int, Fold]:
-    """Return what the trainings have in common that are one step of a run."""
+    """Return the seed and fold that the trainings of one step share."""
     return job.seed, _fold(job)
 
 
@@ -290,7 +288,7 @@ def summary(values: Mapping[str, Any]) -> Table:
     """Return the R@1 of each trial, and how it differs from the first trial, as a table for the terminal.
 
     Args:
-        values: what `CrossValidation.table` returns.
+        values: a result of `CrossValidation.table`.
     """
     table = Table(
         "trial", "task", "reading", "R@1", "spread", f"against {values['against']}", "runs", "min", box=box.SIMPLE_HEAD
@@ -345,7 +343,6 @@ def _readings(files: Sequence[_FoldFile], task: str) -> list[str]:
 
 
 def _values(file: _FoldFile, task: str, reading: str) -> dict[str, Float64Array]:
-    """Return each measure of each query, from 0 to 1."""
     first = np.array(file.first[task][reading])
     hits = {f"R@{depth}": ((first >= 0) & (first < depth)).astype(np.float64) for depth in (1, 5)}
     return {**hits, "AP": np.array(file.precision[task][reading])}

@@ -1,7 +1,7 @@
-"""Plant faults one by one, and see that the tests notice each: `python -m tools.mutations [NAME ...] [--check] [--out FILE]`.
+"""Plant faults one by one, and check that the tests notice each: `python -m tools.mutations [NAME ...] [--check] [--out FILE]`.
 
-mutations.txt beside this file has the list. Faults are planted in a copy of the checkout below the system's temporary folder, so
-the checkout stays as it is however a run ends. The program fails if a fault cannot be planted, or if no test notices it.
+mutations.txt beside this file has the list. Faults are planted in a copy of the checkout in a temporary folder, so the checkout
+is never changed. The program fails if a fault cannot be planted, or if no test notices it.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from lpn.core.errors import InputError
 from tools.fixtures.packages import tracked_files
 
 TABLE = Path("tools/mutations.txt")
-# Seconds that the tests of one fault may take. A fault that keeps them from ending must be replaced by one that they notice.
+# Most seconds for the tests of one fault. A fault that keeps them from ending must be replaced.
 _LONGEST = 900
 
 
@@ -33,10 +33,10 @@ class Mutation:
     """A fault, and the tests that must notice it.
 
     Attributes:
-        behaviour: what is wrong with the fault, in words.
-        file: where it is planted, relative to the checkout.
+        behaviour: the faulty behaviour in words.
+        file: its place, relative to the checkout.
         tests: files or node ids of pytest.
-        anchor, replacement: text that occurs once in the file, and what is put in its place.
+        anchor, replacement: text that occurs once in the file, and its replacement.
     """
 
     name: str
@@ -47,11 +47,7 @@ class Mutation:
     replacement: str
 
     def plant(self, root: Path) -> str:
-        """Return the file's text with the fault.
-
-        Raises:
-            InputError: if the anchor is not there once, or a test file is missing.
-        """
+        """Return the file's text with the fault."""
         path = root / self.file
         text = path.read_text("utf-8") if path.is_file() else ""
         if (count := text.count(self.anchor)) != 1:
@@ -67,7 +63,7 @@ class Mutation:
 
 
 def read_table(path: Path) -> list[Mutation]:
-    """Read a table of mutations, whose first lines say how it is written.
+    """Read a table of mutations; its first lines describe the format.
 
     Raises:
         InputError: if it cannot be read, an entry is not complete, or two have one name.
@@ -93,10 +89,10 @@ def read_table(path: Path) -> list[Mutation]:
 
 
 def first_failure(tree: Path, tests: Sequence[str], longest: float = _LONGEST) -> str | None:
-    """Run tests in a copy of the checkout until one fails, for `longest` seconds; return that one, or None if all pass.
+    """Run tests in a copy of the checkout for at most `longest` seconds; return the first that fails, None if all pass.
 
     Raises:
-        InputError: if they cannot be collected or do not end, so that they tell nothing.
+        InputError: if they cannot be collected, or do not end.
     """
     options = ["-x", "-q", "-ra", "--tb=no", "-m", "", "-p", "no:cacheprovider", f"--basetemp={tree.parent / 'pytest'}"]
     environment = os.environ | {"PYTHONPATH": str(tree), "OMP_NUM_THREADS": "1"}
@@ -130,7 +126,7 @@ def first_failure(tree: Path, tests: Sequence[str], longest: float = _LONGEST) -
 
 
 def write(path: Path, text: str) -> None:
-    """Write a module, and delete its bytecode, which Python would take for that of an equally long text of the same second."""
+    """Write a module, and delete its bytecode, which Python could take for current after a change within a second."""
     path.write_text(text, "utf-8")
     Path(cache_from_source(path)).unlink(missing_ok=True)
 
@@ -160,7 +156,7 @@ def run(root: Path, mutations: Sequence[Mutation]) -> dict[str, str | None]:
 
 
 def main(arguments: list[str]) -> None:
-    """Run the mutations that are named, or all."""
+    """Run the named mutations, or all."""
     parser = argparse.ArgumentParser(prog="python -m tools.mutations", description=__doc__)
     parser.add_argument("names", nargs="*", metavar="NAME", help="mutations; all by default")
     parser.add_argument("--check", action="store_true", help="only see that they can be planted")
@@ -192,7 +188,7 @@ def main(arguments: list[str]) -> None:
 
 
 def _problem(mutation: Mutation, root: Path) -> str:
-    """Say why a mutation cannot be planted; "" if it can."""
+    """Return the reason if a mutation cannot be planted, else ""."""
     try:
         mutation.plant(root)
     except InputError as error:

@@ -1,6 +1,6 @@
 """A hook of MkDocs: pages outside docs, and the commands with their options, become pages of the site.
 
-`make docs` builds the site, and fails where a link or an anchor leads nowhere.
+`make docs` builds the site, and fails on a broken link or anchor.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ def on_page_markdown(markdown: str, **_of: Any) -> str:
     markdown = re.sub(
         r"\]\((?:\.\./)*(?:docs/|explorer/screen/)?((?:[\w-]+\.(?:md|webp|jpg))(?:#[^)]*)?)\)", r"](\1)", markdown
     )
-    # A list right below a paragraph is one on the page of a repository, and for MkDocs none.
+    # A list right below a paragraph needs a blank line in MkDocs, but not on a repository's page.
     markdown = re.sub(r"^(?![-|\s*\d])(.+)\n(- )", r"\1\n\n\2", markdown, flags=re.MULTILINE)
     return re.sub(r"\[[^\]]*\]\((?:\.\./)*((?!https?:)[^)#]*(?:\.py|\.toml|\.cff|LICENSE|\.txt))\)", r"`\1`", markdown)
 

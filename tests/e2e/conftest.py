@@ -123,7 +123,7 @@ class Screen:
         return self
 
     def rest(self, angle: str | None = None) -> None:
-        """Wait until the page shows the result of what was asked for."""
+        """Wait until the page shows the requested result."""
         body = self.page.locator("body")
         expect(body).to_have_attribute("data-sequence", re.compile(r"\d"))
         # A state that has come is drawn with the next frame.

@@ -117,7 +117,7 @@ class Walk:
         assert not page.locator(INJECTED).count()
 
     def panels(self) -> None:
-        """Open each panel that the place has, and wait for what it shows."""
+        """Open each panel of the place, and wait for its content."""
         page = self.screen.page
         for name in PANELS:
             self.screen.open(f"?panel={name}")
@@ -126,7 +126,7 @@ class Walk:
                 self.look()
 
     def harmless(self) -> None:
-        """Check that nothing ran, and that nobody but the server was asked."""
+        """Check that no script ran, and that requests went only to the server."""
         assert self.screen.page.evaluate("window.hurt") is None
         assert not self.alarms
         server = urlsplit(self.screen.url).netloc
@@ -231,7 +231,7 @@ def flown(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 
 @pytest.fixture
 def file_page(browser: Browser) -> Iterator[tuple[Page, list[str]]]:
-    """A page for files, and what must not happen in it: requests for anything else, dialogs, and errors."""
+    """A page for files, and a list of forbidden events: other requests, dialogs, and errors."""
     context = empty_context(browser)
     page, alarms = context.new_page(), list[str]()
     page.on(

@@ -1,4 +1,4 @@
-"""The sdist and the wheel: what is in them, and the demo of an installation that has the base packages alone, in a browser."""
+"""The contents of sdist and wheel, and the demo of an installation with only the base packages, in a browser."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The page behind proxies: it opens, or says what they must pass."""
+"""The page behind proxies: it opens, or names the headers and requests that they must pass."""
 
 from __future__ import annotations
 

@@ -54,7 +54,7 @@ def scrolls(page: Page) -> tuple[int, int]:
 
 
 def hides(outer: Locator) -> int:
-    """Return the pixels that an element hides of what it holds."""
+    """Return the pixels of its content that an element hides."""
     return int(
         outer.evaluate("one => Math.max(one.scrollHeight - one.clientHeight, one.scrollWidth - one.clientWidth)")
     )

@@ -72,7 +72,7 @@ class LabPage(Screen):
         return self.lines.filter(has=self.page.get_by_text(name, exact=True).first)
 
     def eventually(self, ask: Callable[[], Any]) -> Any:
-        """Return what a script of the page finds, once it finds something."""
+        """Wait for a true result of a script in the page, and return it."""
         deadline = time.monotonic() + TIMEOUT
         while (found := ask()) is None:
             assert time.monotonic() < deadline

@@ -1,4 +1,4 @@
-"""What the screen computes, asked for without a server, and a workspace of places with known positions."""
+"""The screen's computations without a server, and a workspace of places with known positions."""
 
 from __future__ import annotations
 

@@ -98,7 +98,7 @@ def test_listed_true_tiles_grade_a_saved_result(layout: Callable[[Path], Path], 
         assert ranking.ranks[query] == next(at for at, row in enumerate(order) if shown[row] in good)
         marks = {shown[match.index]: match.true for match in answered(opened, query=query).analysis.matches}
         assert marks == {name: name in good for name in marks}
-    if task != "satellite-to-drone":  # several true tiles of a query, or half-true ones, are what labels cannot tell
+    if task != "satellite-to-drone":  # labels cannot express several true tiles of a query, or half-true ones
         assert any(len(one.good) > 1 or len(one.semi) for one in lists)
 
 

@@ -1,4 +1,4 @@
-"""Plain, calibrated, and CSLS: what the explorer ranks, explains, and links to under each, and what `lpn evaluate` says."""
+"""Plain, calibrated, and CSLS: rankings, explanations, and links of the explorer, and figures of `lpn evaluate`."""
 
 from __future__ import annotations
 

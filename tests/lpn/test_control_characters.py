@@ -27,7 +27,7 @@ from tools.fixtures import small_worlds
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="other systems allow few of these names")
 
-# Colours, the window's title, C0, C1 and DEL, what turns the direction of writing, marks of it, and separators of lines.
+# Colours, the window's title, C0, C1 and DEL, controls and marks of the direction of writing, and line separators.
 EVIL = "\x1b[31m\x1b]0;title\x07\x9b31m\x7f\x08\u202egpj\u2066\u2069\u200e\u200f\u061c\u2028\u2029"
 # Bytes that are not UTF-8, in names of files alone.
 NAME = EVIL + "\udce9"
@@ -264,7 +264,7 @@ with consoles.plain_streams(), log.log_to_stderr("info"):
     assert "\x1b[?25l" in received  # a bar hides the cursor
     assert not re.search(
         r"\?\[(\?|\d+[mK]|1A)", received
-    )  # what is left of a bar's own commands without their first character
+    )  # the rest of a bar's own commands without their first character
     assert "\x1b]" not in received
     assert "\x1b[2J" not in received
     for text in ("Describing tiles?]0;t", "Reading", "Opening", "lpn.x: a line of the log"):

@@ -1,4 +1,4 @@
-"""SIGKILL at any moment: what is there is whole, and the next run goes on or starts clean.
+"""SIGKILL at any moment: all files are whole, and the next run resumes or starts clean.
 
 World is painted rather than rendered here; tests/tools_world/test_world.py renders, stops, and resumes one where Blender is.
 """
@@ -39,7 +39,7 @@ FEW = max(ROUNDS // 4, 1)
 
 @dataclass(frozen=True)
 class Command:
-    """A command, what must hold after any kill, and what it must have made in the end.
+    """A command, its condition after any kill, and its final result.
 
     Attributes:
         arguments: of `lpn`.

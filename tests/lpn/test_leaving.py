@@ -102,7 +102,7 @@ def test_a_track_is_read_by_a_reader_of_its_format(text: str, tmp_path: Path) ->
     shown = printable(text, "\n\t")
     assert [unescape(row[header.index(name)]) for name in ("frame", "reason")] == [shown, shown]
     assert [float(row[header.index(name)]) for name in ("latitude", "longitude")] == [-1e-5, 2e-5]
-    found = msgspec.json.decode((tmp_path / "track.geojson").read_bytes())  # stricter than that of Python
+    found = msgspec.json.decode((tmp_path / "track.geojson").read_bytes())  # stricter than Python's
     assert (found["name"], found["features"][0]["properties"]["frame"]) == (utf8, utf8)
     mark = ElementTree.parse(tmp_path / "track.kml").getroot().find(f".//{KML}Placemark")
     assert mark is not None

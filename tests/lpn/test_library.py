@@ -24,7 +24,7 @@ ROOT = Path(__file__).parents[2]
 
 @pytest.fixture
 def desk(data: Path, tmp_path: Path) -> Path:
-    """A folder with what docs/library.md and the docstring of `lpn` name: tiles, a query of place 7, and a data set."""
+    """A folder with the files that docs/library.md and the docstring of `lpn` name."""
     (tmp_path / "tiles").symlink_to(data / "test" / "gallery_satellite")
     (tmp_path / "ROOT").symlink_to(data)
     small_worlds.write(tmp_path / "query.jpg", small_worlds.place(7))

@@ -1,4 +1,4 @@
-"""Bad input of every kind, see docs/robustness.md: what is said or done, where no other test holds it."""
+"""Bad input of every kind, see docs/robustness.md, where no other test covers it."""
 
 from __future__ import annotations
 

@@ -89,7 +89,7 @@ def test_the_aircraft_points_into_the_wind(plan: FlightPlan) -> None:
         crab.append((picture.tag.aircraft[0] - course + 180) % 360 - 180)
         speeds.append(np.hypot(east, north))
     there, back = np.array(crab).reshape(6, 15)[::2], np.array(crab).reshape(6, 15)[1::2]
-    assert np.sign(there.mean()) == -np.sign(back.mean())  # the same wind from the other side
+    assert np.sign(there.mean()) == -np.sign(back.mean())  # the same wind from the opposite side
     assert 2 < np.abs(crab).mean() < 30
     assert np.ptp(np.array(speeds).reshape(6, 15).mean(axis=1)) > 0.5  # with the wind, and against it
 

@@ -71,7 +71,7 @@ def test_buildings_stand_where_and_as_high_as_they_were_planned(
         inside = built[within(built[:, :2], _box(city.footprint(b)), -0.5)]
         top = city.height(b.x, b.y) + look.height
         assert np.abs(inside[:, 2] - top).min() < 0.1
-        assert top - 0.1 < inside[:, 2].max() < top + 6  # what stands on the roof
+        assert top - 0.1 < inside[:, 2].max() < top + 6  # items on the roof
     assert tested >= 3
 
 

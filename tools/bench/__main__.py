@@ -29,7 +29,6 @@ def measured(name: str) -> list[Figure]:
 
 
 def main(arguments: list[str]) -> None:
-    """Measure and print."""
     if arguments[:1] == ["--json"]:
         given = (DEMO, DEMO / "lpn.onnx") if arguments[1] == "page" else ()
         found = import_module(f"tools.bench.{arguments[1]}").figures(*given)

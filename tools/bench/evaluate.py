@@ -105,7 +105,6 @@ def ours(size: GallerySize, share: float) -> None:
 
 
 def figures(share: float = 1.0) -> list[Figure]:
-    """The figures of both sizes."""
     made: list[Figure] = []
     for number, size in enumerate(SIZES):
         command = [sys.executable, "-m", "tools.bench.evaluate", "ours", str(number), str(share)]
@@ -125,7 +124,6 @@ def figures(share: float = 1.0) -> list[Figure]:
 
 
 def main(arguments: list[str]) -> None:
-    """Measure and print."""
     if arguments[:1] == ["ours"]:
         ours(SIZES[int(arguments[1])], float(arguments[2]))
         return

@@ -31,8 +31,8 @@ class Figure:
         ours: as measured, in `unit`.
         unit: "ms", "pictures/s", "GB", ...
         peer: of the same work done the peer's way, measured in the same run; None without one.
-        limit: what no program of this kind can be better than, measured in the same run; None without one.
-        target: what is aimed at, such as "3 x peer" or "1.15 x limit"; empty without one.
+        limit: a bound for any program of this kind, measured in the same run; None without one.
+        target: the goal, such as "3 x peer" or "1.15 x limit"; empty without one.
         met: whether it is met; None without a target.
         more: whether more is better.
     """
@@ -104,7 +104,6 @@ def medians(tasks: Mapping[str, Callable[[], object]], rounds: int = 15) -> dict
 
 
 def show(title: str, figures: Iterable[Figure]) -> None:
-    """Print the table."""
     table = Table(title=f"{title}; {machine()}")
     for column in ("what", "peer", "ours", "limit", "times better", "of the limit", "target", ""):
         table.add_column(column, justify="left" if column in ("what", "target") else "right", no_wrap=column != "what")

@@ -81,7 +81,6 @@ def page_seconds(browser: Browser, url: str) -> tuple[float, Page]:
 
 
 def key_seconds(page: Page, key: str) -> float:
-    """Median time from a key to the new numbers."""
     times = []
     for _ in range(ROUNDS):
         seconds = float(page.evaluate(PRESSED, key)) / 1000
@@ -141,7 +140,6 @@ def figures(data: Path | None = None, model: Path | None = None) -> list[Figure]
 
 
 def main(arguments: list[str]) -> None:
-    """Measure and print."""
     if len(arguments) not in (0, 2):
         raise SystemExit(f"Given: {' '.join(arguments)}; expected DATA and MODEL, or nothing.")
     given: list[Any] = [Path(argument) for argument in arguments] or [None, None]

@@ -69,12 +69,10 @@ def bare(file: Path) -> ort.InferenceSession:
 
 
 def describe(engine: Engine, data: bytes) -> object:
-    """Our pipeline from a file's bytes to a descriptor."""
     return retrieval.describe_picture(engine, images.decode_picture(data, ""), "drone")
 
 
 def measure(name: str, spec: ModelSpec, dataset: Dataset, folder: Path) -> list[Figure]:
-    """Measure one network."""
     save(LPN(spec), folder / "model.safetensors")
     export(folder / "model.safetensors", folder / "model.onnx")
     quantize(folder / "model.onnx", dataset, folder / "int8.onnx", 32)

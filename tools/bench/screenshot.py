@@ -35,7 +35,7 @@ class Shot:
         file: its name.
         query: that is shown; the demo's first without one.
         address: what follows it in the address, such as "panel=sweep"; the ranking is plain, or as a place of the demo opens.
-        keys: pressed one after the other.
+        keys: pressed in succession.
         baseline: whether the baseline answers.
         beside: whether the baseline is offered for comparison.
         vit: whether a DINOv2 ViT-S/14 with seeded weights answers by its rings, and the demo's LPN is offered for comparison.

@@ -141,7 +141,6 @@ def filled(index: Any, count: int) -> Any:
 
 
 def compare(count: int, folder: Path, rounds: int) -> list[Figure]:
-    """Measure one gallery."""
     gallery = np.concatenate([block for _, block in drawn(count)])
     asked = queries(gallery)
     equal, other = scoring.part_weights(KIND.n_parts), scoring.part_weights(KIND.n_parts, OTHER)
@@ -175,7 +174,6 @@ def compare(count: int, folder: Path, rounds: int) -> list[Figure]:
 
 
 def figures(counts: Sequence[int] = TILES, folder: Path | None = None, rounds: int = 20) -> list[Figure]:
-    """Measure some galleries."""
     with tempfile.TemporaryDirectory(dir=folder) as place:
         return [figure for count in counts for figure in compare(count, Path(place), rounds)]
 

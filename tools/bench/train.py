@@ -65,7 +65,6 @@ class PlainLoop:
         self.rng = np.random.default_rng(0)
 
     def steps(self, count: int) -> None:
-        """Some steps."""
         for _ in range(count):
             self.step()
 

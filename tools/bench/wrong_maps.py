@@ -208,7 +208,7 @@ def sentence(row: WrongMapRow) -> str:
 def tried_maps(
     name: str, flight: Flight, pairs: dict[str, tuple[Flight, Map]], given: argparse.Namespace, folder: Path
 ) -> Iterator[tuple[Flight, str, Map]]:
-    """Yield what a flight is located over, with its name; the flight is forged with a prior."""
+    """Yield a flight, forged with a prior, with each map to locate it over and the map's name."""
     own = pairs[name][1]
     tried: list[tuple[str, Map]] = [("its own", own)] if given.own else []
     if given.cut:

@@ -1,1 +1,1 @@
-"""Fuzzing of everything that is read from files or from a URL: `python -m tools.fuzz.readers`."""
+"""Fuzzing of all readers of files and URLs: `python -m tools.fuzz.readers`."""

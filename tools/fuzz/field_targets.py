@@ -1,4 +1,4 @@
-"""Readers of flights and of maps, and the real files from which damaged ones are made."""
+"""Readers of flights and maps, and the real files for damaged ones."""
 
 from __future__ import annotations
 

@@ -25,7 +25,7 @@ from tools.fuzz.mutation import mutated
 from tools.fuzz.targets import FuzzCase
 
 TARGETS = targets.TARGETS | {"flights": field_targets.flights, "maps": field_targets.maps}
-# Findings after which a reader is left.
+# Findings after which a reader is abandoned.
 MOST = 20
 # Allowed seconds of processor time for an input.
 SLOW = 2.0

@@ -1,7 +1,7 @@
-"""The readers, and the real files that damaged ones are made from.
+"""The readers, and the real files for damaged ones.
 
-A reader gets the contents of one file and may raise LPNError and nothing else. In formats with checksums of their own, some
-seeds are the contents, which are packed into a whole file again; otherwise no damage would get past the checksums.
+A reader gets the contents of one file, and may raise only LPNError. In formats with checksums, some seeds are the contents, which
+are packed into a whole file after the damage; otherwise the checksums would catch all damage.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ Pack = Callable[[bytes], bytes]
 
 @dataclass(frozen=True)
 class FuzzCase:
-    """One file: seeds that its damaged ones are made from, and how it is read."""
+    """One file: the seeds of its damaged versions, and its reader."""
 
     seeds: list[bytes]
     read: Callable[[bytes], object]

@@ -29,7 +29,7 @@ from tools.keep.measures import Figures, Measure, NotMeasuredError, Value, all_m
 
 BASELINE = Path(__file__).with_name("baseline")
 _ROOT = Path(__file__).parents[2]
-# What is measured, and what measures: changes elsewhere change no figure.
+# The measured code, and the measuring code: changes elsewhere change no figure.
 _PRODUCT = ("lpn", "explorer", "assets")
 _TOOLS = ("tools", "pyproject.toml", "constraints.txt", ":!tools/keep/baseline")
 
@@ -163,7 +163,6 @@ def _compared(measure: Measure, record: dict[str, Any], baseline: Figures) -> di
 
 
 def _sentences(name: str, record: dict[str, Any]) -> list[str]:
-    """One sentence for each broken bound."""
     if "error" in record:
         return [record["error"]]
     verdicts = {figure: one["verdict"] for figure, one in record.get("figures", {}).items()}

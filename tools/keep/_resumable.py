@@ -1,4 +1,4 @@
-"""What slow measures share: a folder in which a killed one goes on, rows that are kept, and the commands of lpn."""
+"""Shared steps of slow measures: a folder for resuming, kept rows, and the commands of lpn."""
 
 from __future__ import annotations
 

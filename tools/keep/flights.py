@@ -22,13 +22,13 @@ if TYPE_CHECKING:
     from lpn.flight.files import Flight
     from lpn.flight.maps import Map
 
-# Every how manieth photo of a flight is located over maps of other places, and over its own map in other pixels.
+# The stride of the photos of a flight that are located over maps of other places, and over its own map in other pixels.
 WRONG_MAPS = {"brighton": (1, 1), "rendered": (1, 4), "caliterra": (4, 4), "seneca": (1, 4)}
 SIDE = 360.0
 PLACED = ("accepted", "contradicted")
 # Metres to the east and north by which forged tags lie off.
 MOVED = (60.0, 0.0)
-# Metres from its true tag from which on an accepted photo is false, as in `tools.bench.wrong_maps`.
+# Metres from its true tag beyond which an accepted photo is false, as in `tools.bench.wrong_maps`.
 BEYOND = 50.0
 
 
@@ -93,7 +93,7 @@ def real_figures(track: Sequence[Mapping[str, str]]) -> Figures:
 
 
 def within_radii(radii: float) -> Bound:
-    """Every place lies within so many of the baseline's radii of its place."""
+    """Every place lies within this many of the baseline's radii of its place."""
 
     def error(_: str, value: Value, before: Figures) -> str:
         places, allowed = before["places"], before["radii"]

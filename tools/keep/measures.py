@@ -4,8 +4,8 @@ A module of this package declares
 
     MEASURES = (Measure("ranks", run, {"* scores": within(1e-6), "seconds": reported()}),)
 
-where `run` returns a flat dictionary of figures: numbers, texts, or lists of numbers. Modules import what is heavy inside `run`,
-because the registry imports all of them.
+where `run` returns a flat dictionary of figures: numbers, texts, or lists of numbers. Heavy imports belong inside `run`, because
+the registry imports all modules.
 """
 
 from __future__ import annotations
@@ -24,16 +24,16 @@ Figures = Mapping[str, Value]
 
 
 class NotMeasuredError(Exception):
-    """Something that a measure needs is not here; the message says what, and how to provide it."""
+    """Data for a measure are missing; the message names them, and a way to provide them."""
 
 
 @dataclass(frozen=True)
 class Bound:
-    """What a figure must hold.
+    """The bound of a figure.
 
     Attributes:
         text: in words, such as "within 1e-06".
-        error: receives the value and the baseline's figures, and returns what is wrong, such as "found 2", or "".
+        error: receives the value and the baseline's figures, and returns the fault, such as "found 2", or "".
         relative: whether the figure must be in the baseline.
     """
 
@@ -120,7 +120,7 @@ def _numbers(value: Value) -> list[float]:
 
 
 def _difference(name: str, value: Value, before: Figures, limit: float, gaps: str = "", above: float = 0.0) -> str:
-    """Say how a value differs from the baseline's; empty within the limit."""
+    """Return the difference of a value from the baseline's in words; "" within the limit."""
     old = before[name]
     if isinstance(value, str) or isinstance(old, str):
         return "" if value == old else f"found {value}; the baseline has {old}"
@@ -141,7 +141,7 @@ def _difference(name: str, value: Value, before: Figures, limit: float, gaps: st
 
 
 def errors(measure: Measure, figures: Figures, baseline: Figures) -> dict[str, str]:
-    """Say what is wrong with each figure that breaks its bound, is missing, has no bound, or has no baseline."""
+    """Return the fault of each figure that breaks its bound, is missing, has no bound, or has no baseline."""
     wrong = {}
     for name in {**figures, **baseline}:
         bound = measure.bound(name)

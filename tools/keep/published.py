@@ -1,4 +1,4 @@
-"""Published checkpoints: how far their answers are from those of the released code."""
+"""Published checkpoints: the differences of their answers from the released code's."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A simulated user: visits and acts in an order that the seed decides; every answer is compared with the direct computation."""
+"""A simulated user with seeded visits and acts, whose answers are all compared with the direct computation."""
 
 from __future__ import annotations
 
@@ -64,11 +64,11 @@ class SoakClient(ABC):
 
     @abstractmethod
     def _wait(self, holds: Callable[[], bool]) -> bool:
-        """Return `holds()`, for which this waits a while."""
+        """Wait a while for `holds()`, and return its value."""
 
     @abstractmethod
     def _check(self, states: Sequence[ClientState]) -> None:
-        """Raise FaultError for an error, and where the page showed something that belongs to none of the states."""
+        """Raise FaultError for an error, or content of none of the states."""
 
     def run(self) -> None:
         """Visit again and again; a fault ends the visit, not the client."""
@@ -89,7 +89,6 @@ class SoakClient(ABC):
             self._stop.wait(self._rng.choice([0.0, 0.0, 1.0, 3.0]))
 
     def _enter(self) -> None:
-        """Open the page by a link."""
         rng, task = self._rng, self._rng.choice(list(self._reference.tasks))
         state = self._reference.first(task, rng.randrange(len(self._reference.tasks[task].queries)))
         if rng.random() < 0.3:
@@ -103,7 +102,6 @@ class SoakClient(ABC):
         self._settle("open", state, None)
 
     def _weights(self) -> tuple[float, ...]:
-        """Weights of the parts that are not all alike."""
         weights = [round(0.05 * self._rng.randint(0, 40), 2) for _ in range(self._reference.parts)]
         weights[0] = 1.0 if weights[0] != 1.0 and len(weights) > 1 else 0.5
         return tuple(weights) if len(set(weights)) > 1 else ()
@@ -138,7 +136,7 @@ class SoakClient(ABC):
         self._record.faults.append(Fault(kind, self._name, self._step, f"visit {self._visit}, {self._did}: {text}"))
 
     def _settle(self, kind: str, state: ClientState, path: Sequence[ClientState] | None = ()) -> None:
-        """Await a state, which may follow others (None: any), and compare what is shown with the direct computation."""
+        """Await a state, which may follow others (None: any), and compare the content with the direct computation."""
         changed, self._state = self._state != state, state
         self._until(lambda: self._shows(state), self._reference.address(state))
         seconds = time.monotonic() - self._changed
@@ -156,5 +154,4 @@ class SoakClient(ABC):
                 raise FaultError("no answer", f"expected {what} within {BOUND:g} s{self._said()}")
 
     def _said(self) -> str:
-        """What the page says in place of an answer."""
         return ""

@@ -1,4 +1,4 @@
-"""The state that a client's page must reach, and what a page shows of a result."""
+"""The expected state of a client's page, and the content of a page."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class ShownTile(NamedTuple):
 
 
 class PageContent(NamedTuple):
-    """What a page shows: the photo's name, the tiles of the strip, and the share of each part in the first distance."""
+    """The content of a page: the photo's name, the tiles of the strip, and each part's share of the first distance."""
 
     photo: str
     tiles: list[ShownTile]
@@ -58,14 +58,14 @@ class PageContent(NamedTuple):
 
 
 def of_result(result: dict[str, Any]) -> PageContent:
-    """Return what a result of the channel shows."""
+    """Return the content of a result of the channel."""
     tiles = [result["tiles"][str(index)] for index in result["strip"]]
     shown = [ShownTile(int(tile["rank"]), tile["name"], float(tile["distance"])) for tile in tiles]
     return PageContent(result["photo"]["name"], shown, result["tiles"][str(result["answer"])]["shares"])
 
 
 def of_elements(photo: str, labels: list[str], shares: list[str]) -> PageContent:
-    """Return what the elements of a page show: the photo's label, those of the tiles, and the numbers at the rows' heads."""
+    """Return the content of a page's elements: the labels of photo and tiles, and the numbers at the rows' heads."""
     found = [match for match in map(_LABEL.fullmatch, labels) if match]
     shown = [ShownTile(int(match[1]), match[2], float(match[3])) for match in found]
     return PageContent(photo, shown, [float(text) for text in shares])

@@ -11,15 +11,15 @@ import numpy as np
 
 # Kinds of acts whose times are reported: each needs at most one description and one ranking.
 CHANGES = ("drag", "parts", "pick", "turn", "compare")
-# The kind of fault for an error of the soak itself, after which something remained unchecked.
+# The kind of fault for an error of the soak itself, which leaves something unchecked.
 OWN_ERROR = "the soak's own error"
-# Warm-up in seconds, in which caches and pools grow to their size; at most half of a run.
+# Seconds of warm-up, in which caches and pools grow; at most half of a run.
 FIRST_MINUTE = 60.0
 # Seconds over which the median of memory is taken, since single samples vary by tens of megabytes.
 WHILE = 30.0
 # Megabytes that caches may still grow by after the warm-up. A leak of one a visit exceeds this within ten minutes.
 GROWTH = 64.0
-# Threads that stay once they are there: viser's pool for callbacks has 32, and two serve pictures.
+# Threads that stay once started: viser's pool for callbacks has 32, and two serve pictures.
 POOLS = 34
 # Threads and file handles of a busy server, above those of an idle one. Every client takes several of each.
 LEFT = 2
@@ -61,7 +61,7 @@ class Record:
 
     Attributes:
         phase: "alone" or "together".
-        answers: of each one that was compared the phase, the client, the kind of act, and its seconds if something had changed.
+        answers: phase, client, and kind of act of each compared answer, and its seconds if something had changed.
         faults: all of them.
         resources: of the server "before" the first client, "after one client", and "after all left", on systems with /proc.
         samples: resources with all clients.

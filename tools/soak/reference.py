@@ -47,10 +47,10 @@ class ReferenceTask:
 
 
 class Reference:
-    """Computes what a page must show; all threads may use it.
+    """The expected content of a page; thread-safe.
 
-    Queries are described here; the gallery's descriptors are the stored ones, of which a sample is checked. LPNError when the
-    data set or the model cannot be used.
+    Queries are described here; the gallery's descriptors are the stored ones, of which a sample is checked. Raises LPNError if
+    the data set or the model cannot be used.
     """
 
     def __init__(self, data: Path, model: Path) -> None:
@@ -92,7 +92,6 @@ class Reference:
         return urlencode({key: value for key, value in found.items() if value}, safe="~,")
 
     def own_picture(self, rng: Random, name: str) -> UploadedPicture:
-        """A rotated query as a JPEG file."""
         picture = rng.choice(self.tasks[rng.choice(list(self.tasks))].queries).load()
         piece = images.shrink(images.rotate(picture, rng.uniform(-180, 180)), 320)
         done, content = cv2.imencode(".jpg", piece[..., ::-1])
@@ -100,7 +99,6 @@ class Reference:
         return UploadedPicture(f"{name}.jpg", content.tobytes())
 
     def ranking(self, state: ClientState) -> Ranking:
-        """The ranking of the whole gallery for a state."""
         task, own = self.tasks[state.task], state.own
         query = task.queries[state.query]
         change = Change(state.angle)
@@ -146,7 +144,7 @@ class Reference:
             yield f"the shares are {shown.shares}; expected {None if first is None else first.contributions.tolist()}"
 
     def _further(self, state: ClientState, ranking: Ranking) -> Iterator[Match]:
-        """The truth, and the tile that a person compares unless it is the headline's."""
+        """The positive, and the compared tile unless it is the headline's."""
         truth, first = ranking.positive(), ranking.match(0)
         if truth is not None:
             yield truth

@@ -1,4 +1,4 @@
-"""A client over the channel, which sets fields and does actions as the page does, and sends hostile messages among them."""
+"""A client over the channel, which sets fields and does actions like the page, with hostile messages in between."""
 
 from __future__ import annotations
 
@@ -45,29 +45,24 @@ class WebSocketSoakClient(SoakClient):
         self._settle("drag", passed[-1], passed)
 
     def _pick(self) -> None:
-        """Choose any query."""
         query = self._rng.randrange(len(self._reference.tasks[self._state.task].queries))
         shown = query == self._state.query and not self._state.own  # it stays as it is
         state = self._state if shown else self._state.showing(query=query)
         self._act("pick", lambda: self._tab.set(query=query, own=""), state)
 
     def _weigh(self) -> None:
-        """Weigh the parts, or count all alike."""
         weights = self._weights() if self._rng.random() < 0.7 else ()
         self._act("parts", lambda: self._tab.set(weights=list(weights)), replace(self._state, weights=weights))
 
     def _compare(self) -> None:
-        """Compare with any tile."""
         tile = self._rng.randrange(len(self._reference.tasks[self._state.task].gallery))
         self._act("compare", lambda: self._tab.set(compare=tile), replace(self._state, compare=tile))
 
     def _heat(self) -> None:
-        """Show another heat, which alters no number."""
         heat = self._rng.choice(["activation", "evidence", "occlusion"])
         self._act("heat", lambda: self._tab.set(heat=heat), self._state)
 
     def _take(self) -> None:
-        """Choose a task, which begins with its first query."""
         task = self._rng.choice(list(self._reference.tasks))
         if task != self._state.task:
             self._act(
@@ -75,7 +70,6 @@ class WebSocketSoakClient(SoakClient):
             )
 
     def _upload(self) -> None:
-        """Upload a unique picture."""
         own = self._reference.own_picture(self._rng, f"{self._name} {self._visit} {self._step}".replace(" ", "-"))
         self._act("upload", lambda: self._tab.upload(own.name, own.content), self._state.showing(own=own))
 
@@ -161,7 +155,7 @@ class WebSocketSoakClient(SoakClient):
 
 
 def _fields(state: ClientState) -> dict[str, Any]:
-    """The fields of a state that its numbers depend on; while a photo of one's own is shown, the query does not matter."""
+    """The fields of a state that its numbers depend on; the query does not matter while an own photo is shown."""
     weights = list(state.weights)
     return {
         "task": state.task,

@@ -141,7 +141,6 @@ class Dress:
     def part(
         self, outline: tuple[Corner, ...], eaves: float, roof: RoofShape = "flat", rise: float = 0.0, base: float = 0.0
     ) -> Volume:
-        """Make a volume of these materials."""
         return Volume(outline, base, eaves, roof, rise, **vars(self))
 
 

@@ -35,9 +35,9 @@ _LIMITS = {"views": (1, 54), "pixels": (32, 2048), "tile_pixels": (32, 2048), "s
 
 
 def build_world(settings: Settings, out: Path, threads: int = 0) -> int:
-    """Render a world into University-1652's layout, and return the number of pictures that were missing and are made.
+    """Render the missing pictures of a world into University-1652's layout, and return their number.
 
-    An interrupted run can continue, as pictures that exist are kept.
+    An interrupted run can be continued.
 
     Raises:
         InputError: when the settings are invalid.
@@ -87,7 +87,6 @@ class _SectorRenderer:
     done: Callable[[], None]
 
     def tiles(self, sector: Sector, shots: list[PlannedPicture]) -> None:
-        """Cut the satellite tiles from one image."""
         settings, city, x, y = self.atlas.settings, self.atlas.city, sector.x, sector.y
         look = photo.satellite_look(settings.seed, sector.district)
         rng = np.random.default_rng([settings.seed, 31, sector.number])
@@ -109,7 +108,6 @@ class _SectorRenderer:
             self._develop(shot, np.maximum(cut, 0).astype(np.float32), look)
 
     def frames(self, sector: Sector, shots: list[PlannedPicture]) -> None:
-        """Render the drone pictures."""
         look = photo.drone_look(self.atlas.settings.seed, sector.district)
         made = self._scene(sector.x, sector.y, look, sector.reach + SIGHT)
         for shot in shots:

@@ -77,7 +77,6 @@ class Canvas:
 
     def line(self, line: Float64Array, width: float, colour: Reflectance, grain: float = 0.05, strength: float = 1.0,
              blotch: float = 0.0, soft: float = 0.0) -> None:  # fmt: skip
-        """Draw a line `width` metres wide."""
         crop = self.masked(line, width / self.scale)
         if crop is None:
             return

@@ -153,7 +153,6 @@ class Terrain:
         return distance - self.river.width / 2
 
     def __call__(self, points: Float64Array) -> Float64Array:
-        """Heights (...,) at points (..., 2)."""
         bank = self.bank(points)
         rising = np.clip((bank - 30) / 220, 0, 1)
         land = self.waves(points) * rising**2 * (3 - 2 * rising)
@@ -210,7 +209,6 @@ class City:
         return outline
 
     def height(self, x: float, y: float) -> float:
-        """Height of the ground at one point."""
         return float(self.terrain(np.array([x, y])))
 
 

@@ -59,9 +59,9 @@ class FlightSettings:
 
 
 def build_flight(settings: FlightSettings, out: Path, threads: int = 0) -> int:
-    """Render a flight, and return the number of photos and maps that were missing and are made.
+    """Render the missing photos and maps of a flight, and return their number.
 
-    An interrupted run can continue, as files that exist are kept.
+    An interrupted run can be continued.
 
     Raises:
         InputError: when the settings are invalid.

@@ -76,7 +76,7 @@ def _ratio(value: float, per: int) -> IFDRational:
 
 
 def _sexagesimal(degrees: float) -> tuple[IFDRational, IFDRational, IFDRational]:
-    """Return degrees, minutes, and ten-thousandths of seconds, which are 3 mm."""
+    """Return degrees, minutes, and seconds to 1e-4, which is 3 mm."""
     units = round(Fraction(abs(degrees)) * 36_000_000)
     return (
         IFDRational(units // 36_000_000, 1),

@@ -1,10 +1,10 @@
-"""The plan of a rendered flight: where each picture is taken, and what its files tell about that.
+"""The plan of a rendered flight: the pose of each picture, and the tags of its file.
 
 The first 60 % of the pictures fly a lawnmower over a district of the test split, half of its legs at each of two heights. The
 others fly a free path around the same middle, one a second, from the upper height down to the lower one. Wind blows: the aircraft
 points into it by the crab angle, and its speed over ground changes with direction and gusts.
 
-Files tell what a consumer drone would: see `TAG_ERRORS`. Truth and tags are drawn from the seed and the number of pictures alone.
+Tags have the errors of a consumer drone, see `TAG_ERRORS`. Truth and tags depend only on the seed and the number of pictures.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ _LAWN_SHARE = 0.6  # of the pictures, which the lawnmower takes
 
 @dataclass(frozen=True)
 class TagErrors:
-    """Errors of what the files tell, as one standard deviation unless said otherwise.
+    """Errors of the tags, as one standard deviation unless noted.
 
     Attributes:
         offset: metres, each of east and north, constant.
@@ -92,7 +92,7 @@ class AerialPose:
 
 @dataclass(frozen=True)
 class Tag:
-    """The values that a picture's files tell, before they are rounded.
+    """The values of a picture's tags before rounding.
 
     Attributes:
         takeoff_height: metres above the point of take-off.

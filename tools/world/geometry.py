@@ -102,6 +102,5 @@ class Waves:
         return cls(vectors, rng.uniform(0, 2 * np.pi, count), height * weights * 1.6)
 
     def __call__(self, points: Float64Array) -> Float64Array:
-        """Values (...,) at points (..., 2)."""
         value: Float64Array = np.sin(points @ self.vectors.T + self.phases) @ self.heights
         return value

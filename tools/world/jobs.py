@@ -1,4 +1,4 @@
-"""What renderings of a world and of a flight share: checks of their settings and folder, and the progress of their pictures."""
+"""Shared steps of rendering a world or a flight: checks of settings and folder, and progress."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from tools.world.flight import FlightSettings
 
 EDITION = 2  # counts changes of the code that change the pictures of a seed
-# The entries of a plan that decide its pictures.
+# The entries of a plan that determine its pictures.
 _DECIDES = ("format", "edition", "settings")
 
 

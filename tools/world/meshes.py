@@ -66,11 +66,9 @@ class Mesh:
 
     def box(self, x: float, y: float, z: float, length: float, width: float, height: float, angle: float,
             material: str, tint: Reflectance) -> None:  # fmt: skip
-        """A box without its underside."""
         self.prism(rectangle(x, y, length, width, angle), z, z + height, material, tint)
 
     def prism(self, ring: Float64Array, low: float, high: float, material: str, tint: Reflectance) -> None:
-        """An upright prism without its underside."""
         for a, b in zip(ring, np.roll(ring, -1, axis=0), strict=True):
             self.add(np.array([[*a, low], [*b, low], [*b, high], [*a, high]]), material, tint)
         self.add(np.column_stack([ring, np.full(len(ring), high)]), material, tint)

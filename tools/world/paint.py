@@ -228,7 +228,6 @@ def _patch(canvas: Canvas, patch: Patch, season: Season) -> None:
 
 
 def _clipped(line: Float64Array, polygon: Float64Array) -> Float64Array:
-    """Clip a straight line to a convex polygon."""
     places = line[0] + (line[1] - line[0]) * np.linspace(0, 1, 120)[:, None]
     inside = places[within(places, polygon, 0.3)]
     ends: Float64Array = inside[[0, -1]] if len(inside) else places[:1]

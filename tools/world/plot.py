@@ -84,7 +84,6 @@ class Plot:
 
     @property
     def middle(self) -> Float64Array:
-        """Mean of the corners."""
         middle: Float64Array = self.polygon.mean(axis=0)
         return middle
 
@@ -175,7 +174,6 @@ class Plot:
         self.draft.paths.append(made)
 
     def hedge(self, start: Float64Array, end: Float64Array) -> None:
-        """A hedge or fence."""
         self.draft.hedges.append(np.stack([start, end]))
 
     def plant(self, count: int, species: tuple[int, ...], height: tuple[float, float], clump: float = 0.0) -> None:

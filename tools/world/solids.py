@@ -44,12 +44,10 @@ class Solids:
     _parts: dict[str, list[Solid]] = field(default_factory=lambda: defaultdict(list))
 
     def add(self, material: str, solid: Solid) -> None:
-        """Add triangles to a material."""
         if len(solid.faces):
             self._parts[material].append(solid)
 
     def extend(self, other: Solids) -> None:
-        """Add everything of another collection."""
         for material, parts in other._parts.items():
             self._parts[material].extend(parts)
 
@@ -85,7 +83,6 @@ def buildings(city: City, numbers: NDArray[np.int_], item: float, face: float) -
 
 
 def bridges(city: City, numbers: NDArray[np.int_]) -> Solids:
-    """Make the bridges in their places."""
     solids = Solids()
     for number in numbers:
         bridge = city.bridges[number]

@@ -54,7 +54,7 @@ class FlightCommand:
 
 
 def summary(flight: Flight) -> str:
-    """Return a short table of what is known about a flight, and its notes."""
+    """Return a short table of a flight's known values, and its notes."""
     from lpn.flight.files import ground_width
 
     frames = flight.frames
@@ -81,7 +81,7 @@ def _known(frames: tuple[Frame, ...], value: Callable[[Frame], float | None]) ->
 
 
 def _range(frames: tuple[Frame, ...], value: Callable[[Frame], float | None], unit: str) -> tuple[int, str]:
-    """Return the number of known values, and least, median, and most of them."""
+    """Return the number of known values, and their least, median, and largest."""
     known = sorted(number for frame in frames if (number := value(frame)) is not None)
     if not known:
         return 0, ""

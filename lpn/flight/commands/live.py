@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from lpn.flight.live.locator import LiveOptions
     from lpn.flight.live.run import FixOutput, LiveRun
 
-# Seconds between two sentences about the windows that are described.
+# Seconds between two sentences about the progress of describing windows.
 _SAID = 5.0
 
 
@@ -64,7 +64,7 @@ class LiveInput(ModelOptions):
     """Seconds without a frame after which the flight counts as ended; by default it is waited for."""
 
     def options(self) -> LiveOptions:
-        """Return how frames are located."""
+        """Return the options of the locator."""
         from lpn.flight.live.locator import LiveOptions
 
         return LiveOptions(self.register, self.matcher, self.size, speed=self.speed, map_error=self.map_error)
@@ -79,9 +79,9 @@ class LiveInput(ModelOptions):
         """Open map, model, pictures, and telemetry.
 
         Args:
-            outputs: that take each fix.
-            on_windows: are called while the map's windows are described.
-            stack: closes what was opened, if something later fails.
+            outputs: receivers of each fix.
+            on_windows: called while the map's windows are described.
+            stack: closes the opened sources if a later step fails.
 
         Raises:
             InputError: if an option is out of range, or a source cannot be opened.
@@ -140,7 +140,7 @@ class LocateLive(LiveInput):
 
 
 def _progress(receivers: Sequence[CountProgress]) -> Listener:
-    """Return what hands the number of described windows on."""
+    """Return a listener that passes the number of described windows on."""
 
     def report(_stage: str, done: int, total: int) -> None:
         for receiver in receivers:
@@ -150,7 +150,7 @@ def _progress(receivers: Sequence[CountProgress]) -> Listener:
 
 
 def _windows_said() -> CountProgress:
-    """Return what says every five seconds how many windows are described, as that may take minutes."""
+    """Return a receiver that prints the number of described windows every five seconds."""
     from lpn.core.progress import at_intervals
 
     once = " This is done once for a map, a model, and a size; --size does it before the flight."

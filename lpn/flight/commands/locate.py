@@ -114,7 +114,7 @@ class LocateCommand(ModelOptions):
             console.print(written.rstrip(), soft_wrap=True, markup=False)
 
     def resume_hint(self) -> str:
-        """Return how to go on after a stop."""
+        """Return a sentence about resuming after a stop."""
         return "Photos that are done are kept; give the same command again."
 
     def located(self, console: Console) -> tuple[MatchedSurvey | None, LocatedFlight]:
@@ -148,7 +148,6 @@ class LocateCommand(ModelOptions):
         return survey, locate(basemap, flight, network, options, kept, indexed)
 
     def _survey(self, basemap: Map, flight: Flight, console: Console) -> MatchedSurvey | None:
-        """Return the surveyed positions; None without a table."""
         from lpn.flight.locate.surveyed import match_surveyed, read_surveyed, strangers_sentence
 
         if self.positions is None:
@@ -160,7 +159,6 @@ class LocateCommand(ModelOptions):
         return survey
 
     def _check_files_differ(self) -> None:
-        """Raise InputError if two of the options name one file."""
         seen: dict[Path, str] = {}
         for option, file in (
             ("--positions", self.positions),
@@ -187,8 +185,6 @@ class LocateCommand(ModelOptions):
 
 
 def _measures(located: LocatedFlight, surveyed: Mapping[str, Mapping[SurveyedPoint, Errors]] | None) -> dict[str, Any]:
-    """Return the errors of a flight as JSON values."""
-
     def of_stages(flight: LocatedFlight) -> dict[str, Any]:
         return {stage: one.figures() for stage, one in flight.errors().items()}
 
@@ -209,7 +205,7 @@ def _measures(located: LocatedFlight, surveyed: Mapping[str, Mapping[SurveyedPoi
 
 
 def unverified_sentence(track: Sequence[TrackPoint]) -> str:
-    """Say how many points of a track have a coordinate that nothing has verified; "" if none."""
+    """Count the points of a track with an unverified coordinate in a sentence; "" if none."""
     guesses = sum(point.state == "not verified" and point.latitude is not None for point in track)
     if not guesses:
         return ""
@@ -217,7 +213,7 @@ def unverified_sentence(track: Sequence[TrackPoint]) -> str:
 
 
 def print_summary(located: LocatedFlight, console: Console) -> None:
-    """Print a table of the stages against the tags, those without their lag first, and the findings below it."""
+    """Print a table of the stages against the tags, first against tags without their lag, and the findings below it."""
     from lpn.core.text_tables import TextTable
     from lpn.flight.locate.pose_errors import pose_errors
 
@@ -263,11 +259,7 @@ def _cells(errors: Errors) -> list[str]:
 
 
 def _truth_sentence(located: LocatedFlight, known: bool) -> str:
-    """Say what errors are against, and what the shares of the table are of.
-
-    Args:
-        known: whether some frame has a truth.
-    """
+    """Name the truth of the errors, and the whole of the table's shares; `known` if some frame has a truth."""
     from lpn.flight.locate.errors import RIGHT_CALIBRATION, percents
 
     if not known:
@@ -284,7 +276,7 @@ def _truth_sentence(located: LocatedFlight, known: bool) -> str:
 def print_surveyed(
     errors: Mapping[str, Mapping[SurveyedPoint, Errors]], remarks: Sequence[str], console: Console
 ) -> None:
-    """Print the errors of each stage and point, a column each, and sentences on them."""
+    """Print a table of the errors, a column for each stage and point, and remarks below it."""
     from lpn.core.text_tables import TextTable
     from lpn.flight.locate.errors import RIGHT_CALIBRATION, percents
 

@@ -1,4 +1,4 @@
-"""One picture of a flight with the camera's position and angles, and the flight itself."""
+"""A flight, and each of its pictures with the camera's position and angles."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from lpn.datasets import geo
 from lpn.flight.files.lenses import Lens
 
 HeadingSource = Literal["gimbal", "camera", "aircraft", "course"]
-# The limits hold in a flight's folder.
+# Limits of the values in a flight's folder.
 _Name = Annotated[str, Meta(min_length=1)]
 _Pixels = Annotated[int, Meta(gt=0, lt=1_000_000)]
 _Number = Annotated[float, Meta(ge=-1e12, le=1e12)]
@@ -29,7 +29,7 @@ _HalfTurn = Annotated[float, Meta(ge=-180, le=180)]
 
 @dataclass(frozen=True)
 class Frame:
-    """One picture of a flight. Every number that no file has is None.
+    """One picture of a flight. Unknown numbers are None.
 
     Attributes:
         name: unique in its flight.
@@ -38,16 +38,16 @@ class Frame:
         time: seconds; see `Flight.utc`.
         latitude, longitude: of the camera in WGS 84 degrees.
         height_above_ground: of the camera in metres.
-        height_above_takeoff: in metres above the point of take-off, which is the ground below the camera on flat land only.
-        altitude: in metres above the sea, or above the ellipsoid where the file's writer meant that.
+        height_above_takeoff: in metres above the point of take-off; on flat land this is the height above ground.
+        altitude: in metres above the sea, or above the ellipsoid where the file's writer means that.
         heading: of the picture's top in degrees clockwise from north, 0 <= heading < 360.
         heading_source: "gimbal"; "camera", a direction of the camera in EXIF or XMP; "aircraft", whose camera may look elsewhere;
             or "course", the direction of motion. None without a heading.
         pitch: in degrees; -90 looks straight down, 0 looks at the horizon.
-        roll: in degrees about the picture's upward direction; positive with the right side down, so that a camera that would look
-            straight down looks to the left.
+        roll: in degrees about the picture's upward direction; positive with the right side down. It turns a camera that looks
+            straight down to the left.
         fov: horizontal field of view in degrees.
-        lens: with its distortion, where a file tells it and the picture has it still.
+        lens: with its distortion, if a file has it and the picture is still distorted.
     """
 
     name: _Name
@@ -69,13 +69,13 @@ class Frame:
 
     @property
     def flying_height(self) -> float | None:
-        """The height above ground in metres, else that above take-off; None if both are unknown."""
+        """The height above ground in metres, else above take-off; None if both are unknown."""
         return self.height_above_takeoff if self.height_above_ground is None else self.height_above_ground
 
     def undistorted(self, photo: UInt8Array) -> UInt8Array:
-        """Return the frame's photo, (H, W, 3) of any size, without the distortion of its lens; as it is if that is unknown.
+        """Return the frame's photo, (H, W, 3) of any size, without its lens's distortion; unchanged if the lens is unknown.
 
-        The pixels of registrations, poses, and corrections are those of this picture.
+        Registrations, poses, and corrections use the pixels of this picture.
         """
         return photo if self.lens is None else self.lens.undistorted(photo)
 
@@ -107,7 +107,7 @@ class Flight:
 
     @cached_property
     def day(self) -> date | None:
-        """The day in UTC on which all pictures of known time were taken; None if it is not one day, or not known."""
+        """The day in UTC of all pictures of known time; None if it is unknown, or they are of several days."""
         days = {
             datetime.fromtimestamp(frame.time, UTC).date()
             for frame in self.frames

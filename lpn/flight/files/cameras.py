@@ -19,15 +19,15 @@ import numpy as np
 from lpn.core.arrays import Float64Array
 from lpn.flight.files.base import Frame
 
-# Rays that go down by less than this per metre count as rays above the horizon: they meet the ground beyond 50 heights.
+# Rays that go down by less than this per metre count as above the horizon: they meet the ground beyond 50 heights.
 _LEAST_DOWN = 0.02
-# A gimbal's angles are converted below this pitch in degrees. Above it the picture's top points to the sky, and has no heading.
+# A gimbal's angles are converted below this pitch in degrees. Above it the picture's top points to the sky, so it has no heading.
 _STEEP = -45.0
-# The body's axes in those of a gimbal, which are (optical axis, right, picture's bottom).
+# The body's axes in the axes of a gimbal: (optical axis, right, picture's bottom).
 _BODY_IN_GIMBAL = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
 # Diagonal in millimetres of the 36 x 24 mm film that equivalent focal lengths refer to.
 _FILM_DIAGONAL = math.hypot(36.0, 24.0)
-# The least and the largest field of view in degrees that a frame may have.
+# The least and the largest field of view of a frame in degrees.
 FOV_RANGE = 0.1, 170.0
 
 
@@ -49,7 +49,7 @@ def from_gimbal(yaw: float, pitch: float, roll: float) -> tuple[float, float, fl
 def turned(
     heading: float, pitch: float | None, roll: float | None, turns: int
 ) -> tuple[float, float | None, float | None]:
-    """Return the angles of a picture after quarter turns clockwise, which bring what was at its left to its top; in degrees."""
+    """Return a picture's angles in degrees after quarter turns clockwise, which bring its left side to the top."""
     if not turns or pitch is None:
         return (heading - 90.0 * turns) % 360.0, pitch, roll
     return angles(rotation(heading, pitch, roll or 0.0) @ _yaw_pitch_roll(-90.0 * turns, 0.0, 0.0))
@@ -58,15 +58,15 @@ def turned(
 def upright_values(
     values: Mapping[str, Any], turns: int, frame: Frame, across_longer_side: bool = False
 ) -> dict[str, Any]:
-    """Return telemetry of a frame with its angles turned as the picture is, and with the field of view across its width.
+    """Return telemetry of a frame with the angles of the upright picture and the field of view across its width.
 
-    A frame whose lens is known keeps that one's field of view, with which its distortion is removed.
+    A frame of known lens keeps the lens's field of view, which is used to remove the distortion.
 
     Args:
         values: named as in `Frame`; None where unknown.
         turns: quarter turns clockwise from the picture as it was taken to the frame.
-        across_longer_side: the field of view lies across the longer side, as subtitles tell it; else across the width of the
-            picture as it was taken.
+        across_longer_side: True if the field of view is that across the longer side, as in subtitles; else it is that across the
+            width of the picture as it was taken.
     """
     upright = dict(values)
     if turns and (heading := values.get("heading")) is not None:
@@ -107,12 +107,12 @@ def footprint(frame: Frame, height: float | None = None) -> Float64Array | None:
 
 
 def ground_width(frame: Frame, height: float | None = None) -> float | None:
-    """Return the width in metres of what a picture shows in its middle row, on flat ground.
+    """Return the metres of flat ground across a picture's middle row.
 
     An unknown pitch counts as straight down; the roll is ignored.
 
     Args:
-        height: as for `footprint`.
+        height: see `footprint`.
 
     Returns:
         None if height or field of view is unknown, or the camera looks at the horizon or above.
@@ -130,14 +130,14 @@ def fov_of_sensor(width: float, focal_length: float) -> float:
 
 
 def fov_of_equivalent(equivalent: float, focal_length: float | None = None) -> float:
-    """Return the horizontal field of view in degrees of a focal length that is equivalent to one on 35 mm film.
+    """Return the horizontal field of view in degrees of a 35 mm equivalent focal length.
 
-    Equivalent focal lengths compare diagonals. The sensor's proportions follow from its diagonal: sensors of 1 inch, APS-C,
-    and the size of the film are 3:2, others 4:3. A picture of 16:9 has the sensor's full width.
+    Equivalent focal lengths compare diagonals. The sensor's proportions follow from its diagonal: 1 inch, APS-C, and full frame
+    are 3:2, others 4:3. A picture of 16:9 has the sensor's full width.
 
     Args:
         equivalent: in millimetres.
-        focal_length: the real one in millimetres; without it the sensor counts as 4:3.
+        focal_length: the true focal length in millimetres; without it the sensor counts as 4:3.
     """
     diagonal = None if focal_length is None else _FILM_DIAGONAL * focal_length / equivalent
     wide = diagonal is not None and (14.0 <= diagonal <= 18.0 or diagonal >= 25.0)
@@ -146,12 +146,12 @@ def fov_of_equivalent(equivalent: float, focal_length: float | None = None) -> f
 
 
 def fov_across(fov: float, ratio: float) -> float:
-    """Return the field of view in degrees across a length that is `ratio` times that of the field of view `fov`."""
+    """Return the field of view in degrees across `ratio` times the length that `fov` spans."""
     return 2 * math.degrees(math.atan(math.tan(math.radians(fov) / 2) * ratio))
 
 
 def angles(matrix: Float64Array) -> tuple[float, float, float]:
-    """Return heading, pitch, and roll in degrees of the matrix that `rotation` makes of them."""
+    """Return heading, pitch, and roll in degrees of a matrix (3, 3); the inverse of `rotation`."""
     tilt = -math.degrees(math.asin(min(1.0, max(-1.0, float(matrix[2, 0])))))
     heading = math.degrees(math.atan2(matrix[1, 0], matrix[0, 0]))
     return heading % 360.0, tilt - 90.0, math.degrees(math.atan2(matrix[2, 1], matrix[2, 2]))
@@ -165,7 +165,6 @@ def angles_of_view(matrix: Float64Array) -> tuple[float, float, float]:
 
 
 def _yaw_pitch_roll(yaw: float, pitch: float, roll: float) -> Float64Array:
-    """Return the matrix of the three turns about down, right, and forward, in degrees, (3, 3)."""
     (cy, sy), (cp, sp), (cr, sr) = ((math.cos(math.radians(a)), math.sin(math.radians(a))) for a in (yaw, pitch, roll))
     about_down = np.array([[cy, -sy, 0], [sy, cy, 0], [0, 0, 1]])
     about_right = np.array([[cp, 0, sp], [0, 1, 0], [-sp, 0, cp]])

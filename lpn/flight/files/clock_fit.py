@@ -1,8 +1,9 @@
 """The constant offset between the clock of photos and that of a log or track.
 
-A camera's clock is often local time, and a log's is UTC, or the other way round. Each quarter hour up to 14 hours is tried as an
-offset, and none. The best one holds the most photos within the log, and brings the log nearest to the photos' own positions. If
-others are as good, the offset is unknown, and --clock-offset tells it; only no offset between clocks of one kind needs no proof.
+A camera's clock is often local time where a log's is UTC, or the reverse. Offsets up to 14 hours either way are tried in steps of
+a quarter hour. The best one puts the most photos within the log, and brings the log nearest to the photos' own positions. If
+several are as good, the offset is unknown, and the user gives it as --clock-offset. Only offset 0 between clocks of one kind
+needs no proof.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from lpn.flight.files.photos import Photo
 from lpn.flight.files.telemetry import Telemetry
 
 
-# An offset, the class of the share of photos within the log, and the median distance of positions in metres, or NaN.
+# An offset, the class of the share of photos within the log, and the median distance of positions in metres (NaN if unknown).
 class _Score(NamedTuple):
     offset: float
     level: int
@@ -29,10 +30,10 @@ class _Score(NamedTuple):
 
 _QUARTER, _HOUR = 900.0, 3600.0
 _MOST_QUARTERS = 56
-# An offset is possible if the log holds this share of the photos, as one of a single battery does, and likely from the second on.
+# An offset is possible from the first share of photos within the log (a log may be of one battery), and likely from the second.
 _SOME, _MOST = 0.1, 0.9
-# Positions of photos and log that agree within so many metres in the median are of one moment. An offset is as good as the best
-# one if its median is below this multiple of the best one's, or this much above it.
+# Positions of photos and log whose median distance is below _NEAR metres are simultaneous. An offset is as good as the best if
+# its median is below _CLEAR times the best median, or less than _CLEAR_METRES above it.
 _NEAR, _CLEAR, _CLEAR_METRES = 30.0, 3.0, 15.0
 _MOST_PHOTOS = 200
 _BEYOND = 10.0
@@ -41,12 +42,12 @@ _UTC, _LOCAL = "UTC", "their clock"
 
 @dataclass(frozen=True)
 class ClockFit:
-    """How photos fit a log by their clocks.
+    """The fit of the photos' clock to a log's.
 
     Attributes:
         offset: seconds to add to a photo's clock for that of the log; None if it is unknown.
         basis: the photos' clock: "UTC", or "their clock".
-        sentence: the end of a note: how they fit, or why they do not.
+        sentence: the end of a note about the fit, or about the reason for none.
     """
 
     offset: float | None
@@ -59,8 +60,8 @@ def fit_clocks(photos: Sequence[Photo], telemetry: Telemetry, utc: bool, given: 
 
     Args:
         telemetry: of the log, with times in seconds since 1970-01-01 on its clock.
-        utc: the log's clock is UTC, as far as it says.
-        given: the offset, if it is known; nothing is searched for then.
+        utc: True if the log names its clock as UTC.
+        given: a known offset, which is used without a search.
     """
     photos = photos[:: max(1, math.ceil(len(photos) / _MOST_PHOTOS))]
     clocks = {
@@ -82,7 +83,7 @@ def fit_clocks(photos: Sequence[Photo], telemetry: Telemetry, utc: bool, given: 
 
 
 def _fit(telemetry: Telemetry, times: Float64Array, places: Float64Array, basis: str, is_like: bool) -> ClockFit:
-    """Return the best offset of one clock of the photos, which is like the log's or not."""
+    """Return the best offset of one of the photos' clocks; `is_like` if it is of the log's kind."""
     quarters = sorted(range(-_MOST_QUARTERS, _MOST_QUARTERS + 1), key=abs)
     scores = [_score(telemetry, times, places, _QUARTER * quarter) for quarter in quarters]
     level = max(score.level for score in scores)
@@ -106,7 +107,7 @@ def _fit(telemetry: Telemetry, times: Float64Array, places: Float64Array, basis:
 
 
 def _sentence(score: _Score) -> str:
-    """Return how photos fit a log at an offset, with a warning if positions disagree."""
+    """Describe the fit at an offset, with a warning if positions disagree."""
     ahead = "ahead of" if score.offset > 0 else "behind"
     parts = []
     if score.offset:
@@ -121,7 +122,7 @@ def _sentence(score: _Score) -> str:
 
 def _score(telemetry: Telemetry, times: Float64Array, places: Float64Array, offset: float) -> _Score:
     first, last = telemetry.entries[0].time, telemetry.entries[-1].time
-    # The log may hold for a moment beyond its ends, which `at` decides.
+    # `Telemetry.at` decides how long values hold beyond the log's ends.
     during = np.flatnonzero((times + offset > first - _BEYOND) & (times + offset < last + _BEYOND))
     found = {int(i): telemetry.at(float(times[i]) + offset) for i in during}
     inside = {

@@ -1,4 +1,4 @@
-"""The square that is cut from the middle of a frame, north up, to be compared with windows of a map."""
+"""The north-up square in the middle of a frame, which is compared with windows of a map."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ CUT = 0.85
 
 
 def cut_size(frame: Frame) -> float | None:
-    """Return the side in metres of the square that is cut from a frame; None if its width on the ground is unknown."""
+    """Return the side in metres of a frame's square; None if its width on the ground is unknown."""
     width = ground_width(frame)
     return None if width is None else CUT * min(1.0, frame.height / frame.width) * width
 
@@ -46,7 +46,7 @@ def cut_square(picture: UInt8Array, heading: float, share: float, pixels: int) -
 
 
 def _reduced(picture: UInt8Array, share: float, pixels: int) -> UInt8Array:
-    """Average pixels before they are turned, so that fine texture does not alias; one that is reduced already stays."""
+    """Average pixels before the turn, so that fine texture does not alias; a reduced picture is returned unchanged."""
     height, width = picture.shape[:2]
     shrink = max(int(share * width / pixels), 1)
     if shrink == 1:
@@ -67,11 +67,10 @@ class FrameReader:
     def __init__(self, pixels: int) -> None:
         self._pixels = pixels
         self._read = lru_cache(_KEPT)(self._reduced)
-        # Threads that cut one frame read it once; those that cut different ones rarely wait for each other.
+        # Threads that cut one frame read it once; threads that cut different frames rarely wait for each other.
         self._locks = [threading.Lock() for _ in range(_LOCKS)]
 
     def __call__(self, file: Path, heading: float, share: float) -> UInt8Array:
-        """Return the square, (pixels, pixels, 3); PictureError if the file cannot be read."""
         with self._locks[hash(file) % _LOCKS]:
             picture = self._read(file, share)
         return cut_square(picture, heading, share, self._pixels)
@@ -96,5 +95,4 @@ class TurnedFrame:
     pixels: int
 
     def __call__(self) -> UInt8Array:
-        """Return the square, (pixels, pixels, 3); PictureError if the frame cannot be read."""
         return cut_square(images.load_picture(self.frame.file), self.heading, self.share, self.pixels)

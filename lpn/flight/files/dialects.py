@@ -1,7 +1,7 @@
 """Dialects of telemetry as tables: the programs that write them, what marks each, and the meaning of its columns.
 
-A column's name counts without case and signs, so that "GPS.Lat [deg]" is gpslat in degrees. Its unit stands behind it, in
-brackets, or after an underscore, a space, or a slash. Without a unit, that in the table counts, else metres, degrees, seconds.
+Names of columns are compared without case and signs: "GPS.Lat [deg]" is gpslat in degrees. A unit follows the name in brackets,
+or after an underscore, a space, or a slash. Without one the dialect's unit counts, else metres, degrees, or seconds.
 """
 
 from __future__ import annotations
@@ -28,10 +28,10 @@ _TIMES = {
     **dict.fromkeys(("us", "µs", "microseconds"), 1e-6),
 }  # fmt: skip
 _DATES = _TIMES | {"utc": 1.0, "gmt": 1.0, "local": 1.0}
-# A column whose unit is none of these may tell another of the values of time.
+# A column of time with another unit than these may hold another value of time.
 _OF_TIME = (_TIMES, _DATES)
-# The values of a row, with the units that each may have. `direction` is a heading of the camera, `heading` one of the aircraft,
-# `nose` a pitch where 0 is a camera that looks straight down, `bank` its roll. `below` is EXIF's GPSAltitudeRef.
+# The values of a row, with the possible units of each. `direction` is the camera's heading, `heading` the aircraft's, `nose` a
+# pitch with 0 for straight down, `bank` its roll, and `below` EXIF's GPSAltitudeRef.
 UNITS: Mapping[str, Mapping[str, float]] = {
     **dict.fromkeys(("latitude", "longitude", "position"), _ANGLES),
     **dict.fromkeys(("height_above_ground", "height_above_takeoff", "altitude"), _LENGTHS),
@@ -53,11 +53,11 @@ class Dialect:
 
     Attributes:
         marks: the columns that all tables of the program have.
-        columns: names of each value as the program writes them, best first, between bars; with a unit where headers have none.
+        columns: the program's names of each value, best first, separated by bars; with a unit where headers have none.
         source: page that documents it.
-        note: what a user should know of such a table; {name} is the file's.
-        before_utc: seconds by which its clock is ahead of UTC; None where only the header tells the zone.
-        fixed: the text of `quality` that stands for a fixed RTK solution.
+        note: a hint for users of such a table; {name} is the file's name.
+        before_utc: seconds by which its clock is ahead of UTC; None if the header names the zone.
+        fixed: the text of `quality` for a fixed RTK solution.
     """
 
     program: str
@@ -85,7 +85,7 @@ DIALECTS = (
         "altitude": "OSD.altitude", "heading": "OSD.yaw", "time": "OSD.flyTime", "date": "CUSTOM.date",
         "clock": "CUSTOM.updateTime", "is_video": "CAMERA.isVideo | CUSTOM.isVideo",
     }, "https://forum.phantomhelp.com/t/flight-reader-field-descriptions/10579"),
-    # pitch(deg) beside pitchRaw shows the unit of the raw angles.
+    # The column pitch(deg) beside pitchRaw shows the unit of raw angles.
     Dialect("Litchi", ("gimbalPitchRaw",), {
         "gimbal_heading": "gimbalYawRaw [ddeg]", "gimbal_pitch": "gimbalPitchRaw [ddeg]",
         "gimbal_roll": "gimbalRollRaw [ddeg]", "is_video": "isRecordingVideo",
@@ -124,7 +124,7 @@ DIALECTS = (
         "height_above_takeoff": "relative_alt [mm]", "date": "timestamp",
     }, "https://mavlink.io/en/messages/common.html#GLOBAL_POSITION_INT"),
 )
-# Clear names of any other table, and of values that a dialect does not name otherwise.
+# Clear names in other tables, and for values that a dialect does not name.
 COMMON = Dialect("any", (), {
     "file": "filename | file | image filename | image name | image | photo | picture | name | label | path",
     "latitude": "latitude | lat | gps latitude | gps lat | latitude/Y",
@@ -151,14 +151,14 @@ COMMON = Dialect("any", (), {
 
 @dataclass(frozen=True)
 class Columns:
-    """The columns of a table whose meaning is known.
+    """The columns of known meaning in a table.
 
     Attributes:
-        places: of each value in a row.
-        factors: of its unit, to metres, degrees, or seconds.
-        unsaid: the values whose units neither the header nor the dialect tells.
-        utc: the header says that the date is UTC.
-        notes: sentences about columns that are left out, or count as something.
+        places: the index of each value in a row.
+        factors: from each value's unit to metres, degrees, or seconds.
+        unsaid: the values whose units neither the header nor the dialect names.
+        utc: True if the header names the date as UTC.
+        notes: sentences about columns that are left out or reinterpreted.
     """
 
     dialect: Dialect
@@ -190,7 +190,7 @@ def columns_of(header: Sequence[str], name: str) -> Columns:
         name: the log's, for notes.
 
     Raises:
-        DataError: if the column of a latitude or longitude has a unit that is not known.
+        DataError: if the column of a latitude or longitude has an unknown unit.
     """
     cells = [list(_names(text)) for text in header]
     plain = {cell.plain for names in cells for cell in names}
@@ -245,7 +245,7 @@ def _plain(text: str) -> str:
 
 
 def _names(text: str) -> Iterator[_Name]:
-    """Yield what a column's name may be: all of it without a unit in brackets, and the part before another unit."""
+    """Yield the readings of a column's name: the whole without a unit in brackets, and the part before a unit."""
     text = _GROUP.sub("", text.lstrip("#% ").strip()[:_LONGEST])
     if match := _BRACKETED.fullmatch(text):
         yield _Name(_plain(match[1]), tuple(re.split(r"[\s,;]+", match[2].casefold().strip())), True)
@@ -261,9 +261,9 @@ def _names(text: str) -> Iterator[_Name]:
 def _best(
     cells: Sequence[Sequence[_Name]], what: str, names: str, taken: set[int]
 ) -> tuple[int, float | None, bool] | None:
-    """Return the place of a value's best column, the factor of its unit (None if that is unknown), and whether it is said.
+    """Return the index of a value's best column, its unit's factor (None if unknown), and whether the unit is named.
 
-    The order of names counts, then a known unit before none, and none before an unknown one, or local time.
+    Columns are ranked by the order of names, then by the unit: known, missing, unknown or local time.
     """
     ranked = []
     units = UNITS[what]

@@ -2,8 +2,8 @@
 
     name,file,width,height,time,latitude,longitude,height_above_ground,height_above_takeoff,altitude,heading,heading_source,...
 
-`file` is relative to the folder where possible. Unknown values are empty. What a spreadsheet would compute has an apostrophe in
-front, see `lpn.core.csv_cells`.
+`file` is relative to the folder where possible. Unknown values are empty. Text that a spreadsheet would compute is quoted by an
+apostrophe, see `lpn.core.csv_cells`.
 """
 
 from __future__ import annotations
@@ -103,7 +103,7 @@ def read_flight(folder: Path) -> Flight:
 
 
 def _relative(file: Path, folder: Path) -> str:
-    """Return a file's path relative to a folder with forward slashes, or its full path if it is on another drive."""
+    """Return a path relative to a folder, with forward slashes; the full path on another drive."""
     try:
         return Path(os.path.relpath(file.resolve(), folder.resolve())).as_posix()
     except ValueError:

@@ -1,6 +1,6 @@
-"""The table of a lens, and photos without its distortion.
+"""A lens's coefficients of distortion, and photos without it.
 
-The model is that of Brown (1971), as OpenCV has it: a ray (x, y, 1) of the camera is seen at f (x', y') + c with
+The model is Brown's (1971) in OpenCV's form: a ray (x, y, 1) of the camera is seen at f (x', y') + c with
 
     x' = x (1 + k1 r^2 + k2 r^4 + k3 r^6) + 2 p1 x y + p2 (r^2 + 2 x^2)
     y' = y (1 + k1 r^2 + k2 r^4 + k3 r^6) + p1 (r^2 + 2 y^2) + 2 p2 x y,    r^2 = x^2 + y^2
@@ -24,10 +24,10 @@ from lpn.core.homography import middle_pixel
 from lpn.core.requirements import missing_package
 from lpn.flight.files.values import read_limited
 
-# Focal lengths in widths of the picture (170 to 3 degrees of view), how far the optical centre may be off the middle, and the
-# largest coefficient of distortion.
+# Limits: focal lengths in widths of the picture (170 to 3 degrees of view), the optical centre's distance from the middle, and
+# the coefficients of distortion.
 _FOCALS, _OFF_CENTRE, _MOST = (0.04, 20.0), 0.25, 100.0
-# Bytes of a camera's file.
+# Most bytes of a camera's file.
 _MOST_BYTES = 1_000_000
 
 
@@ -41,7 +41,7 @@ class Lens:
         k1, k2, p1, p2, k3: coefficients of distortion.
 
     Raises:
-        ValueError: if the numbers are no lens's; the message says which.
+        ValueError: if no lens has such numbers; the message names them.
     """
 
     focal_x: float
@@ -64,7 +64,7 @@ class Lens:
             )
         if not all(abs(value) <= _MOST for value in self.coefficients):
             raise ValueError("impossible coefficients")
-        # Pixels of a picture show rays in the same order as they leave the middle; a table of another lens folds them.
+        # Pixels farther from the middle show rays farther from the axis. The coefficients of another lens break this order.
         reach = 0.5 * math.hypot(1.0, 1.0) / min(focals)
         radii = np.linspace(0, reach, 200)
         seen = radii * (1 + self.k1 * radii**2 + self.k2 * radii**4 + self.k3 * radii**6)
@@ -83,7 +83,7 @@ class Lens:
         return 2 * math.degrees(math.atan(0.5 / self.focal_x))
 
     def undistorted(self, photo: UInt8Array) -> UInt8Array:
-        """Return a photo (H, W, 3) as a pinhole of the same focal length shows it, whose optical centre is the middle."""
+        """Return a photo (H, W, 3) as of a pinhole with the same focal length and its optical centre in the middle."""
         height, width = photo.shape[:2]
         x, y = middle_pixel(width, height)
         camera = np.array(
@@ -95,19 +95,19 @@ class Lens:
         )
         pinhole = np.array([[self.focal_x * width, 0, x], [0, self.focal_x * width, y], [0, 0, 1]])
         maps = cv2.initUndistortRectifyMap(camera, self.coefficients, np.eye(3), pinhole, (width, height), cv2.CV_32FC1)
-        # Repeated border pixels have no edge that could match.
+        # Repeated border pixels have no edge that a matcher could use.
         return np.asarray(cv2.remap(photo, *maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), np.uint8)
 
     def text(self) -> str:
-        """Return the nine numbers with blanks between them, as flight.csv has them."""
+        """Return the nine numbers separated by blanks, the format of flight.csv."""
         return " ".join(f"{value:.9g}" for value in astuple(self))
 
 
 def lens_of_text(text: str) -> Lens:
-    """Return the lens of `Lens.text`.
+    """Parse the format of `Lens.text`.
 
     Raises:
-        ValueError: if the text has not nine numbers of a lens.
+        ValueError: if the text is not nine numbers of a lens.
     """
     numbers = [float(word) for word in text.split()]
     if len(numbers) != 9:
@@ -124,7 +124,7 @@ def lens_of_dewarp_data(text: str, width: float) -> Lens:
         width: of the photo as it was taken, in pixels.
 
     Raises:
-        ValueError: if the text is no lens; the message says what it has.
+        ValueError: if the text is no lens; the message describes it.
     """
     words = text.rpartition(";")[2].split(",")
     if len(words) != 9:
@@ -136,11 +136,11 @@ def lens_of_dewarp_data(text: str, width: float) -> Lens:
 def read_camera(file: Path) -> tuple[Lens, float]:
     """Read a camera's file: the lens, and the proportions (height over width) of its pictures.
 
-    It is YAML or JSON by OpenCV or ROS (`camera_matrix`, `distortion_coefficients`), or by OpenDroneMap (cameras.json,
-    `focal_x`), with the size of its pictures.
+    The file is YAML or JSON of OpenCV or ROS (`camera_matrix`, `distortion_coefficients`), or OpenDroneMap's cameras.json
+    (`focal_x`), with the size of the pictures.
 
     Raises:
-        DataError: if it cannot be read, is another model than a pinhole with Brown's distortion, or has impossible numbers.
+        DataError: if it cannot be read, has another model than a pinhole with Brown's distortion, or impossible numbers.
     """
     name = printable(str(file))
     try:
@@ -156,7 +156,7 @@ def read_camera(file: Path) -> tuple[Lens, float]:
 
 
 def _yaml(text: str) -> Any:
-    """Return the content of YAML, also of OpenCV's, whose first line and matrices are its own."""
+    """Parse YAML, OpenCV's dialect of the first line and of matrices included."""
     try:
         import yaml
     except ModuleNotFoundError as error:
@@ -186,7 +186,7 @@ def _camera(content: dict[str, Any]) -> tuple[Lens, float]:
         (camera,) = cameras.values()
         width, height = float(camera["width"]), float(camera["height"])
         model = camera.get("projection_type", "brown")
-        # OpenSfM divides by the longer side, and counts from the picture's middle.
+        # OpenSfM's unit is the longer side, and its origin is the picture's middle.
         scale = max(width, height)
         fx, fy = (scale * float(camera["focal" if "focal" in camera else name]) for name in ("focal_x", "focal_y"))
         cx = (width - 1) / 2 + scale * float(camera.get("c_x", 0.0))
@@ -201,6 +201,6 @@ def _camera(content: dict[str, Any]) -> tuple[Lens, float]:
 
 
 def _numbers(values: Any) -> list[float]:
-    """Return the numbers of a list, a list of rows, or a matrix with its data, row by row."""
+    """Return the numbers of a list, a list of rows, or a matrix in "data", row by row."""
     numbers: list[float] = np.array(values["data"] if isinstance(values, dict) else values, np.float64).ravel().tolist()
     return numbers

@@ -1,7 +1,7 @@
-"""Text as the table of a flight log: its line of names, known columns, and the rows below as numbers.
+"""The table of a flight log in text: its header line, known columns, and the rows below as numbers.
 
-The line of names is the first one, or one of the comments before. Two files have none: rows of pictures as Pix4D reads them, and
-geo.txt of OpenDroneMap. Any other file is refused with its first line.
+The header is the first line, or one of the comments before it. Two formats have none: Pix4D's rows of pictures, and
+OpenDroneMap's geo.txt. Any other file is refused, and the message quotes its first line.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ from lpn.flight.files import values
 from lpn.flight.files.dialects import Columns, columns_of
 
 _DELIMITERS = (",", ";", "\t", None)
-# The line of names is looked for among so many lines, and has at most so many names.
+# Most lines that are searched for the header, and most names in it.
 _MOST_HEAD, _MOST_NAMES = 200, 1000
-# The first line of OpenDroneMap's lists: a projection. Degrees are these alone.
+# The first line of OpenDroneMap's lists is a projection; only those of `_DEGREES` give degrees.
 _PROJECTION = re.compile(r"EPSG:\s*\d+|\+proj=.*|WGS84 UTM \d+[NS]?", re.IGNORECASE)
 _DEGREES = re.compile(r"EPSG:\s*(?:4326|4979)|\+proj=(?:longlat|latlong).*", re.IGNORECASE)
 _GEO_TXT = ["image_name", "geo_x", "geo_y", "geo_z"]
@@ -39,14 +39,14 @@ _COORDINATES = ("latitude", "NS"), ("longitude", "EW")
 
 @dataclass(frozen=True)
 class LogTable:
-    """The lines of a log below its names.
+    """The lines of a log below its header.
 
     Attributes:
         header: the names as they are written.
         rows: cells with the number of their line, from 1.
-        name: the file's, for messages.
-        commas: a comma may be the decimal sign, as it does not separate the cells.
-        notes: sentences about what was odd.
+        name: of the file, for messages.
+        commas: True if a comma may be the decimal sign, because it does not separate cells.
+        notes: sentences about oddities.
     """
 
     columns: Columns
@@ -59,7 +59,7 @@ class LogTable:
     def texts(self, what: str) -> list[str]:
         """Return the text of a value in each row, "" where it is unknown."""
         at = self.columns.places.get(what)
-        # Programs that fear formulas write an apostrophe before a minus sign.
+        # Some programs write an apostrophe before a minus sign, against formulas in spreadsheets.
         texts = [
             cells[at].strip().removeprefix("'") if at is not None and at < len(cells) else "" for _, cells in self.rows
         ]
@@ -94,7 +94,6 @@ class LogTable:
         return degrees
 
     def _pair(self, row: int, text: str) -> tuple[float, float]:
-        """Return the latitude and longitude in one cell, with a comma between."""
         if not text:
             return math.nan, math.nan
         parts = re.split(r",\s+", text) if "," in text else text.split()
@@ -122,7 +121,7 @@ class LogTable:
 
 
 def table_of(text: str, name: str) -> LogTable:
-    """Find the line of names in a log's text, and split the lines below it into cells.
+    """Find the header in a log's text, and split the lines below it into cells.
 
     Args:
         name: the file's, for messages.
@@ -140,7 +139,7 @@ def table_of(text: str, name: str) -> LogTable:
     at, delimiter, header, notes = _header(lines, name)
     columns = columns_of(header, name)
     below = [(number, line) for number, line in lines[at + 1 :] if not _is_comment(line)]
-    # Logs that were joined have the line of names again.
+    # Joined logs repeat the header.
     rows = [
         (line, cells) for line, cells in _cells(below, delimiter, name) if [cell.strip() for cell in cells] != header
     ]
@@ -157,7 +156,7 @@ def table_of(text: str, name: str) -> LogTable:
 
 
 def picture_name(text: str) -> str | None:
-    """Return a text without spaces about it if it is the name of a picture, else None."""
+    """Return the stripped text if it is the name of a picture, else None."""
     text = text.strip()
     return text if len(text) < 1000 and _PICTURE.fullmatch(text) else None
 
@@ -176,10 +175,7 @@ def _split(line: str, delimiter: str | None) -> list[str]:
 
 
 def _header(lines: Sequence[tuple[int, str]], name: str) -> tuple[int, str | None, list[str], list[str]]:
-    """Return the index of the line of names, the delimiter, the names, and notes; a file without names has those of its dialect.
-
-    The index is -1 where the rows begin with the first line.
-    """
+    """Return the header's line, or -1 if rows begin with the first one, the delimiter, the names, or the dialect's, and notes."""
     first = next((i for i, (_, line) in enumerate(lines) if not _is_comment(line)), len(lines) - 1)
     for at, (_, line) in enumerate(lines[: min(first + 1, _MOST_HEAD)]):
         for delimiter in _DELIMITERS:
@@ -189,7 +185,7 @@ def _header(lines: Sequence[tuple[int, str]], name: str) -> tuple[int, str | Non
                 continue
             if not columns_of(header, name).has_position:
                 continue
-            # RTKLIB writes a date and a time of day below one name.
+            # RTKLIB has one name for two columns, date and time of day.
             if delimiter is None and header[0].lstrip("%") in ("GPST", "UTC"):
                 header = [header[0], "time of day", *header[1:]]
             return at, delimiter, header, []
@@ -215,13 +211,11 @@ def _header(lines: Sequence[tuple[int, str]], name: str) -> tuple[int, str | Non
 
 
 def _is_picture_row(cells: Sequence[str]) -> bool:
-    """Return whether cells are a picture's name and two numbers."""
     is_named = len(cells) > 2 and picture_name(cells[0]) is not None
     return is_named and all(values.angle(cell) is not None for cell in cells[1:3])
 
 
 def _unknown(line: str, name: str) -> DataError:
-    """Return the error about a file of no known dialect."""
     names = set(re.findall(r"[a-z]+", line.casefold()))
     grid = f" {GRID}" if {"x", "y"} <= names or names & {"easting", "northing", "utm"} else ""
     return DataError(

@@ -1,7 +1,7 @@
 """Logs of a flight as tables and tracks: one row a picture, or one row a moment.
 
-`lpn.flight.files.dialects` has the tables that are read; GPX is read by `lpn.flight.files.track_files`. Values must be what the
-name of their column says: degrees on the Earth. Where nothing names a unit, metres, degrees, and seconds are meant.
+`lpn.flight.files.dialects` has the formats of tables; `lpn.flight.files.track_files` reads GPX. Positions must be degrees on the
+Earth. Without a unit, values are metres, degrees, and seconds.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from lpn.flight.files.telemetry import TelemetryEntry
 SUFFIXES = (".csv", ".tsv", ".txt", ".pos", ".log")
 _MOST_BYTES = 200_000_000
 _HEIGHTS = ("height_above_ground", "height_above_takeoff", "altitude")
-# The range of each angle in degrees. A gimbal's pitch that is larger throughout was told by another convention.
+# The range of each angle in degrees. A gimbal's pitch that is always larger follows another convention.
 _ANGLES = {
     **dict.fromkeys(("heading", "gimbal_heading", "direction"), (-360.0, 360.0)),
     **dict.fromkeys(("gimbal_pitch", "gimbal_roll", "nose", "bank"), (-180.0, 180.0)),
@@ -35,11 +35,11 @@ _ANGLES = {
 }
 _TILTS = ("gimbal_pitch", "gimbal_roll", "nose", "bank")
 _LOOKS_UP = 30.0
-# The share of positions, or of a column's angles, beyond their range from which all of them are in doubt.
+# Share of positions, or of a column's angles, beyond their range above which all of them are in doubt.
 _MOST_BEYOND = 0.1
 # A recording shorter than this, in seconds, marks only the beginning of a video.
 _LEAST_RECORDING = 1.5
-# Epochs in seconds; larger ones are in milli-, micro-, or nanoseconds. Smaller numbers count from a start.
+# Range of epochs in seconds. Larger ones are in milli-, micro-, or nanoseconds; smaller numbers count from a start.
 _EPOCHS = (1e9, 1e11)
 # Positions from here on are eastings and northings of a map, or degrees times 1e7.
 _LEAST_GRID, _LEAST_SCALED = 1e3, 2e7
@@ -52,9 +52,9 @@ class LogRow:
     """A row of a log.
 
     Attributes:
-        entry: its values; `time` is that of its column, else NaN, and `clock` that of its date.
-        file: the picture it tells about; None in a log of moments.
-        recording: whether the drone recorded a video; None if the log does not say.
+        entry: its values; `time` is from its column, else NaN, and `clock` from its date.
+        file: its picture; None in a log of moments.
+        recording: whether the drone was recording a video; None if unknown.
         line: its number in the file, from 1; 0 in a track.
     """
 
@@ -69,8 +69,8 @@ class Log:
     """A log of a flight.
 
     Attributes:
-        utc: the entries' `clock` is UTC, as far as the log says.
-        notes: sentences about what was odd.
+        utc: True if the log names the entries' `clock` as UTC.
+        notes: sentences about oddities.
     """
 
     name: str
@@ -83,8 +83,8 @@ def read_log(file: Path) -> Log:
     """Read a log that is a table.
 
     Raises:
-        DataError: if it is of no known dialect, or holds a value that is no number or no position; the message shows its first
-            line, or names the line of such a value.
+        DataError: if it is of no known dialect, or a value is no number or no position; the message quotes the first line, or
+            names the line of the value.
     """
     name = printable(file.name)
     data = values.read_limited(file, _MOST_BYTES, "a log of one flight")
@@ -141,9 +141,9 @@ def path_parts(path: str) -> tuple[str, ...]:
 
 
 def nearest_in_folders(path: Sequence[str], candidates: Sequence[Sequence[str]]) -> list[int]:
-    """Return the numbers of the candidates that share most folders with a path, counted from its end; all are by `path_parts`.
+    """Return the indices of the candidates that share the most folders with a path, from its end on.
 
-    Names themselves are not compared, as one of them may lack its suffix.
+    All are results of `path_parts`. Names of files are not compared, because one may lack its suffix.
     """
     pairs = [zip(path[-2::-1], candidate[-2::-1], strict=False) for candidate in candidates]
     shared = [sum(1 for _ in itertools.takewhile(lambda two: two[0] == two[1], folders)) for folders in pairs]
@@ -151,7 +151,7 @@ def nearest_in_folders(path: Sequence[str], candidates: Sequence[Sequence[str]])
 
 
 def moments(log: Log) -> tuple[list[TelemetryEntry], str | None]:
-    """Return the entries of a log that have a clock, with their clock as their time; and a note about moments listed twice.
+    """Return the entries that have a clock, with it as their time, and a note about moments listed twice.
 
     A clock in whole seconds gets its fraction from the column of elapsed time.
     """
@@ -167,7 +167,7 @@ def moments(log: Log) -> tuple[list[TelemetryEntry], str | None]:
 
 
 def _distinct(entries: Sequence[TelemetryEntry], name: str) -> tuple[list[TelemetryEntry], str | None]:
-    """Return the first entry of each moment, in the order of time, and a note if others of that moment are elsewhere."""
+    """Return the first entry of each moment in the order of time, and a note if another of one moment is elsewhere."""
     first: dict[float, TelemetryEntry] = {}
     twice = set()
     for entry in entries:
@@ -185,11 +185,11 @@ def _distinct(entries: Sequence[TelemetryEntry], name: str) -> tuple[list[Teleme
 
 
 def for_video(log: Log, number: int, began: float | None = None) -> tuple[list[TelemetryEntry], list[str]]:
-    """Return the entries of a log's recording with times from its start, and notes such as that its start is a guess.
+    """Return the entries of a log's recording with times from its start, and notes about them.
 
     Args:
-        number: of the recording in a log that tells when the drone recorded, from 0.
-        began: the video's start in seconds since 1970-01-01 in UTC, where its file says it.
+        number: of the recording, from 0, in a log that marks recordings.
+        began: the video's start in seconds since 1970-01-01 in UTC; None if its file lacks it.
 
     Raises:
         DataError: if the log has no times, or fewer recordings.
@@ -219,7 +219,6 @@ def for_video(log: Log, number: int, began: float | None = None) -> tuple[list[T
 
 
 def _start(log: Log, began: float | None, timed: Sequence[tuple[LogRow, float]]) -> tuple[float | None, str]:
-    """Return the elapsed time in a log at which a video began, by the time in the video's file, or None; and a note."""
     known = [(row.entry.clock, time) for row, time in timed if row.entry.clock is not None]
     if began is not None and log.utc and known and known[0][0] <= began <= known[-1][0]:
         clock, time = min(known, key=lambda pair: abs(pair[0] - began))
@@ -231,11 +230,7 @@ def _start(log: Log, began: float | None, timed: Sequence[tuple[LogRow, float]])
 
 
 def _on_earth(table: LogTable, notes: list[str]) -> Float64Array:
-    """Return the rows' positions in degrees, (N, 2); those that are none on the Earth become NaN with a note.
-
-    Raises:
-        DataError: if they are more than a tenth.
-    """
+    """Return the rows' positions in degrees, (N, 2); positions off the Earth become NaN, with a note."""
     degrees = table.places()
     known = ~np.isnan(degrees[:, 0])
     beyond = np.flatnonzero((np.abs(degrees) > (90, 180)).any(axis=1))
@@ -258,7 +253,7 @@ def _on_earth(table: LogTable, notes: list[str]) -> Float64Array:
 
 
 def _radians_note(table: LogTable, columns: Mapping[str, Float64Array], most: float) -> list[str]:
-    """Return a note, if any, about columns of no unit whose values may be radians, as all are at most `most`."""
+    """Return a note, if any, about columns without a unit that may be radians, because all values are at most `most`."""
     unsaid = [what for what in columns if what in table.columns.unsaid and what != "fov"]
     known = np.concatenate([columns[what] for what in unsaid]) if unsaid else np.zeros(0)
     if np.isnan(known).all() or not 0 < np.nanmax(np.abs(known)) <= most:
@@ -271,7 +266,7 @@ def _radians_note(table: LogTable, columns: Mapping[str, Float64Array], most: fl
 
 
 def _clean_angles(table: LogTable, columns: dict[str, Float64Array], notes: list[str]) -> None:
-    """Take out angles beyond their range, or their column, and a gimbal's pitch that looks up throughout; notes name them."""
+    """Remove angles beyond their range, or their whole column, and a gimbal's pitch that always looks up, with notes."""
     notes += _radians_note(table, {what: columns[what] for what in columns if what in _ANGLES}, math.tau)
     for what in [what for what in _ANGLES if what in columns]:
         angles = columns[what]
@@ -302,7 +297,7 @@ def _clean_angles(table: LogTable, columns: dict[str, Float64Array], notes: list
 
 
 def _with_angles(entry: TelemetryEntry, row: Mapping[str, float | None]) -> TelemetryEntry:
-    """Return an entry with the angles of the gimbal, else of the camera, else of the aircraft. Three that are 0 are unknown."""
+    """Return an entry with the angles of the gimbal, camera, or aircraft, in this order; three zeros are unknown."""
     yaw, pitch, roll = (row.get(what) for what in ("gimbal_heading", "gimbal_pitch", "gimbal_roll"))
     if yaw is not None and (yaw or pitch or roll):
         if pitch is not None:
@@ -341,5 +336,4 @@ def _clocks(table: LogTable, notes: list[str]) -> tuple[list[float | None], bool
 
 
 def _numbers(table: LogTable, texts: Sequence[str]) -> Float64Array:
-    """Return texts as numbers, (N,); NaN for those that are none."""
     return np.array([values.number(text, table.commas) for text in texts], np.float64)

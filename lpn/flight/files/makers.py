@@ -1,10 +1,10 @@
-"""The properties of EXIF and XMP that tell a camera's position, height, angles, lens, and time, by maker.
+"""The EXIF and XMP properties of a camera's position, height, angles, lens, and time, by maker.
 
-EXIF's tags are the properties of XMP's namespace exif, which copies them. Other namespaces are known by a part of their address,
-or by their prefix where that is not declared. Names are compared without regard to case. Names that DJI coined, and that other
-makers copy, count in every namespace, as does EXIF's DigitalZoomRatio. Rows of one field stand best first.
+EXIF's tags are named by XMP's namespace exif, which copies them. Other namespaces are recognised by a part of their address, or
+by an undeclared prefix. Case is ignored. Names that DJI coined and other makers copy count in every namespace, and so does EXIF's
+DigitalZoomRatio. Rows of one field are sorted from best to worst.
 
-A **convention** says how angles are meant:
+A **convention** defines the angles:
 
 gimbal       yaw, pitch, roll of the camera against north, east, down; pitch 0 looks at the horizon, -90 down; roll about the
              optical axis
@@ -14,7 +14,7 @@ direction    a compass direction of the camera
 fixed        of an aircraft without a gimbal, whose camera looks straight down in level flight
 aircraft     of an aircraft whose camera may look elsewhere
 
-An altitude's convention is "sea" or "ellipsoid", from where it counts; without one its file may say it by an altitude type.
+An altitude's convention is its zero, "sea" or "ellipsoid"; without one, the file's altitude type may name it.
 """
 
 from __future__ import annotations
@@ -36,9 +36,9 @@ class PropertyRow(NamedTuple):
     Attributes:
         field: a field of `Frame`, or a value from which one is computed.
         namespace: a key of `NAMESPACES`.
-        names: of the properties, with blanks between them; "/" stands before the name of a nested one.
+        names: of the properties, separated by blanks; "/" precedes a nested property's name.
         unit, convention: of the values.
-        source: where this is documented, or a public file that has it.
+        source: the documentation, or a public file with the property.
     """
 
     field: str
@@ -49,7 +49,7 @@ class PropertyRow(NamedTuple):
     source: str
 
 
-# Parts of the addresses of each namespace in lower case.
+# Parts of each namespace's addresses, in lower case.
 NAMESPACES: Mapping[str, tuple[str, ...]] = {
     "drone-dji": ("drone-dji",),
     "drone-parrot": ("drone-parrot",),
@@ -169,7 +169,7 @@ class Properties:
     """The properties of a photo by namespace and name; the first value of each counts.
 
     Attributes:
-        unreadable: properties of the table whose values cannot be read, as "exif:GPSAltitude".
+        unreadable: properties of the table with unreadable values, such as "exif:GPSAltitude".
     """
 
     def __init__(self) -> None:
@@ -177,7 +177,7 @@ class Properties:
         self.unreadable: list[str] = []
 
     def add(self, namespace: str, name: str, value: Any) -> None:
-        """Add a value of EXIF, or a text of XMP; a blank one tells nothing."""
+        """Add a value of EXIF, or a text of XMP; blank ones are ignored."""
         key = namespace, name.casefold()
         if key not in _KNOWN:
             copied = {"digitalzoomratio": "exif"}.get(key[1], "drone-dji" if _COINED.fullmatch(key[1]) else namespace)
@@ -186,11 +186,11 @@ class Properties:
             self._values.setdefault(key, value)
 
     def raw(self, name: str, namespace: str = "exif") -> Any:
-        """Return the value of a property as the file has it; None without one."""
+        """Return the raw value of a property; None without one."""
         return self._values.get((namespace, name.casefold()))
 
     def rows(self, field: str) -> Iterator[tuple[PropertyRow, tuple[float | None, ...]]]:
-        """Yield the rows of a field that have a number, best first, with three numbers each; None where unknown."""
+        """Yield the rows of a field that have a number, best first, each with three numbers, None where unknown."""
         for row in ROWS:
             if row.field == field:
                 numbers = [self._number(row, name) for name in row.names.split()]
@@ -212,7 +212,7 @@ class Properties:
         return next((text for _, text in self.texts(field)), "")
 
     def refuse(self, name: str) -> None:
-        """Note a property, as "exif:GPSAltitude", whose value cannot be read."""
+        """Note a property with an unreadable value, such as "exif:GPSAltitude"."""
         self.unreadable += [] if name in self.unreadable else [name]
 
     def _number(self, row: PropertyRow, name: str) -> float | None:
@@ -228,21 +228,21 @@ class Properties:
 
 
 def namespace_of(address: str) -> str:
-    """Return the key of a namespace's address, or of a prefix that is not declared; "" for others."""
+    """Return the key of a namespace's address, or of an undeclared prefix; "" for others."""
     address = address.casefold().rstrip("/#")
     found = (key for key, parts in NAMESPACES.items() if address == key.casefold() or any(p in address for p in parts))
     return next(found, "")
 
 
 def text_of(value: Any) -> str:
-    """Return a value of EXIF or XMP as text without blanks and NULs around it; "" for numbers."""
+    """Return a value of EXIF or XMP as text, stripped of blanks and NULs; "" for numbers."""
     if isinstance(value, bytes):
         value = value.decode("ascii", "replace")
     return value.strip("\x00 \t\r\n") if isinstance(value, str) else ""
 
 
 def number(value: Any) -> float | None:
-    """Return a number of EXIF, or of XMP, such as "+39.80", "-8759/100", or "12.5 m", as a finite one; None for others."""
+    """Return a value of EXIF or XMP, such as "+39.80", "-8759/100", or "12.5 m", as a finite number, else None."""
     if isinstance(value, tuple | list) and len(value) == 1:
         value = value[0]
     try:
@@ -253,7 +253,7 @@ def number(value: Any) -> float | None:
 
 
 def degrees(value: Any) -> float | None:
-    """Return degrees of a number, of a text such as "47,18.074N", or of EXIF's degrees, minutes, and seconds; None for others."""
+    """Return degrees of a number, a text such as "47,18.074N", or EXIF's degrees, minutes, and seconds, else None."""
     if isinstance(value, str | bytes) and "/" not in text_of(value):
         return values.angle(text_of(value))
     if not isinstance(value, tuple | list):
@@ -264,7 +264,7 @@ def degrees(value: Any) -> float | None:
         if part is None or (i and abs(part) > 60):
             return None
         total += abs(part) / 60.0**i
-        # What follows decimals says nothing: some programs write 0/0 there, others the decimals again.
+        # Values after a decimal one are ignored: some programs write 0/0 there, others the decimals again.
         if part % 1:
             break
     return -total if any(part is not None and part < 0 for part in parts) else total

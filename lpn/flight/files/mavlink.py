@@ -1,7 +1,8 @@
-"""Messages of MAVLink as telemetry, for logs of a ground station and for live links alike.
+"""Messages of MAVLink as telemetry, for logs of a ground station and for live links.
 
-Positions are GLOBAL_POSITION_INT, or GPS_RAW_INT where no filter speaks; angles ATTITUDE, GIMBAL_DEVICE_ATTITUDE_STATUS, and
-MOUNT_ORIENTATION; heights above ground DISTANCE_SENSOR that looks down, and TERRAIN_REPORT.
+Positions come from GLOBAL_POSITION_INT, or from GPS_RAW_INT without a filter. Angles come from ATTITUDE,
+GIMBAL_DEVICE_ATTITUDE_STATUS, and MOUNT_ORIENTATION, and heights above ground from a DISTANCE_SENSOR that looks down and from
+TERRAIN_REPORT.
 """
 
 from __future__ import annotations
@@ -14,23 +15,23 @@ from typing import Any
 from lpn.flight.files.telemetry import TelemetryEntry
 from lpn.flight.files.vehicles import VehicleState, euler_degrees
 
-# Values of MAVLink's enumerations: a gimbal whose yaw is from north (lock, or in the earth's frame), a sensor that looks down, a
-# fix in three dimensions, an altitude that counts as unknown.
+# Values of MAVLink's enumerations: a gimbal's yaw from north (lock, or in the earth's frame), a sensor that looks down, a fix in
+# three dimensions, an unknown altitude.
 _YAW_LOCK, _YAW_IN_EARTH, _LOOKS_DOWN, _FIX_3D = 16, 32, 25, 3
 _POSITIONS = ("GLOBAL_POSITION_INT", "GPS_RAW_INT")
 
 
 class MavlinkTelemetry:
-    """Entries from the messages of one vehicle; those of other systems are counted, and left out.
+    """A converter of one vehicle's messages to entries; positions of other systems are only counted.
 
     Args:
         system: id of the vehicle, 1 to 255. None takes the first that sends a position.
-        needs_position: whether entries have positions. Without, attitudes make entries, too, while no position comes, and the
-            first system that sends one is the vehicle.
+        needs_position: whether every entry has a position. If not, attitudes also make entries while no position comes, and the
+            first system that sends either is the vehicle.
 
     Attributes:
         foreign: positions of other systems, by id.
-        jumps: how often the vehicle's clock, time since boot, stepped back or ahead of the link's by more than 5 s.
+        jumps: number of steps of the vehicle's clock (time since boot) against the link's by more than 5 s.
     """
 
     _JUMP = 5.0
@@ -39,21 +40,20 @@ class MavlinkTelemetry:
         self.system, self._needs_position = system, needs_position
         self.foreign: Counter[int] = Counter()
         self.jumps = 0
-        # An attitude may come before the position that tells which vehicle counts.
+        # An attitude may come before the position that selects the vehicle.
         self._states: defaultdict[int, VehicleState] = defaultdict(VehicleState)
         self._lead: float | None = None
 
     @property
     def outside(self) -> int:
-        """The number of positions that were none on the Earth."""
         return 0 if self.system is None else self._states[self.system].outside
 
     def take(self, message: Any, time: float, clock: float | None = None) -> TelemetryEntry | None:
         """Take a message of pymavlink; return the entry of a position.
 
         Args:
-            time: seconds at which it came, or was logged.
-            clock: that moment in seconds since 1970, for the entry, if it is known.
+            time: seconds of its arrival or log entry.
+            clock: the same moment in seconds since 1970, if known.
         """
         kind = message.get_type()
         sender = message.get_srcSystem()
@@ -105,7 +105,7 @@ class MavlinkTelemetry:
 
 
 def mavlink_package() -> Any:
-    """Return pymavlink's `mavutil`, which reads and writes version 2 of the protocol.
+    """Return pymavlink's `mavutil`, set to version 2 of the protocol.
 
     Raises:
         ModuleNotFoundError: if pymavlink is not installed.

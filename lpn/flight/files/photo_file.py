@@ -1,4 +1,4 @@
-"""A photo's file as evidence: its digest, and what the file says of when, where, and by which camera the photo was taken."""
+"""A photo's file as evidence: its digest, and the time, place, and camera that it names."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class PhotoFile:
     """A photo's file.
 
     Attributes:
-        photo: what the file says of the photo.
+        photo: the photo by its file.
         size: in bytes.
         digest: SHA-256 of the file in hexadecimal digits.
     """
@@ -33,7 +33,7 @@ class PhotoFile:
 
     @property
     def facts(self) -> list[tuple[str, str]]:
-        """Names and values for people; a time, a place, or a camera that the file does not tell is said to be missing."""
+        """Names and values for display; a missing time, place, or camera is named as missing."""
         frame = self.photo.frame
         place = "not told"
         if frame.latitude is not None and frame.longitude is not None:

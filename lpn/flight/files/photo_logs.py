@@ -1,4 +1,4 @@
-"""Photos with the values of a log or track: matched by file name, else by time."""
+"""Photos with the values of a log or track, matched by file name, else by time."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ from lpn.flight.files.logs import Log, LogRow
 from lpn.flight.files.photos import Photo, turned_oddity
 from lpn.flight.files.telemetry import VALUES, Telemetry, TelemetryEntry
 
-# A row belongs to one of several photos of its name if that one is so many times nearer to it than the others.
+# A row belongs to one of several photos of its name if that photo is this many times nearer to it than the others.
 _CLEARLY = 3.0
-# The median distance in metres of a log's positions from the photos' own beyond which a note doubts them.
+# Median distance in metres of a log's positions from the photos' own above which a note doubts them.
 _ELSEWHERE = 1000.0
 _ANGLES = ("heading", "pitch", "roll", "heading_source")
 
@@ -34,7 +34,7 @@ def with_log(photos: Sequence[Photo], log: Log, clock_offset: float | None = Non
     for a heading whose source is worse than the photo's, and the field of view of a photo whose lens is known.
 
     Args:
-        clock_offset: seconds to add to the photos' clock for that of the log; None finds it out.
+        clock_offset: seconds to add to the photos' clock for the log's; None estimates it.
     """
     rows = logs.rows_by_name(log)
     made, how, why_not, notes = _by_name(photos, log, rows) if rows else _by_time(photos, log, clock_offset)
@@ -50,7 +50,7 @@ _Matched = tuple[list[Photo], str, str, list[str]]
 
 
 def _by_name(photos: Sequence[Photo], log: Log, rows: dict[str, list[LogRow]]) -> _Matched:
-    """Return photos with the rows that name them, how that was done, "", and notes about names that are not unique."""
+    """Return photos with the rows that name them, the kind of match, "", and notes about ambiguous names."""
     paths = [logs.path_parts(str(photo.frame.file)) for photo in photos]
     claims: dict[LogRow, list[int]] = defaultdict(list)
     twice = []
@@ -103,7 +103,7 @@ def _metres_apart(frame: Frame, entry: Frame | TelemetryEntry) -> float:
 
 
 def _by_time(photos: Sequence[Photo], log: Log, clock_offset: float | None) -> _Matched:
-    """Return photos with the log's values at their times, how the clocks fit, why they do not, and notes."""
+    """Return photos with the log's values at their times, the clocks' fit, the reason for none, and notes."""
     moments, note = logs.moments(log)
     telemetry = Telemetry(moments)
     fit = fit_clocks(photos, telemetry, log.utc, clock_offset)
@@ -130,7 +130,7 @@ def _with_entry(photo: Photo, entry: TelemetryEntry, utc: bool) -> Photo:
 
 
 def _with_values(photo: Photo, values: dict[str, Any]) -> Photo:
-    """Return a photo with a log's values, turned as the picture is; angles whose source is worse are left out."""
+    """Return a photo with a log's values, made upright; angles of a worse source are left out."""
     frame, oddities = photo.frame, list(photo.oddities)
     if "heading" in values:
         sources = get_args(HeadingSource)  # best first

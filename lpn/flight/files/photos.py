@@ -1,8 +1,7 @@
 """Photos with EXIF and XMP, read as frames.
 
-`lpn.flight.files.makers` lists the properties of each maker, best first. XMP of the maker comes before EXIF's position, which
-some firmware truncates. (0, 0) is an unknown position, and angles of a camera that are all 0 are unknown. What is odd about a
-photo, or cannot be read, is an oddity of it.
+`lpn.flight.files.makers` lists the properties of each maker, best first. A maker's XMP precedes EXIF's position, which some
+firmware truncates. A position (0, 0) is unknown, and so are a camera's angles that are all 0. Oddities of a photo are collected.
 """
 
 from __future__ import annotations
@@ -33,29 +32,29 @@ from lpn.flight.files.xmp import read_xmp
 # Pillow raises these on damaged EXIF.
 DAMAGED = (OSError, ValueError, SyntaxError, TypeError, LookupError, struct.error, OverflowError, RecursionError)
 _XMP_TAG = 700
-# Quarter turns clockwise that make a picture upright, by EXIF orientation. Mirrored ones are un-mirrored before they are turned.
+# Quarter turns clockwise that make a picture upright, by EXIF orientation, after a mirrored picture is mirrored back.
 _TURNS = {1: 0, 2: 0, 3: 2, 4: 2, 5: 3, 6: 1, 7: 1, 8: 3}
 _MIRRORED = (2, 4, 5, 7)
-# The names in XMP of tags that Pillow names otherwise.
+# XMP's names of tags for which Pillow has other names.
 _NAMES = {"ExifImageWidth": "PixelXDimension", "ExifImageHeight": "PixelYDimension"}
 # Millimetres of EXIF's FocalPlaneResolutionUnit.
 _UNITS: Mapping[float | None, float] = {None: 25.4, 2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}
-# Widths in millimetres that a sensor can have; others come from wrong tags.
+# Range of a sensor's width in millimetres; other values come from wrong tags.
 _SENSOR_WIDTHS = (1.0, 60.0)
-# Proportions and widths that differ by less are those of one picture.
+# Proportions and widths of one picture differ by less than this share.
 _SAME = 0.01
 # Degrees of latitude, some 1 km: positions farther apart contradict each other.
 _OTHER_PLACE = 0.009
-# Where 0 is straight down, a pitch below this is impossible, so it was written from the horizon.
+# If 0 is straight down, a pitch below this is impossible, so it counts from the horizon.
 _MOST_BACK = -30.0
-# If twice the optical centre differs from the width by a larger share, the calibration is of another picture size.
+# If twice the optical centre differs from the width by a larger share, the calibration is for another picture size.
 _OFF_CENTRE = 0.1
 _SOURCES: Mapping[Convention, HeadingSource] = {
     "gimbal": "gimbal", "on platform": "gimbal", "nadir": "camera", "direction": "camera", "fixed": "aircraft",
     "aircraft": "aircraft",
 }  # fmt: skip
 _RTK_FIXED = 50
-# Texts that say that an altitude counts from the ellipsoid: DJI's AltitudeType, and VertCS of Pix4D and Skydio.
+# Texts that mark an altitude above the ellipsoid: DJI's AltitudeType, and VertCS of Pix4D and Skydio.
 _ELLIPSOIDAL = ("rtkalt", "ellipsoidal")
 _ZONE = re.compile(r"\s*(?:Z|[-+]\d\d:?\d\d)$", re.ASCII)
 _QUARTER = 900.0
@@ -63,13 +62,13 @@ _QUARTER = 900.0
 
 @dataclass(frozen=True)
 class Photo:
-    """A photo's frame without a time, and what its flight needs to know.
+    """A photo's frame without a time, and facts for its flight.
 
     Attributes:
         utc, local: seconds since 1970-01-01 in UTC and on the camera's clock.
-        turns: quarter turns clockwise of the EXIF orientation, which make the picture upright.
-        oddities: endings of "The photo ...", such as "has damaged EXIF"; the flight's notes count equal ones.
-        camera: maker and model by EXIF; "" if it does not tell them.
+        turns: quarter turns clockwise that make the picture upright, by EXIF orientation.
+        oddities: predicates of "The photo ...", such as "has damaged EXIF"; the flight's notes count equal ones.
+        camera: maker and model by EXIF; "" if unknown.
     """
 
     frame: Frame
@@ -82,7 +81,7 @@ class Photo:
 
 @dataclass
 class _Metadata:
-    """What a picture file tells: its size as stored, the properties of EXIF and XMP, and the oddities found in them."""
+    """A picture file's metadata: its stored size, EXIF and XMP properties, and their oddities."""
 
     width: int
     height: int
@@ -100,7 +99,7 @@ class _Metadata:
         """Width and height in pixels of the picture as it was taken."""
         told = next((numbers for _, numbers in self.properties.rows("size")), (None, None, None))
         width, height = told[0] or float(self.width), told[1] or float(self.height)
-        # A program that turned the picture may have left the sizes as they were.
+        # A program that turned the picture may have kept the old sizes.
         return (height, width) if abs(height / width * self.height / self.width - 1) <= _SAME else (width, height)
 
     @property
@@ -120,10 +119,10 @@ class _Angles(NamedTuple):
 
 
 def read_photo(file: Path) -> Photo:
-    """Read a photo's metadata; its pixels are not decoded, but the end of the file is checked.
+    """Read a photo's metadata without decoding pixels; the end of the file is checked.
 
     Raises:
-        PictureError: if the file is no picture that can be read, or is cut short.
+        PictureError: if the file is no readable picture, or is cut short.
     """
     try:
         data = file.read_bytes()
@@ -156,7 +155,7 @@ def photo_of(data: bytes, file: Path) -> Photo:
 
 
 def _metadata(data: bytes) -> _Metadata:
-    """Read EXIF and XMP; what is damaged is an oddity, and what is readable beside it is used."""
+    """Read EXIF and XMP; damaged parts become oddities, and readable parts are used."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         with Image.open(io.BytesIO(data)) as picture:
@@ -173,7 +172,7 @@ def _metadata(data: bytes) -> _Metadata:
                     name = names.get(tag, "")
                     known.properties.add("exif", _NAMES.get(name, name), value)
                 if directory is None and picture.format == "TIFF":
-                    # Pillow turns a TIFF's size by its orientation, and no other's.
+                    # Pillow turns the size by the orientation for TIFF only.
                     known.width = tags.get(ExifTags.Base.ImageWidth, known.width)
                     known.height = tags.get(ExifTags.Base.ImageLength, known.height)
             packets = list(_packets(picture, known.properties.raw(ExifTags.TAGS[_XMP_TAG])))
@@ -187,7 +186,7 @@ def _metadata(data: bytes) -> _Metadata:
 
 
 def _packets(picture: Image.Image, tag: Any) -> Iterator[bytes]:
-    """Yield the XMP packets of a picture: segments of a JPEG, else the packet of its format, else that of a TIFF's tag."""
+    """Yield the XMP packets of a picture: segments of a JPEG, else its format's packet, else a TIFF tag's."""
     segments = [data for marker, data in getattr(picture, "applist", ()) if marker == "APP1" and b":RDF" in data]
     if segments:
         yield from segments
@@ -200,7 +199,6 @@ def _packets(picture: Image.Image, tag: Any) -> Iterator[bytes]:
 
 
 def _turns(known: _Metadata) -> int:
-    """Return the quarter turns clockwise of the EXIF orientation."""
     orientation = known.properties.raw("Orientation")
     if orientation in _MIRRORED:
         known.oddities.append(
@@ -212,7 +210,6 @@ def _turns(known: _Metadata) -> int:
 
 
 def _position(known: _Metadata) -> tuple[float | None, float | None]:
-    """Return latitude and longitude in degrees, both None if unknown."""
     places: list[tuple[float, float, str]] = []
     for row, pair in known.properties.rows("position"):
         latitude, longitude, *_ = (
@@ -239,7 +236,7 @@ def _position(known: _Metadata) -> tuple[float | None, float | None]:
 
 
 def _signed(known: _Metadata, name: str, value: float | None, south: str) -> float | None:
-    """Return a coordinate of EXIF with the sign of its reference; None where neither reference nor value tells a sign."""
+    """Return a coordinate of EXIF with the sign of its reference; None if neither reference nor value has a sign."""
     reference = text_of(known.properties.raw(f"{name}Ref"))[:1].upper()
     if value is None:
         return None
@@ -252,7 +249,7 @@ def _signed(known: _Metadata, name: str, value: float | None, south: str) -> flo
 
 
 def _altitude(known: _Metadata) -> float | None:
-    """Return the altitude in metres; one that counts from the ellipsoid is an oddity."""
+    """Return the altitude in metres; an altitude above the ellipsoid is an oddity."""
     row, altitude = next(((row, numbers[0]) for row, numbers in known.properties.rows("altitude")), (None, None))
     if row is None or altitude is None:
         return None
@@ -281,7 +278,7 @@ def _angles(known: _Metadata, turns: int) -> tuple[float | None, float | None, f
 
 
 def _told_angles(known: _Metadata) -> Iterator[_Angles]:
-    """Yield the angles by each source that tells any, best first; those of a camera that are all 0 are unknown."""
+    """Yield the angles by each source, best first; a camera's angles that are all 0 are unknown."""
     properties = known.properties
     for row, (yaw, pitch, roll) in properties.rows("angles"):
         convention = row.convention
@@ -317,12 +314,11 @@ def _told_angles(known: _Metadata) -> Iterator[_Angles]:
 
 
 def turned_oddity(turns: int) -> str:
-    """Return the oddity of a photo whose EXIF orientation turns picture and heading."""
     return f"is turned by {90 * turns}° by its EXIF orientation, and its heading with it"
 
 
 def _view(known: _Metadata, turns: int) -> tuple[Lens | None, float | None]:
-    """Return the lens, where its distortion is known and still there, and the horizontal field of view of the upright picture."""
+    """Return the lens if the picture still has its known distortion, and the upright picture's horizontal field of view."""
     if projection := known.properties.text("projection"):
         known.oddities.append(
             f"is a panorama ({printable(projection)[:40]}), whose ground has not the map's shape; leave it out"
@@ -334,7 +330,7 @@ def _view(known: _Metadata, turns: int) -> tuple[Lens | None, float | None]:
         try:
             if turns or not known.is_whole:
                 raise ValueError("the table of a picture that was turned or cropped")
-            # A digital zoom shows the middle of the picture that the table describes.
+            # The coefficients describe the whole picture; a digital zoom shows its middle.
             lens = lens_of_dewarp_data(text, width / known.zoom)
         except ValueError as error:
             known.oddities.append(f"has a DewarpData that was not used, because it has {printable(str(error))[:80]}")
@@ -360,9 +356,9 @@ def _view(known: _Metadata, turns: int) -> tuple[Lens | None, float | None]:
 
 
 def _lens_fov(known: _Metadata, width: float, height: float) -> float | None:
-    """Return the field of view in degrees across the width of the picture as it was taken, zoomed; None if nothing tells it.
+    """Return the field of view in degrees across the width of the picture as taken, with zoom; None if unknown.
 
-    An equivalent focal length tells that across the longer side.
+    An equivalent focal length gives the field of view across the longer side.
     """
     properties = known.properties
     if (ratio := _sensor_ratio(known, width, height)) is not None:
@@ -374,14 +370,14 @@ def _lens_fov(known: _Metadata, width: float, height: float) -> float | None:
 
 
 def _sensor_ratio(known: _Metadata, width: float, height: float) -> float | None:
-    """Return the sensor's width in focal lengths, by a calibration, EXIF's resolution, or Pix4D's; None without one."""
+    """Return the sensor's width in focal lengths, by a calibration, EXIF's resolution, or Pix4D; None without these."""
     properties = known.properties
     for _, (calibrated, across, down) in properties.rows("calibration"):
         if not calibrated or calibrated < 0:
             continue
         if not across or abs(2 * across / width - 1) <= _OFF_CENTRE:
             return width / calibrated
-        # Of another size, the picture was reduced; if it is less wide, too, the calibration is another camera's.
+        # A picture of another size was reduced. If its proportions are less wide, the calibration is another camera's.
         if not down or width / height * down / across >= 1 - _OFF_CENTRE / 2:
             return 2 * across / calibrated
         known.oddities.append("has a focal length calibrated for other proportions, which was not used")
@@ -391,7 +387,7 @@ def _sensor_ratio(known: _Metadata, width: float, height: float) -> float | None
         if focal > 0 and _SENSOR_WIDTHS[0] <= sensor <= _SENSOR_WIDTHS[1]:
             return sensor / focal
     perspective = properties.first("perspective") or 0.0
-    # The principal point is the middle of the sensor, but for some hundredths of its width.
+    # The principal point is the sensor's middle to within some hundredths of its width.
     sensor = 2 * (number(properties.text("principal point").split(",")[0]) or 0.0)
     if (
         perspective > 0
@@ -403,9 +399,8 @@ def _sensor_ratio(known: _Metadata, width: float, height: float) -> float | None
 
 
 def _times(known: _Metadata) -> tuple[float | None, float | None]:
-    """Return the time of exposure in UTC and on the camera's clock, in seconds since 1970-01-01."""
     properties = known.properties
-    # A program that edits a photo sets DateTime, the last of the table, to its own time. Some cameras write blanks for zeros.
+    # Editing programs set DateTime, the last of the table, to the time of the change. Some cameras write blanks for zeros.
     name, stamp = next(properties.texts("taken"), ("", ""))
     clock = _ZONE.sub("", stamp.replace(": ", ":0"))
     taken = moment(clock)
@@ -443,7 +438,7 @@ def set_times(photos: Sequence[Photo]) -> tuple[list[Frame], bool, list[str]]:
     """Put the photos of a flight on one clock, and order them by time, then by name.
 
     Returns:
-        frames; whether their times are UTC, else since the first; notes about the clocks.
+        Frames, whether their times are UTC (else seconds since the first), and notes about the clocks.
     """
     pairs = sorted(photo.utc - photo.local for photo in photos if photo.utc is not None and photo.local is not None)
     notes = _clock_notes(pairs)
@@ -473,12 +468,12 @@ def set_times(photos: Sequence[Photo]) -> tuple[list[Frame], bool, list[str]]:
 
 
 def natural(name: str) -> list[tuple[int, str]]:
-    """Return a sort key that counts numbers in a name: "9.jpg" comes before "10.jpg"."""
+    """Return a sort key that compares numbers in names by value: "9.jpg" precedes "10.jpg"."""
     return [(int(digits or 0), letters.casefold()) for digits, letters in re.findall(r"([0-9]*)([^0-9]*)", name)]
 
 
 def _clock_notes(pairs: Sequence[float]) -> list[str]:
-    """Compare the camera's clock with UTC; `pairs` are their sorted differences in seconds, positive if the camera is behind."""
+    """Compare the camera's clock with UTC; `pairs` are sorted differences in seconds, positive if the camera is behind."""
     if not pairs:
         return []
     middle, spread = pairs[len(pairs) // 2], pairs[-1] - pairs[0]

@@ -14,11 +14,11 @@ from lpn.core.files import first_few
 from lpn.core.numbers import wrap_degrees
 from lpn.flight.files.base import Frame, degrees, local_metres
 
-# The course is measured over this many metres, which position noise of a metre turns by 11 degrees.
+# The course is measured over this many metres; position noise of a metre then turns it by 11 degrees.
 _LEAST_STEP = 5.0
-# Seconds within which a frame's neighbours say the course.
+# Most seconds between a frame and the neighbours that give its course.
 _COURSE_SECONDS = 15.0
-# Courses before and after a frame that differ by more, in degrees, are a turn. The camera's heading in it is unknown.
+# Courses before and after a frame that differ by more degrees are a turn, in which the camera's heading is unknown.
 _TURN = 45.0
 # A speed in m/s that no drone of this kind flies, and the factor of the median step that a jump exceeds.
 _FASTEST, _JUMP = 50.0, 8.0
@@ -28,7 +28,7 @@ _NAMED = 3
 
 
 def with_courses(frames: Sequence[Frame]) -> tuple[list[Frame], list[str]]:
-    """Give frames without a heading their course over ground, where they move and do not turn; and notes about it."""
+    """Fill missing headings with the course over ground where the drone moves straight; return notes about it."""
     places, times = local_metres(degrees(frames)), _times(frames)
     made, courses = [], 0
     for i, frame in enumerate(frames):
@@ -48,7 +48,7 @@ def flight_notes(frames: Sequence[Frame], oddities: Sequence[Sequence[str]] = ()
     """Return notes about a flight: oddities of its frames, missing positions, jumps of the position.
 
     Args:
-        oddities: of each frame: predicates whose subject is the frame.
+        oddities: of each frame, as predicates with the frame as their subject.
     """
     counts = Counter(oddity for some in oddities for oddity in dict.fromkeys(some))
     notes = [f"{count} of {len(frames)} photos: each {oddity}." for oddity, count in counts.items()]
@@ -69,7 +69,7 @@ def _times(frames: Sequence[Frame]) -> Float64Array:
 
 
 def _course(places: Float64Array, times: Float64Array, at: int) -> float | None:
-    """Return the course in degrees at a frame; None where it hovers, turns, or its position is unknown."""
+    """Return the course in degrees at a frame; None if it hovers, turns, or has no position."""
     if np.isnan(places[at, 0]):
         return None
     legs = []
@@ -85,7 +85,7 @@ def _course(places: Float64Array, times: Float64Array, at: int) -> float | None:
 
 
 def _away(places: Float64Array, times: Float64Array, at: int, step: int) -> int | None:
-    """Return the nearest frame before or after one that is some metres away; None if there is none within some seconds."""
+    """Return the nearest frame in one direction at least `_LEAST_STEP` away; None without one in `_COURSE_SECONDS`."""
     other = at + step
     while 0 <= other < len(places):
         if abs(times[other] - times[at]) > _COURSE_SECONDS:

@@ -30,32 +30,32 @@ from lpn.flight.files.subtitles import GpsOrder, Subtitles
 from lpn.flight.files.telemetry import Telemetry
 
 PHOTOS = (".jpg", ".jpeg", ".png", ".webp", ".tif", ".tiff")
-# Pictures of other kinds, which a note names.
+# Pictures of unsupported kinds, which a note names.
 _OTHER_PICTURES = (*images.OTHER_SUFFIXES, ".bmp", ".gif")
-# The tags of GeoTIFF that lay a picture on the ground.
+# The georeferencing tags of GeoTIFF.
 _GEOTIFF = (33550, 34264)
-# The beginning of a track that lpn locate wrote: CSV, GeoJSON, or GPX.
+# The beginning of a track by lpn locate: CSV, GeoJSON, or GPX.
 _OWN_TRACK = re.compile(
     rb'(?:\xef\xbb\xbf)?frame,stage,state,|.*creator="lpn locate"|'
     rb'.*"properties":\s*\{\s*"frame":.*?"stage":.*?"state":',
     re.DOTALL,
 )
-# The formats to give in place of kinds that are not read.
+# Supported formats that replace unsupported kinds.
 _INSTEAD = {
     **dict.fromkeys((".kml", ".kmz"), "GPX or CSV"),
     **dict.fromkeys((".bag", ".db3", ".mcap"), "CSV, .ulg, .tlog, or .bin"),
     **dict.fromkeys((".ass", ".vtt"), "SRT"),
 }
 _NAMED = 5
-# Frames closer together than this in seconds are one picture.
+# Least seconds between two frames of a video.
 _LEAST_EVERY = 0.04
-# Proportions of pictures that differ by less are those of one camera.
+# Proportions of one camera's pictures differ by less than this share.
 _SAME_PROPORTIONS = 0.01
 
 
 @dataclass(frozen=True)
 class FlightOptions:
-    """How a flight is read.
+    """Options of reading a flight.
 
     Attributes:
         every: seconds from one frame of a video to the next.
@@ -64,7 +64,7 @@ class FlightOptions:
         fov: horizontal field of view in degrees, for frames whose files have none.
         pitch: in degrees, for frames whose files have none; -90 is straight down.
         camera: file of the camera's lens, for all frames, see `lpn.flight.files.lenses.read_camera`.
-        clock_offset: seconds to add to the photos' clock for that of a log; None finds it out.
+        clock_offset: seconds to add to the photos' clock for a log's; None estimates it.
     """
 
     every: float = 1.0
@@ -92,7 +92,7 @@ class FlightOptions:
 
 @dataclass(frozen=True)
 class _Files:
-    """Files of a flight by kind; `maps` are pictures that a survey program laid on the ground, and copies of them."""
+    """Files of a flight by kind; `maps` are georeferenced pictures of survey programs."""
 
     photos: list[Path] = field(default_factory=list)
     videos: list[Path] = field(default_factory=list)
@@ -103,7 +103,7 @@ class _Files:
 
     @property
     def notes(self) -> list[str]:
-        """Notes that name the files which are left out."""
+        """Notes that name the files that are left out."""
         kinds = (("their kind is not supported", self.others), ("they are maps, not photos", self.maps))
         return [
             f"Left out, because {why}: {first_few([printable(file.name) for file in files], _NAMED)}."
@@ -116,14 +116,14 @@ def make_flight(files: Sequence[Path], out: Path, options: FlightOptions | None 
     """Read the files of one flight, and write its folder.
 
     Args:
-        files: photos, videos, subtitles, logs, tracks, and folders of photos, videos, and subtitles. A log alone brings the
-            photos that it names from below its folder.
+        files: photos, videos, subtitles, logs, tracks, and folders of photos, videos, and subtitles. A log alone adds the photos
+            below its folder that it names.
         out: the folder; frames of videos are written to `frames` in it.
 
     Raises:
-        DataError: if there are no pictures, none can be read, photos are mixed with videos, or a log or the camera's file is
-            damaged, or the camera's pictures have other proportions than all frames, or a file is a track of `lpn locate`.
-        InputError: if an option is about videos or subtitles, and the files are photos.
+        DataError: if no picture can be read, photos are mixed with videos, a log or the camera's file is damaged, no frame has
+            the proportions of the camera's pictures, or a file is a track of `lpn locate`.
+        InputError: if an option for videos or subtitles is set for photos.
         OutputError: if the folder cannot be written, or holds a flight.csv or flight.json that `lpn flight` did not write.
     """
     options = options or FlightOptions()
@@ -162,7 +162,7 @@ def read_any_log(file: Path) -> Log:
     """Read a log of any kind: a table, a track, or a log of an autopilot.
 
     Raises:
-        DataError: if it is damaged, of no kind that is read, or a track that lpn locate wrote.
+        DataError: if it is damaged, of an unsupported kind, or a track by lpn locate.
     """
     _refuse([file])
     suffix = file.suffix.lower()
@@ -172,7 +172,7 @@ def read_any_log(file: Path) -> Log:
 
 
 def _read_logs(inputs: _Files) -> tuple[dict[Path, Log], list[str]]:
-    """Return the logs and tracks, and a note for each file that is nearly a log; files that are none join the others."""
+    """Return the logs and tracks, and a note for each file that is nearly a log; move other files to `inputs.others`."""
     read: dict[Path, Log] = {}
     notes = []
     for file in list(inputs.logs):
@@ -191,7 +191,7 @@ def _read_logs(inputs: _Files) -> tuple[dict[Path, Log], list[str]]:
 
 
 def _refuse(files: Sequence[Path]) -> None:
-    """Raise DataError if a file is a track or a log of a kind that is not read, or a track that lpn locate wrote."""
+    """Raise DataError for a track or log of an unsupported kind, or a track by lpn locate."""
     for file in files:
         suffix = file.suffix.lower()
         if suffix in _INSTEAD:
@@ -213,13 +213,13 @@ def _refuse(files: Sequence[Path]) -> None:
 
 
 def photos_of(paths: Sequence[Path], name: str) -> Flight:
-    """Read photos as a flight, without writing it; a note names pictures of kinds that are not read.
+    """Read photos as a flight without writing it; a note names pictures of unsupported kinds.
 
     Args:
         paths: photos, and folders of photos.
 
     Raises:
-        DataError: if a path is not there, or none has a photo that can be read.
+        DataError: if a path is missing, or no photo can be read.
     """
     inputs = _sorted_files(paths)
     if not inputs.photos:
@@ -236,13 +236,10 @@ def photos_of(paths: Sequence[Path], name: str) -> Flight:
 def _flight_of_photos(
     files: Sequence[Path], name: str, flight_logs: Sequence[Log] = (), clock_offset: float | None = None
 ) -> Flight:
-    """Return the flight of photos; those that cannot be read are left out, and a note names them.
+    """Return the flight of photos; a note names unreadable ones.
 
     Args:
         flight_logs, clock_offset: see `lpn.flight.files.photo_logs.with_log`.
-
-    Raises:
-        DataError: if no photo can be read, or one is given twice.
     """
     photos, broken = [], []
     for file in files:
@@ -271,7 +268,6 @@ def _left_out(broken: Sequence[str], count: int, noun: str) -> str:
 
 
 def _sorted_files(paths: Sequence[Path]) -> _Files:
-    """Sort files by kind, those of folders too."""
     inputs = _Files()
     kinds = (
         (PHOTOS, inputs.photos),
@@ -296,7 +292,7 @@ def _sorted_files(paths: Sequence[Path]) -> _Files:
 
 
 def _is_map(file: Path) -> bool:
-    """Return whether a picture is a GeoTIFF or has a world file, as survey programs write below the folder of the photos."""
+    """Tell whether a picture is a GeoTIFF or has a world file: survey programs write such files below the photos' folder."""
     world = f".{file.suffix[1:2]}{file.suffix[-1:]}w".lower()
     if any(file.with_suffix(suffix).is_file() for suffix in (world, world.upper(), ".wld")):
         return True
@@ -324,7 +320,6 @@ def _no_pictures(files: _Files) -> str:
 
 
 def _named_by(log: Log, file: Path) -> list[Path]:
-    """Return the photos below a log's folder that it names."""
     rows = logs.rows_by_name(log)
     return [
         photo
@@ -334,7 +329,7 @@ def _named_by(log: Log, file: Path) -> list[Path]:
 
 
 def _with_names(photos: Sequence[Photo]) -> list[Photo]:
-    """Make names unique: if names repeat, use each photo's path below the folder that all of them share."""
+    """Make names unique: if names repeat, use paths below the common folder."""
     counts = Counter(photo.frame.name for photo in photos)
     if len(counts) == len(photos):
         return list(photos)
@@ -350,7 +345,6 @@ def _with_names(photos: Sequence[Photo]) -> list[Photo]:
 def _flight_of_videos(
     files: _Files, flight_logs: Sequence[Log], folder: Path, name: str, options: FlightOptions
 ) -> Flight:
-    """Return the flight of videos; one that cannot be read is left out, and a note names it."""
     parts: list[tuple[videos.VideoFrames, float | None]] = []
     notes = [note for log in flight_logs for note in log.notes]
     broken: list[str] = []
@@ -387,14 +381,14 @@ def _flight_of_videos(
 
 
 def _turned_note(part: videos.VideoFrames, video: Path) -> list[str]:
-    """Return a note, if any, about a video that its file has shown turned."""
+    """Return a note, if any, about a video whose file asks for a turn."""
     if not part.turns:
         return []
     sources = {frame.heading_source for frame in part.frames if frame.heading is not None}
     turned = f"{printable(video.name)} is turned by {90 * part.turns}° by its file"
     if not sources:
         return [f"{turned}."]
-    # A gimbal that rolls the camera leaves the aircraft's heading to the top of the picture.
+    # If the gimbal rolled the camera, the aircraft's heading is not that of the upright picture's top.
     doubt = " If the gimbal itself turned the camera, the heading, which is that of the aircraft, is off by as much."
     return [f"{turned}, and its heading with it.{doubt if 'aircraft' in sources else ''}"]
 
@@ -431,7 +425,7 @@ def _telemetry(
 
 
 def _on_one_clock(parts: Sequence[tuple[videos.VideoFrames, float | None]]) -> tuple[list[Frame], list[str]]:
-    """Put the frames of several videos on one clock that starts with the first; `parts` have each video's start, if known."""
+    """Put the frames of several videos on one clock from the first on; `parts` have each video's start, if known."""
     starts = [start for _, start in parts if start is not None]
     notes = []
     if len(starts) == len(parts):
@@ -449,7 +443,7 @@ def _on_one_clock(parts: Sequence[tuple[videos.VideoFrames, float | None]]) -> t
 
 
 def _with_lens(flight: Flight, lens: Lens, proportions: float) -> Flight:
-    """Give a lens to the frames whose pictures have these proportions (height over width), and say how many they are."""
+    """Set the lens of frames with these proportions (height over width), and add a note with their number."""
     fits = [abs(frame.height / frame.width / proportions - 1) <= _SAME_PROPORTIONS for frame in flight.frames]
     if not any(fits):
         frame = flight.frames[0]
@@ -466,7 +460,7 @@ def _with_lens(flight: Flight, lens: Lens, proportions: float) -> Flight:
 
 
 def _completed(flight: Flight, options: FlightOptions) -> Flight:
-    """Fill unknown fields of view and pitches with those given, and say so."""
+    """Fill unknown fields of view and pitches by the options, and add notes."""
     frames, notes = list(flight.frames), list(flight.notes)
     for name, value, noun in (("fov", options.fov, "field of view"), ("pitch", options.pitch, "pitch")):
         missing = [i for i, frame in enumerate(frames) if getattr(frame, name) is None]

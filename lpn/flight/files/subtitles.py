@@ -1,4 +1,4 @@
-"""Subtitles with telemetry of drones, in a `.SRT` beside a video or inside of it.
+"""Subtitles with telemetry of drones, in a `.SRT` file beside a video or inside the video.
 
     [latitude: 59.30] [longitude: 18.20] [rel_alt: 1.3 abs_alt: 132.8]      DJI, by name; also longtitude, altitude, gb_yaw
     GPS(149.0251,-20.2533,16) BAROMETER:1.9                                 DJI, longitude first, with the number of satellites
@@ -6,8 +6,8 @@
     GPS (-58.85, -34.23, 15), D 698.70m, H 85.80m, G.PRY (-24.4°, 0.0°, 110.4°)    RTK in place of GPS with an RTK fix
     GPS(W: 70.5, S: 33.4, 812.5m) ReH:40.0                                  Autel: letters of hemispheres, with an altitude
 
-rel_alt, BAROMETER, Hb, H, and ReH are heights above take-off; abs_alt and altitude are above the sea. (0, 0) is a position
-before the first fix, and unknown. A heading is that of the gimbal, else of the aircraft. The time of day has no zone.
+rel_alt, BAROMETER, Hb, H, and ReH are heights above take-off; abs_alt and altitude are above the sea. (0, 0), written before the
+first fix, is an unknown position. The gimbal's heading precedes the aircraft's. The time of day has no zone.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ _TAG = re.compile(r"<[^<>\n]{0,200}>")
 # Some firmware of Autel writes a second sign behind the point: -117.-9605.
 _SECOND_SIGN = re.compile(r"(\d\.)-(?=\d)")
 _NUMBER = r"[-+]?[0-9]+(?:\.[0-9]+)?"
-# [name: 1.0 name: 2.0, name: 3.0]; a bracket that the file's end cuts off is none.
+# [name: 1.0 name: 2.0, name: 3.0]; an unclosed bracket at the file's end does not count.
 _BRACKET = re.compile(r"\[([^\[\]\n]{3,400})\]")
 _NAMED = re.compile(rf"([A-Za-z_][A-Za-z_ ]{{0,40}}?) ?: ?({_NUMBER})(?=\s|,\s|,?$)")
 _POSITION = re.compile(r"\b(?:GPS|RTK) ?\(([^()\n]{3,100})\)")
@@ -55,7 +55,7 @@ class Subtitles:
 
     Attributes:
         end: of the last entry in seconds.
-        notes: sentences about what was odd.
+        notes: sentences about oddities.
     """
 
     entries: tuple[TelemetryEntry, ...]
@@ -65,7 +65,7 @@ class Subtitles:
 
 @dataclass(frozen=True)
 class SubtitleBlock:
-    """One subtitle: its text, and its seconds, None in a file without time codes."""
+    """One subtitle: its text and start in seconds; None in a file without time codes."""
 
     text: str
     start: float | None
@@ -76,14 +76,14 @@ def read_subtitles(file: Path, gps_order: GpsOrder | None = None) -> Subtitles:
     """Read a file of subtitles; see `parse_subtitles`.
 
     Raises:
-        DataError: also if the file cannot be read or is larger than 500 MB.
+        DataError: see `parse_subtitles`; also if the file cannot be read or is larger than 500 MB.
     """
     data = values.read_limited(file, _MOST_BYTES, "subtitles with telemetry")
     return parse_subtitles(blocks_of(data), printable(file.name), gps_order)
 
 
 def blocks_of(data: bytes) -> list[SubtitleBlock]:
-    """Split a file of subtitles at the lines that hold an index only, or, without any, at its time codes."""
+    """Split a file of subtitles at lines that hold only an index, or, without such lines, at its time codes."""
     try:
         text = values.decoded(data, "").replace("\r\n", "\n").replace("\r", "\n")
     except DataError:  # without any text there is no subtitle
@@ -101,15 +101,15 @@ def blocks_of(data: bytes) -> list[SubtitleBlock]:
 
 
 def parse_subtitles(blocks: Iterable[SubtitleBlock], name: str, gps_order: GpsOrder | None = None) -> Subtitles:
-    """Return the telemetry of subtitles in any dialect that is known; one file may mix them.
+    """Return the telemetry of subtitles in any known dialect; one file may mix them.
 
     Args:
-        name: the file's, for messages.
-        gps_order: order of the first two values in GPS(a, b, c); None tells it from the dialect, degrees beyond 90, or else takes
-            latitude first with a note.
+        name: of the file, for messages.
+        gps_order: order of the first two values in GPS(a, b, c); None takes the dialect's, else infers it from degrees beyond 90,
+            else takes latitude first with a note.
 
     Raises:
-        DataError: if no subtitle holds telemetry; the message has one line of what they hold.
+        DataError: if no subtitle holds telemetry; the message quotes a line.
     """
     texts: list[tuple[str, float, float | None]] = []
     end, first_clock = 0.0, None
@@ -149,7 +149,7 @@ def parse_subtitles(blocks: Iterable[SubtitleBlock], name: str, gps_order: GpsOr
 
 
 def _a_line(texts: Sequence[tuple[str, float, float | None]]) -> str:
-    """Return the end of a sentence that quotes the line of the subtitles with most digits."""
+    """Return the end of a sentence that quotes the subtitles' line with the most digits."""
     lines = [line.strip() for text, _, _ in texts for line in text.splitlines()]
     lines = [line for line in lines if not _CODES.search(line) and values.moment(line) is None]
     line = max(lines, key=lambda line: sum(map(str.isdigit, line)), default="")
@@ -162,7 +162,7 @@ def _seconds(parts: Sequence[str]) -> float:
 
 
 def _listed(text: str) -> list[str]:
-    """Return the three values of GPS or RTK, the last one "" if it is missing; none without numbers."""
+    """Return the three values of GPS or RTK, the last one "" if missing; an empty list without numbers."""
     for match in _POSITION.finditer(text):
         items = [item.strip() for item in match[1].split(",")]
         if 2 <= len(items) <= 3 and all(values.angle(item) is not None for item in items[:2]):
@@ -188,7 +188,6 @@ def _order(lists: Sequence[list[str]], chosen: GpsOrder | None, name: str) -> tu
 
 
 def _letter(item: str) -> str:
-    """Return the letter of a hemisphere, "" without one."""
     found = re.search(r"[NSEW]", item)
     return "" if found is None else found[0]
 
@@ -196,7 +195,7 @@ def _letter(item: str) -> str:
 def _entry(
     text: str, start: float, clock: float | None, named: Mapping[str, float], items: list[str], order: GpsOrder
 ) -> TelemetryEntry:
-    """Parse one subtitle with the numbers in brackets and the list that it has."""
+    """Parse one subtitle from its text, its named numbers in brackets, and its GPS list."""
     latitude, longitude = named.get("latitude"), _first(named, "longitude", "longtitude")
     altitude, takeoff = _first(named, "abs_alt", "altitude"), named.get("rel_alt")
     if items and (latitude is None or longitude is None):
@@ -217,7 +216,7 @@ def _first(named: Mapping[str, float], *names: str) -> float | None:
 
 
 def _of_list(items: Sequence[str], order: GpsOrder) -> tuple[float | None, float | None]:
-    """Return latitude and longitude of the first two values of a list: by their letters, else in an order."""
+    """Return latitude and longitude from the first two values of a list, by their letters, else by `order`."""
     letters = _letter(items[0]), _letter(items[1])
     if any(letters):
         order = "lat-lon" if letters[0] in ("N", "S") else "lon-lat"
@@ -242,7 +241,7 @@ def _angles(
 
 
 def _fov(text: str, zoom: float | None) -> float | None:
-    """Return the field of view of a focal length that is equivalent to one on 35 mm film: "24.00" or, in tenths, "240"."""
+    """Return the field of view of a 35 mm equivalent focal length, "24.00" or, in tenths, "240"."""
     match = re.search(rf"\[focal_len ?: ?({_NUMBER})[\s\]]", text)
     if match is None:
         return None

@@ -1,4 +1,4 @@
-"""Telemetry: what a subtitle or a row of a log tells about one moment, and its values between two moments."""
+"""Telemetry: the values of a subtitle or log row at one moment, and interpolated between moments."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from lpn.flight.files.base import HeadingSource, local_metres
 
 # Values are not interpolated between entries more than `_GAP` seconds and more than `_GAPS` median steps apart.
 _GAP, _GAPS = 5.0, 3.0
-# A value holds for this many seconds before the first and after the last entry that has it.
+# A value holds for this many seconds before its first and after its last entry.
 _HOLD = 1.5
 _MOST_MARKS = 1_000_000
 _LINEAR = ("latitude", "height_above_ground", "height_above_takeoff", "altitude", "pitch", "roll", "fov")
@@ -49,8 +49,8 @@ class TelemetryEntry:
 class Telemetry:
     """Entries in the order of their times, interpolated linearly.
 
-    A receiver gives a position a few times a second, and the entries between repeat it. Positions are therefore interpolated
-    between the moments at which they change.
+    A receiver updates its position a few times a second, and the entries between repeat it. Positions are therefore interpolated
+    between their changes.
     """
 
     def __init__(self, entries: Sequence[TelemetryEntry]) -> None:
@@ -58,7 +58,7 @@ class Telemetry:
         self._times = np.array([entry.time for entry in self.entries], np.float64)
         steps = np.diff(self._times)
         self._gap = max(_GAP, _GAPS * float(np.median(steps))) if len(steps) else _GAP
-        # The times at which each value is known, and times and values to interpolate between.
+        # Times at which each value is known; then times and values for interpolation.
         self._known_times: dict[str, Float64Array] = {}
         self._known: dict[str, tuple[Float64Array, Float64Array]] = {}
         for name in (*_LINEAR, *_ANGLES):
@@ -95,7 +95,7 @@ class Telemetry:
             return []
         flown = np.cumsum(np.hypot(*np.diff(local_metres(np.stack([latitudes, longitudes], axis=1)), axis=0).T))
         flown = np.concatenate([[0.0], flown])
-        # While the drone hovers, the distance stays the same; its first time counts.
+        # A hovering drone keeps its distance; the first time counts.
         flown, first = np.unique(flown, return_index=True)
         if flown[-1] > _MOST_MARKS * metres:
             raise DataError(
@@ -106,14 +106,14 @@ class Telemetry:
         return [float(time) for time in np.interp(marks, flown, times[first])]
 
     def _changes(self) -> np.typing.NDArray[np.bool_]:
-        """Return a mask of the entries at which the position changes, and of the last entry of each long rest."""
+        """Return a mask of the entries at which the position changes, and of the last entry of each hover."""
         places = [(entry.latitude, entry.longitude) for entry in self.entries]
         keep = np.zeros(len(places), bool)
         start = 0
         for i in range(1, len(places) + 1):
             if i == len(places) or places[i] != places[start]:
                 keep[start] = True
-                # A drone that hovers moves off at the end of its rest, not during it.
+                # A hovering drone moves off at the end of the hover, not during it.
                 keep[i - 1] |= self._times[i - 1] - self._times[start] > _HOLD or i == len(places)
                 start = i
         return keep
@@ -125,10 +125,10 @@ class Telemetry:
         if not len(around) or (np.abs(around - time).min() > _HOLD and not self._between(around, time)):
             return None
         if len(around) == 2 and not self._between(around, time):
-            # Beside a gap the nearer entry's value holds.
+            # In a gap the nearer entry's value holds.
             time = float(around[np.abs(around - time).argmin()])
         return float(np.interp(time, *self._known[name]))
 
     def _between(self, around: Float64Array, time: float) -> bool:
-        """Return whether a time lies between two entries without a gap."""
+        """Tell whether a time lies between two entries without a gap."""
         return len(around) == 2 and around[0] <= time <= around[1] and around[1] - around[0] <= self._gap

@@ -1,4 +1,4 @@
-"""GPX tracks, read by gpxpy as logs of moments; waypoints that are named as pictures are rows of those pictures.
+"""GPX tracks, read by gpxpy as logs of moments; waypoints named like pictures are rows of these pictures.
 
 A file with a DTD is refused before it is parsed, so that no entity is expanded.
 """
@@ -28,14 +28,14 @@ def read_track(file: Path) -> Log:
     """Read a track.
 
     Raises:
-        DataError: if it is no such file, is damaged, has a DTD, or has no point with a position.
+        DataError: if it is no GPX file, is damaged, has a DTD, or has no point with a position.
     """
     name = printable(file.name)
     return parse_track(values.read_limited(file, _MOST_BYTES, "the track of one flight"), name)
 
 
 def parse_track(data: bytes, name: str) -> Log:
-    """Return the track in the contents of a GPX file; see `read_track`.
+    """Parse the contents of a GPX file; see `read_track`.
 
     Args:
         name: the file's, for messages.
@@ -77,7 +77,7 @@ def parse_track(data: bytes, name: str) -> Log:
 
 
 def _points(text: str, name: str) -> list[Any]:
-    """Return the points of tracks, waypoints, and points of routes, but for those at (0, 0), which is unknown."""
+    """Return the points of tracks, waypoints, and routes, except at (0, 0), which means unknown."""
     import gpxpy  # its import takes a tenth of a second
 
     try:

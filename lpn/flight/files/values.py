@@ -1,4 +1,4 @@
-"""Numbers, angles, and times as people and programs write them, and the bytes of text files."""
+"""Numbers, angles, and times in the spellings of people and programs, and decoded text files."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from lpn.core.errors import DataError
 from lpn.core.files import printable
 
 FOOT = 0.3048
-# Signs that mean the same as an ASCII one.
+# Signs and their ASCII equivalents.
 _SIGNS = str.maketrans(
     {
         **dict.fromkeys("−–", "-"), **dict.fromkeys("º˚", "°"), **dict.fromkeys("′’", "'"), **dict.fromkeys("″”", '"'),
@@ -24,7 +24,7 @@ _UNITS = {
     **dict.fromkeys(("", "m", "meter", "meters", "metre", "metres", "°", "deg", "degree", "degrees", "s", "sec"), 1.0),
     **dict.fromkeys(("ft", "feet", "foot"), FOOT), "mm": 0.001, "cm": 0.01, "km": 1000.0,
 }  # fmt: skip
-# Most numbers are so, and are read at once.
+# The format of most numbers, which skips the full parser.
 _SIMPLE = re.compile(r"[-+]?\d{1,15}(?:\.\d{1,20})?(?:[eE][-+]\d{1,3})?", re.ASCII)
 _NUMBER = re.compile(
     r"([-+]?(?:\d+(?:[.,]\d*)?|[.,]\d+)(?:e[-+]?\d{1,3})?)(?:/(\d+(?:\.\d+)?))?\s*(?P<unit>[a-z°]*)"
@@ -42,7 +42,7 @@ _XMP_ANGLE = re.compile(
     rf"(?P<sign>)(?P<before>)(?P<degrees>\d+),(?P<minutes>{_PART})(?:,(?P<seconds>{_PART}))?(?P<after>[NSEW])",
     re.ASCII | re.IGNORECASE,
 )
-# The beginning of a moment in a longer text, and a whole moment.
+# The patterns of a moment: its beginning in a longer text, and the whole.
 _CLOCK = (
     r"(?P<hour>\d{1,2}):(?P<minute>\d{2})(?::(?P<second>\d{2})(?:[.,](?P<fraction>\d{1,9}))?(?:,(?P<micro>\d{3}))?)?"
 )
@@ -73,8 +73,8 @@ def read_limited(file: Path, most_bytes: int, expected: str) -> bytes:
     """Return the contents of a file of telemetry.
 
     Args:
-        most_bytes: the largest size that is read.
-        expected: such a file, for the message about a larger one.
+        most_bytes: the size limit.
+        expected: name of the kind of file, for the message about a larger one.
 
     Raises:
         DataError: if it cannot be read, or is larger.
@@ -104,16 +104,16 @@ def decoded(data: bytes, name: str) -> str:
 
 
 def plain(text: str) -> str:
-    """Return text with ASCII in place of signs that look alike."""
+    """Replace signs by their ASCII look-alikes."""
     return text.translate(_SIGNS)
 
 
 def number(text: str, comma: bool = False) -> float | None:
-    """Return a number in metres, degrees, or seconds, or as it stands; None if it is none.
+    """Parse a number, converted to metres, degrees, or seconds if it has a unit; None for other text.
 
     Args:
         text: such as "45.2 m", "148 ft", "-8759/100", or "512.3 m Below Sea Level".
-        comma: a comma may be the decimal sign; otherwise a number with a comma is none.
+        comma: whether a comma may be the decimal sign; if not, a number with a comma is None.
     """
     if _SIMPLE.fullmatch(text):
         return _finite(float(text))
@@ -128,12 +128,12 @@ def number(text: str, comma: bool = False) -> float | None:
 
 
 def angle(text: str, letters: str = "NSEW", comma: bool = False) -> float | None:
-    """Return degrees, negative for south and west; None if the text is no angle, or its letter is none of `letters`.
+    """Parse an angle in degrees, negative for south and west; None if it is no angle, or its letter is not in `letters`.
 
     Args:
         text: such as "-70.5", "W: 70.5", "47° 18' 4.44\\" N", "47 deg 18.074' N", or "47,18.074N" as XMP has it.
-        letters: of the hemispheres that fit.
-        comma: a comma is the decimal sign.
+        letters: of the accepted hemispheres.
+        comma: whether a comma is the decimal sign.
     """
     if _SIMPLE.fullmatch(text):
         return _finite(float(text))
@@ -146,7 +146,7 @@ def angle(text: str, letters: str = "NSEW", comma: bool = False) -> float | None
     letter = (match["before"] or match["after"] or "").upper()
     degrees, minutes, seconds = (float(match[part] or 0) for part in ("degrees", "minutes", "seconds"))
     has_fraction = "." in match["degrees"] and match["minutes"]
-    # East and north are never negative; a sign beside another letter repeats it.
+    # East and north are never negative; a sign beside S or W repeats the letter.
     if (
         letter not in letters
         or minutes >= 60
@@ -164,10 +164,10 @@ def _finite(value: float) -> float | None:
 
 
 def moment(text: str, day_first: bool = False) -> Moment | None:
-    """Return the moment that a text tells, such as "2024:05:01 14:00:00.5+02:00" or "5/13/2024 1:00 PM"; None if it tells none.
+    """Parse a moment such as "2024:05:01 14:00:00.5+02:00" or "5/13/2024 1:00 PM"; None for other text.
 
     Args:
-        day_first: a date with slashes has the day before the month, as one with points always has.
+        day_first: whether dates with slashes have the day before the month; dates with points always have.
     """
     return _moment(_MOMENT.fullmatch(text.strip()), day_first) if len(text) <= _LONGEST else None
 
@@ -197,7 +197,7 @@ def _moment(match: re.Match[str] | None, day_first: bool) -> Moment | None:
     zone = (match["zone"] or "").replace(":", "")
     if zone[:1] in ("+", "-") and zone[1:]:
         ahead = int(f"{zone[0]}1") * (int(zone[1:3]) * 3600 + int(zone[3:5] or 0) * 60)
-        # No zone is farther from UTC than 14 hours.
+        # Zones lie within 14 hours of UTC.
         if abs(ahead) > 14 * 3600:
             return None
         seconds -= ahead

@@ -1,8 +1,8 @@
 """Logs of autopilots: ULog of PX4, MAVLink of ground stations (.tlog), and data flash of ArduPilot (.bin, or .log as text).
 
-Each is read message by message in the order of time into the rows that tables and tracks have, too. Angles of a gimbal count
-before those of the aircraft; without a gimbal the camera counts as one that looks down from the aircraft's belly. The packages
-that read the files are those of the extra `live`.
+Messages in the order of time become the same rows as those of tables and tracks. A gimbal's angles precede the aircraft's;
+without a gimbal the camera is assumed to look down from the aircraft's belly. The extra `live` has the packages that read the
+files.
 """
 
 from __future__ import annotations
@@ -24,15 +24,15 @@ from lpn.flight.files.telemetry import TelemetryEntry
 from lpn.flight.files.vehicles import VehicleState, euler_degrees
 
 SUFFIXES = (".ulg", ".tlog", ".bin")
-# How files of each kind begin; those of a .tlog begin with a time. ArduPilot's .log is its .bin as text.
+# The first bytes of each kind; a .tlog begins with a time. ArduPilot's .log is its .bin as text.
 _BEGINNINGS = {".ulg": b"ULog\x01\x12\x35", ".bin": b"\xa3\x95\x80", ".log": b"FMT,"}
 _KINDS = {
     ".ulg": "a ULog of PX4", ".tlog": "a MAVLink log of a ground station", ".bin": "a data flash log of ArduPilot",
     ".log": "a data flash log of ArduPilot as text",
 }  # fmt: skip
-# A time under this value is counted from a start; it is not a UTC epoch.
+# A smaller time counts from a start; it is not a UTC epoch.
 _FIRST_EPOCH = 10**8
-# Topics of PX4 that are read.
+# Topics of PX4 that are used.
 _PX4 = (
     "vehicle_global_position",
     "vehicle_gps_position",
@@ -45,7 +45,7 @@ _PX4_GPS = ("vehicle_gps_position", "sensor_gps")
 
 
 def is_vehicle_log(file: Path) -> bool:
-    """Return whether a file's name is that of an autopilot's log, or it is ArduPilot's log as text."""
+    """Tell whether a file has the suffix of an autopilot's log, or is ArduPilot's log as text."""
     suffix = file.suffix.lower()
     return suffix in SUFFIXES or (suffix == ".log" and _beginning(file).startswith(_BEGINNINGS[suffix]))
 
@@ -71,7 +71,7 @@ def read_vehicle_log(file: Path) -> Log:
             entries = list(reader(file, name, notes))
     except (DataError, ModuleNotFoundError):
         raise
-    except Exception as error:  # the packages raise whatever damaged bytes lead to
+    except Exception as error:  # the packages raise all kinds of errors on damaged bytes
         reason = printable(f"{type(error).__name__}: {error}")[:200]
         raise DataError(
             f"{name} is damaged and cannot be read as {_KINDS[suffix]} ({reason}); copy it again."
@@ -113,7 +113,7 @@ def _ulog(file: Path, name: str, notes: list[str]) -> Iterator[TelemetryEntry]:
 
 
 def _lead(receiver: dict[str, Any]) -> float | None:
-    """Return the seconds by which UTC is ahead of the log's clock, by the messages of a receiver; None if it knows no time."""
+    """Return the seconds from the log's clock to UTC by a receiver's messages; None if it has no time."""
     if "time_utc_usec" not in receiver:
         return None
     utc = receiver["time_utc_usec"].astype(np.float64) / 1e6
@@ -129,7 +129,7 @@ def _px4(
     if topic == "vehicle_attitude":
         state.attitude(time, *angles)
     elif topic == "gimbal_device_attitude_status":
-        # Flags as in MAVLink: 16 locks the yaw to north, 32 says that it is from north.
+        # Flags of MAVLink: 16 locks the yaw to north, 32 marks a yaw from north.
         state.gimbal(time, *angles, bool(int(message.get("device_flags", 0)) & 48))
     elif topic == "vehicle_local_position":
         if message.get("dist_bottom_valid"):
@@ -190,7 +190,7 @@ def _ardupilot(
         case "ATT":
             state.attitude(time, message["Roll"], message["Pitch"], message["Yaw"])
         case "MNT" if {"R", "P"} <= message.keys():
-            # The yaw from north is YE, that from the nose YB; NaN where the mount does not know it.
+            # YE is the yaw from north, and YB from the nose; NaN if unknown to the mount.
             north = message.get("YE", math.nan)
             known = math.isfinite(north)
             state.gimbal(time, message["R"], message["P"], north if known else message.get("YB", math.nan), known)

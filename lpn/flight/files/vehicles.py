@@ -10,18 +10,18 @@ import numpy as np
 from lpn.flight.files import cameras
 from lpn.flight.files.telemetry import TelemetryEntry
 
-# Seconds for which an angle or a height holds, and for which positions of the receiver alone give way to filtered ones.
+# Seconds for which an angle or a height holds, and for which a filtered position suppresses raw ones.
 _HOLD = 1.0
-# Least seconds between two entries: pictures need no more, and a log of an hour stays small.
+# Least seconds between two entries, enough for pictures and small for a log of an hour.
 _LEAST_STEP = 0.1
 
 
 @dataclass
 class VehicleState:
-    """The latest attitude, gimbal, and height, which each position is completed with.
+    """The latest attitude, gimbal angles, and heights, which complete each position.
 
-    Times are seconds of one clock in every call. Angles are degrees: heading clockwise from north, pitch positive with the nose
-    up, roll positive with the right side down.
+    Times are seconds of one clock. Angles are in degrees: heading clockwise from north, pitch positive with the nose up, roll
+    positive with the right side down.
     """
 
     _attitude: tuple[float, float, float, float] | None = None
@@ -52,7 +52,7 @@ class VehicleState:
             self._above_ground = time, metres
 
     def above_takeoff(self, time: float, metres: float) -> None:
-        """Take a height above the place of take-off, for entries without a position."""
+        """Take a height above take-off, for entries without a position."""
         if math.isfinite(metres):
             self._above_takeoff = time, metres
 
@@ -74,7 +74,7 @@ class VehicleState:
         raw: bool = False,
         clock: float | None = None,
     ) -> TelemetryEntry | None:
-        """Return the entry of a position, which counts as given by the receiver alone if `raw`.
+        """Return the entry of a position; `raw` marks one of the receiver alone, without a filter.
 
         Returns:
             None if it is no position on the Earth, comes less than 0.1 s after the last, or is raw while filtered ones come.
@@ -97,7 +97,6 @@ class VehicleState:
         return self._entry(TelemetryEntry(time, clock, latitude, longitude, None, takeoff, altitude))
 
     def _entry(self, entry: TelemetryEntry) -> TelemetryEntry:
-        """Return an entry with the latest angles and height above ground."""
         height = self._current(self._above_ground, entry.time)
         entry = replace(entry, height_above_ground=None if height is None else height[1])
         if (gimbal := self._current(self._gimbal, entry.time)) is not None and any(gimbal[1:]):
@@ -115,7 +114,7 @@ class VehicleState:
 
 
 def euler_degrees(w: float, x: float, y: float, z: float) -> tuple[float, float, float]:
-    """Return roll, pitch, and yaw in degrees of a quaternion, turned about z, then y, then x; NaN if its norm is not about 1."""
+    """Return roll, pitch, and yaw (about z, then y, then x) of a quaternion in degrees; NaN if its norm is not about 1."""
     norm = math.sqrt(w * w + x * x + y * y + z * z)
     if not 0.9 < norm < 1.1:
         return math.nan, math.nan, math.nan

@@ -1,7 +1,7 @@
-"""Frames of a video: the sharpest of each second or stretch flown, with its telemetry.
+"""Frames of a video: the sharpest of each second or flown stretch, with its telemetry.
 
-Sharpness is the variance of the Laplacian of the brightness. A video's frames are decoded one after another and one is kept, so
-memory does not grow with its length.
+Sharpness is the variance of the brightness's Laplacian. Frames are decoded one by one and only the best is kept, so memory does
+not grow with the video's length.
 """
 
 from __future__ import annotations
@@ -29,12 +29,12 @@ from lpn.flight.files.telemetry import VALUES, Telemetry
 
 SUFFIXES = (".mp4", ".mov", ".m4v", ".mkv", ".avi")
 SUBTITLES = (".srt",)
-# The sharpest picture of a window of this many seconds is kept; so many of its pictures are compared.
+# The sharpest picture of a window of _WINDOW seconds is kept; at most _CANDIDATES of its pictures are compared.
 _WINDOW, _CANDIDATES = 1.0, 12
 # Pictures are compared at this width.
 _COMPARED_WIDTH = 640
 _JPEG_QUALITY = 95
-# A subtitle file whose length differs from the video's by more seconds, and by a larger share, belongs to another video.
+# A subtitle file belongs to another video if the durations differ by more than these seconds, and by more than this share.
 _DIFFERS, _DIFFERS_SHARE = 3.0, 0.05
 
 
@@ -44,7 +44,7 @@ class VideoFrames:
 
     Attributes:
         duration: of the video in seconds.
-        turns: quarter turns clockwise by which the video's file has its pictures shown, and with them its heading.
+        turns: quarter turns clockwise that the video's file asks for; they turn the heading, too.
     """
 
     frames: tuple[Frame, ...]
@@ -63,11 +63,11 @@ def read_frames(
     """Write the chosen frames of a video as JPEG files, and return them with their telemetry.
 
     Args:
-        folder: of the JPEG files; frames that are there are replaced.
-        every: seconds from one frame to the next, 0.04 or more. The sharpest of the first second from there on is taken.
+        folder: of the JPEG files; existing frames are replaced.
+        every: seconds from one frame to the next, 0.04 or more. The sharpest frame of the following second is taken.
         every_metres: metres flown from one frame to the next, in place of `every`; needs positions.
         telemetry: of the video.
-        across_longer_side: where the telemetry's field of view lies, see `lpn.flight.files.cameras.upright_values`.
+        across_longer_side: see `lpn.flight.files.cameras.upright_values`.
 
     Raises:
         DataError: if the video cannot be read, has no frame, or has no positions for `every_metres`.
@@ -101,13 +101,13 @@ def read_frames(
 
 
 def turns_of(capture: Any) -> int:
-    """Return the quarter turns clockwise by which a video's file has its pictures shown, 0 to 3, of OpenCV's capture of it."""
+    """Return the quarter turns clockwise, 0 to 3, that a video's file asks for, by OpenCV's capture of it."""
     degrees = float(capture.get(cv2.CAP_PROP_ORIENTATION_META))
     return round(degrees / 90) % 4
 
 
 def mismatch(subtitles: Subtitles, name: str, video: Path, duration: float) -> str | None:
-    """Return a note if subtitles last longer or shorter than a video of `duration` seconds; None if they fit."""
+    """Return a note if subtitles do not fit a video of `duration` seconds; None if they do."""
     off = abs(subtitles.end - duration)
     if off <= max(_DIFFERS, _DIFFERS_SHARE * duration):
         return None
@@ -118,7 +118,7 @@ def mismatch(subtitles: Subtitles, name: str, video: Path, duration: float) -> s
 
 
 def began(video: Path) -> float | None:
-    """Return the time in a video's file at which it was made, in seconds since 1970-01-01 in UTC; None without one, or PyAV."""
+    """Return a video's creation time by its file, in seconds since 1970-01-01 in UTC; None without it, or PyAV."""
     if find_spec("av") is None:
         return None
     import av
@@ -134,7 +134,7 @@ def embedded_subtitles(video: Path, gps_order: GpsOrder | None = None) -> Subtit
     """Return the telemetry in the subtitles inside a video; None if it has none.
 
     Raises:
-        DataError: if the video cannot be read, or has subtitles and none of a known dialect.
+        DataError: if the video cannot be read, or its subtitles are of no known dialect.
         ModuleNotFoundError: if PyAV is not installed.
     """
     import av
@@ -172,7 +172,6 @@ def _blocks(container: Any, stream: Any) -> Iterator[SubtitleBlock]:
 def _chosen(
     capture: Any, video: Path, folder: Path, starts: Iterator[float], telemetry: Telemetry | None
 ) -> tuple[list[Frame], float]:
-    """Write the sharpest frame of each window; returns the frames and the time of the video's last picture."""
     frames: list[Frame] = []
     best: tuple[float, float, UInt8Array] | None = None  # sharpness, time, picture
     start, following, time, compared = next(starts), next(starts, math.inf), 0.0, -math.inf
@@ -202,7 +201,6 @@ def _chosen(
 
 
 def _sharpness(picture: UInt8Array) -> float:
-    """Return the variance of the Laplacian of a picture's brightness at the compared width."""
     grey = cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY)
     if grey.shape[1] > _COMPARED_WIDTH:
         size = _COMPARED_WIDTH, max(1, round(grey.shape[0] * _COMPARED_WIDTH / grey.shape[1]))

@@ -1,7 +1,7 @@
 """XMP packets of photos as lists of properties.
 
-A well-formed packet is read by ElementTree. Of a damaged one, attributes and elements that stand whole count. Entities that a
-document type declares are never expanded.
+ElementTree reads a well-formed packet. From a damaged one, complete attributes and elements are used. Entities of a document type
+are never expanded.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ from lpn.flight.files.makers import namespace_of
 
 _MOST_BYTES = 2_000_000
 _OPENING = re.compile(r"<([\w-]{1,40}:(?:xmpmeta|RDF))\b")
-# Namespaces of XMP's own frame, whose elements are no properties.
+# Namespaces of XMP's envelope; their elements are no properties.
 _FRAME = ("{http://www.w3.org/1999/02/22-rdf-syntax-ns#}", "{adobe:ns:meta/}", "{http://www.w3.org/XML/1998/namespace}")
 _MOST_LEVELS = 12
 _PREFIX = re.compile(r"""\bxmlns:([\w-]{1,40})="([^"<]{0,200})""")
-# An attribute with its value, or an element with its text. The bounds keep the search linear.
+# An attribute with its value, or an element with its text. The bounded repeats keep the search linear.
 _PROPERTY = re.compile(
     r'(?<![\w-])([\w-]{1,40}):(\w{1,60})(?:\s{0,9}=\s{0,9}"([^"<>]{0,2000})"|>([^<>]{0,2000})</\1:\2>)'
 )
@@ -43,13 +43,13 @@ class XmpProperty(NamedTuple):
 def read_xmp(packet: bytes) -> tuple[list[XmpProperty], bool]:
     """Return the properties of an XMP packet in their order, and whether it is damaged.
 
-    Attributes, elements, and properties nested in them are read alike. Of a damaged packet, nested ones are left out.
+    Attributes, elements, and nested properties are read alike. Nested properties of a damaged packet are left out.
     """
     wide = packet[:2] in (b"\xff\xfe", b"\xfe\xff")
     text = packet[:_MOST_BYTES].decode("utf-16" if wide else "utf-8", "replace")
     if (opening := _OPENING.search(text)) is None:
         return [], True
-    # A document type stands before the first element, so no entity of it is ever declared to the parser.
+    # The cut removes a document type, which precedes the first element, so the parser sees none of its entities.
     end = text.rfind(f"</{opening[1]}")
     text = text[opening.start() : None if end < 0 else text.find(">", end) + 1]
     try:

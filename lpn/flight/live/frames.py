@@ -1,4 +1,4 @@
-"""Pictures that arrive: a thread reads their source, and one picture waits; a newer one replaces it and counts it as dropped."""
+"""Arriving pictures: a thread reads their source into a queue of one; a newer picture replaces and drops the one that waits."""
 
 from __future__ import annotations
 
@@ -28,25 +28,25 @@ from lpn.flight.files.videos import turns_of
 
 # Called with sentences for the user.
 Say = Callable[[str], None]
-# Seconds between two looks at a folder, and for which a file that cannot be read may still be written.
+# Seconds between two scans of a folder, and seconds for which an unreadable file may still be in writing.
 _POLL, _UNFINISHED = 0.2, 2.0
-# After a look at a folder comes a pause of so many times its duration, at most so many seconds.
+# The pause after a scan of a folder is this many times its duration, up to this many seconds.
 _BACK_OFF, _LONGEST_PAUSE = 9, 15.0
-# Milliseconds for which a stream may be silent, and seconds between two tries to open it.
+# Milliseconds without data after which a stream has stalled, and seconds between two tries to open it.
 _SILENT_MS, _RETRY = 5000, 2.0
 
 
 @dataclass(frozen=True, eq=False)
 class ArrivedPicture:
-    """A picture of a flight that goes on.
+    """A picture of a flight in progress.
 
     Attributes:
-        frame: its name, size, and what its own file says about the camera; `time` is seconds of the source's clock: UTC of a
-            photo, position in a video, None of a stream.
-        received: seconds of the monotonic clock at which it came.
-        picture: RGB, (H, W, 3); None if it is read from the frame's file, which takes no time for those that are dropped.
+        frame: its name, size, and the camera's data of its file; `time` is in seconds: UTC for a photo, the position in a
+            video, None for a stream.
+        received: its arrival in seconds of the monotonic clock.
+        picture: RGB, (H, W, 3); None if it is read from the frame's file on demand, so that dropped pictures are not decoded.
         utc: whether the frame's time is UTC.
-        turns: quarter turns clockwise by which its file has it shown.
+        turns: quarter turns clockwise that its file asks for.
     """
 
     frame: Frame
@@ -74,26 +74,26 @@ class NewestPicture:
         self.dropped = 0
 
     def put(self, picture: ArrivedPicture) -> None:
-        """Replace the picture that waits."""
+        """Replace the waiting picture."""
         with self._changed:
             self.dropped += self._waiting is not None
             self._waiting = picture
             self._changed.notify()
 
     def replaced(self) -> bool:
-        """Count the picture that was taken last as dropped if a newer one waits; return whether one does."""
+        """Tell whether a newer picture waits; if so, count the last one that was taken as dropped."""
         with self._changed:
             self.dropped += self._waiting is not None
             return self._waiting is not None
 
     def end(self) -> None:
-        """Say that no picture will come any more."""
+        """Mark the queue as ended: no picture will follow."""
         with self._changed:
             self._ended = True
             self._changed.notify()
 
     def take(self, seconds: float) -> ArrivedPicture | None:
-        """Return the newest picture as soon as there is one; None after some seconds without one, or at the end."""
+        """Wait for the newest picture and return it; None after these seconds without one, or at the end."""
         with self._changed:
             self._changed.wait_for(lambda: self._waiting is not None or self._ended, seconds)
             picture, self._waiting = self._waiting, None
@@ -107,7 +107,7 @@ class NewestPicture:
 
     @property
     def ended(self) -> bool:
-        """True once no picture waits, and none will come."""
+        """True once no picture waits or will follow."""
         with self._changed:
             return self._ended and self._waiting is None
 
@@ -149,10 +149,10 @@ class LiveSource(ABC):
 
 
 class FolderPictures(LiveSource):
-    """Photos that come into a folder, with their EXIF and XMP; those that are there at the start are left out.
+    """New photos of a folder, with their EXIF and XMP; photos that exist at the start are left out.
 
     Args:
-        folder: which must exist; folders below it count, too.
+        folder: an existing folder; its subfolders count, too.
     """
 
     def __init__(self, folder: Path, say: Say) -> None:
@@ -160,7 +160,7 @@ class FolderPictures(LiveSource):
         self._seen = set[Path]()
         self._folder = folder
         self._seen.update(self._new_photos())
-        # Files that cannot be read yet, and when they were first seen.
+        # Files that cannot be read yet, with the time of the first try.
         self._unfinished: dict[Path, float] = {}
         if self._seen:
             say(f"{len(self._seen)} photos that were in {printable(folder.name)} before are left out.")
@@ -170,13 +170,13 @@ class FolderPictures(LiveSource):
         while not self._stop.wait(pause):
             began = time.monotonic()
             photos = sorted({*self._unfinished, *self._new_photos()})
-            # A folder of a million photos takes longer to list than a small one.
+            # Listing a folder of a million photos takes long.
             pause = max(_POLL, min(_BACK_OFF * (time.monotonic() - began), _LONGEST_PAUSE))
             for file in photos:
                 self._take(file)
 
     def _new_photos(self) -> Iterator[Path]:
-        """Yield the photos that were not seen, of all folders that are not hidden."""
+        """Yield unseen photos of all folders that are not hidden."""
         folders = [self._folder]
         while folders:
             with suppress(OSError):  # it was removed
@@ -237,7 +237,6 @@ class StreamPictures(LiveSource):
             say(f"{self._name} is turned by {90 * self._turns}° by its file, and the heading of its telemetry with it.")
 
     def _opened(self) -> Any:
-        """Return a capture that is open, or None."""
         limits = [cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, _SILENT_MS, cv2.CAP_PROP_READ_TIMEOUT_MSEC, _SILENT_MS]
         capture = cv2.VideoCapture(str(self._source), cv2.CAP_FFMPEG, [] if self._is_file else limits)
         if capture.isOpened():
@@ -270,13 +269,13 @@ class StreamPictures(LiveSource):
             self._capture.release()
 
     def _position(self, count: int) -> float:
-        """Return the seconds from a video's start to the frame that was read last."""
+        """Return the seconds from a video's start to its last read frame."""
         rate = float(self._capture.get(cv2.CAP_PROP_FPS))
         return float(self._capture.get(cv2.CAP_PROP_POS_MSEC)) / 1000 or (count / rate if rate > 0 else 0.0)
 
 
 def shown_name(source: Path | str) -> str:
-    """Return a source's name for sentences and pages: of a file its name, of a stream its address without user and password."""
+    """Return a source's name for display: a file's name, or a stream's address without user and password."""
     if isinstance(source, Path) or "://" not in str(source):
         return printable(Path(str(source)).name or str(source))
     parts = urlsplit(str(source))
@@ -287,7 +286,7 @@ def open_source(source: str, say: Say, fov: float | None = None) -> LiveSource:
     """Open a folder, a video file, or a stream by its address.
 
     Raises:
-        InputError: if it is none of these, or cannot be opened.
+        InputError: for any other source, or one that cannot be opened.
     """
     path = Path(source)
     if path.is_dir():

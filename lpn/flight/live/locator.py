@@ -1,9 +1,9 @@
-"""One frame after another, as they come, by the functions of a whole flight: its windows, sequence, registration, and verdict.
+"""A locator of frames in the order of their arrival: windows, sequence, registration, and verdict of a whole flight.
 
-The sequence of `lpn.flight.locate.sequence` runs forward only: a frame's answer depends on frames before it. Frames that follow
-each other quickly show nearly the same ground, so their scores count less: by the share of the distance between two windows that
-the drone flies meanwhile. Descriptors are centred by the mean of the frames so far, from 20 distinct ones on. An accepted
-registration is evidence for the next frame's place, too; it is refused where the drone can hardly have flown to since the others.
+The sequence of `lpn.flight.locate.sequence` runs forward only: a frame's answer depends on earlier frames. Frames in quick
+succession show nearly the same ground, so a frame's scores are weighted by the distance flown since the last frame, as a share
+of the distance between two windows. Descriptors are centred by the mean of the frames so far, from 20 distinct ones on. An
+accepted registration is also evidence for the next frame's place. It is refused if the drone can hardly have flown there.
 """
 
 from __future__ import annotations
@@ -46,32 +46,32 @@ from lpn.flight.locate.sequence import ForwardFilter, MotionModel, emissions, sc
 from lpn.flight.maps import Map, Window
 from lpn.models.base import Model, normalise, whitened
 
-# Windows that are compared at most, unless their sides are given: a frame taken on the ground would make millions.
+# Most windows that are compared, unless the user sets their sides: a frame taken on the ground would make millions.
 _MOST_WINDOWS = 200_000
-# Distinct frames whose descriptors are kept to centre by, frames of other places whose scores are, and frames that prove the map.
+# Most distinct frames for centring, most frames of other places whose scores are kept, and most frames that prove the map.
 _KEPT, _SCORED, _PROVING = 320, 64, 100
-# Registrations whose turns are kept, the last ones of them that tell how pictures are turned, and how many tell it.
+# Most registrations whose turns are kept, the most recent ones that set the usual turn, and the fewest that set it.
 _TURNED, _RECENT, _TURNS = 20, 7, 3
-# Probability that a registration is false, as one of an equal building is.
+# Probability that a registration is false, such as one on an equal building.
 _FALSE = 0.2
-# Ratio of one side of windows to the next where the first frame tells it.
+# Ratio of one side of windows to the next, where the first frame sets the side.
 _GRID = 1.15
-# A step of more seconds is a jump of the clock.
+# A longer step in seconds is a jump of the clock.
 _LONGEST_STEP = 3600.0
 _STANDARD_SPEED = 10.0
 _AGREE = "The frames so far agree on this place."
-# Of a filter that knows no heading.
+# The headings of a filter without any.
 _NO_HEADING = np.array([math.nan])
 
 
 @dataclass(frozen=True)
 class LiveOptions:
-    """How a flight is located while it flies.
+    """Options of locating a flight while it flies.
 
     Attributes:
         register: whether frames are laid over the map.
         matcher: of the registration; "auto" is XFeat where it is installed.
-        sizes: sides of windows in metres; None takes the ground that the first frame of known height and field of view shows.
+        sizes: sides of windows in metres; None takes the ground of the first frame of known height and field of view.
         overlap: of neighbouring windows, 0 to below 1.
         speed: of the motion model, metres a second, one standard deviation.
         centre: whether descriptors are centred by view and whitened, once there are enough frames.
@@ -99,7 +99,7 @@ class _Ground:
     """The windows of the map, their descriptors, (N, n, D), and the filters over them and over places beyond the map, (B, 2).
 
     Attributes:
-        filter: by all that is known.
+        filter: by all evidence.
         flown: by registrations and motion alone.
     """
 
@@ -116,19 +116,19 @@ class _Ground:
 
 
 class LiveLocator:
-    """Locates one frame after another; see the module. Memory does not grow with the flight.
+    """A locator of one frame after another; see the module. Its memory does not grow with the flight.
 
     Args:
         basemap: the map.
         model: ranks its windows.
-        options: how.
-        on_progress: called while the map's windows are described, once, see `lpn.core.progress.listening`.
+        options: see `LiveOptions`.
+        on_progress: called while the map's windows are described, see `lpn.core.progress.listening`.
     """
 
     def __init__(
         self, basemap: Map, model: Model, options: LiveOptions | None = None, on_progress: Listener = lambda *_: None
     ) -> None:
-        # A frame is one pass of milliseconds, in which further threads save less time than they spin for afterwards.
+        # A frame takes milliseconds; further threads would then spin for longer than they save.
         self.basemap, self.model = basemap, model.for_parallel_inference()
         self.options = options or LiveOptions()
         model.check_view("satellite")
@@ -142,16 +142,16 @@ class LiveLocator:
         self._distinct, self._centred_at = 0, 0
         self._mean: Float32Array | None = None
         self._whitening: Float32Array | None = None
-        # Of frames of other places: their time, the best score of each window, and whether it counts.
+        # Frames of other places: time, best score of each window, and whether the score counts.
         self._scored: deque[tuple[float, Float64Array, BoolArray]] = deque(maxlen=_SCORED)
         self._time: float | None = None
         self._evidence = MapEvidence(basemap.bounds)
         self._before = Before()
-        # Turns of the registrations so far, and whether they stand; and time and place of the last one.
+        # Turns of the last registrations with whether they stand; then time and place of the last one.
         self._turns: deque[tuple[float, bool]] = deque(maxlen=_TURNED)
         self._registered_at: float | None = None
         self._place: Float64Array | None = None
-        # The last frame was registered; frames of other ground were spoken of.
+        # Flags: the last frame was registered; the user was told of frames of other ground.
         self._fresh = self._unfit_said = False
         self._notes: list[str] = []
 
@@ -161,7 +161,7 @@ class LiveLocator:
         return notes
 
     def prepare(self, sizes: Sequence[float]) -> None:
-        """Describe the map's windows of some sides in metres, from the user's cache where they were described before.
+        """Describe the map's windows of these sides in metres; the user's cache has those of earlier runs.
 
         Raises:
             InputError: if no window has data.
@@ -186,14 +186,14 @@ class LiveLocator:
         self._evidence = MapEvidence(self.basemap.bounds, side=side, kept=_PROVING)
         self._centre()
         noise = np.random.default_rng(0).integers(0, 255, (256, 256, 3), np.uint8)
-        for kind in self._features:  # loading a matcher's network takes seconds, which the first frame has not
+        for kind in self._features:  # load a matcher's network, which takes seconds, before the first frame
             kind.matcher.features(noise, None, 16)
 
     def locate(self, frame: Frame, photo: UInt8Array) -> LocatedFrame:
         """Locate the next frame.
 
         Args:
-            frame: with heading, height, and time as far as they are known.
+            frame: with heading, height, and time where known.
             photo: its picture, RGB (H, W, 3).
         """
         ground = self._windows_for(frame)
@@ -205,7 +205,7 @@ class LiveLocator:
         ranked = self._ranked(ground, frame, photo)
         self._weigh(ground, ranked, frame)
         located.stages["sequence"] = answer = self._sequence(ground)
-        if not answer.accepted:  # else the registration searches there alone
+        if not answer.accepted:  # otherwise the registration searches there alone
             located.windows = best_windows(ranked, 0, 2)
         if self.options.register:
             self._register(located, ground, photo)
@@ -215,10 +215,10 @@ class LiveLocator:
         return located
 
     def begin(self, frame: Frame) -> bool:
-        """Describe the map's windows in the size that a first frame shows; return whether they had to be described."""
+        """Describe the map's windows in the size of a first frame's ground; return False if this was done before."""
         if self._ground is not None:
             return False
-        # In few different sizes, so that the next flight finds its windows described.
+        # Sizes are rounded, so that the cache often has the windows of the next flight.
         sizes = [_GRID ** round(math.log(size, _GRID)) for size in pyramid_sizes(self.basemap, [frame])]
         if self.options.sizes is None:
             west, south, east, north = self.basemap.bounds
@@ -232,7 +232,7 @@ class LiveLocator:
         return True
 
     def _windows_for(self, frame: Frame) -> _Ground:
-        """Return the windows, and say once if frames show other ground."""
+        """Return the windows; tell the user once if frames show ground of another size."""
         self.begin(frame)
         assert self._ground is not None
         cut = cut_size(frame)
@@ -247,7 +247,7 @@ class LiveLocator:
         return self._ground
 
     def _elapsed(self, frame: Frame) -> float:
-        """Return the seconds since the last frame; NaN if they are unknown, or the clock has jumped."""
+        """Return the seconds since the last frame; NaN if unknown, or if the clock has jumped."""
         if frame.time is None or self._time is None:
             return math.nan
         elapsed = frame.time - self._time
@@ -260,7 +260,7 @@ class LiveLocator:
         return math.nan
 
     def _headings(self, frame: Frame) -> list[float]:
-        """Return the headings in degrees to try; one if it is certain, or registrations tell how the picture is turned."""
+        """Return the headings in degrees to try: one if it is certain or registrations tell the turn, else several."""
         turns = self._told_turns()
         if frame.heading is not None and not heading_is_certain(frame) and len(turns) >= _TURNS:
             return [(frame.heading + float(np.median(turns))) % 360.0]
@@ -296,7 +296,7 @@ class LiveLocator:
         )
 
     def _keep(self, described: Float32Array) -> None:
-        """Keep the descriptor of a frame unlike the last one kept; centre anew each time there are twice as many."""
+        """Keep the descriptor of a frame unlike the last kept one; centre again whenever their number has doubled."""
         last = self._kept[-1] if self._kept else None
         if last is not None and float(described.ravel() @ last.ravel()) >= ALIKE:
             return
@@ -306,7 +306,7 @@ class LiveLocator:
             self._centre()
 
     def _centre(self) -> None:
-        """Subtract the means of windows and of frames so far, and whiten, if there are enough frames."""
+        """Subtract the means of windows and frames, and whiten, if there are enough frames."""
         assert self._ground is not None
         self._tiles = self._ground.raw
         if not self.options.centre or self._distinct < MIN_DISTINCT:
@@ -317,7 +317,7 @@ class LiveLocator:
         of_tiles = self._tiles.mean(axis=0)
         self._whitening = whitening_of(self._tiles - of_tiles, frames - self._mean)
         self._tiles = normalise(whitened(self._tiles - of_tiles, self._whitening))
-        self._scored.clear()  # scores change, and with them what each window usually gets
+        self._scored.clear()  # earlier scores are of other descriptors
 
     def _weigh(self, ground: _Ground, ranked: MapRetrieval, frame: Frame) -> None:
         """Move the belief to the frame, and weigh it with the frame's scores."""
@@ -342,12 +342,11 @@ class LiveLocator:
             ground.filter.weigh(weight * emissions(values, beyond=len(ground.beyond), alike=alike))
 
     def _sequence(self, ground: _Ground) -> StageRecord:
-        """Return the answer of the sequence."""
         point = ground.filter.point(OVERLAP * ground.side)
         return sequence_answer(point, ground.side, ground.step, self._evidence.log_odds >= ENOUGH, _AGREE)
 
     def _register(self, located: LocatedFrame, ground: _Ground, photo: UInt8Array) -> None:
-        """Lay the photo over the map near the prediction, and weigh the belief with where it lies."""
+        """Register the photo near the prediction, and weigh the belief with its place."""
         frame, sure = located.frame, located.stages["sequence"].accepted
         side = 2 * self.options.speed if sure and self._fresh else ground.side
         search = PhotoSearch(
@@ -365,11 +364,11 @@ class LiveLocator:
             register_photo(search), self.basemap.total_error(map_error), self.basemap.place_error(map_error)
         )
         answer = compared(self.basemap, answer, search.photo)
-        # A place that the map contradicts may be an equal building, and shows nothing.
+        # A place that the map contradicts may be an equal building, and proves nothing.
         if counts := answer.accepted and map_misfit(answer) is None:
             answer = self._continuous(ground, located, answer)
         else:
-            # Photos that fit nowhere show ground beyond the map, where an equal building is turned alike time and again.
+            # Photos that fit nowhere show ground beyond the map; there, an equal building fits at the same turn again and again.
             self._turns = deque((one for one in self._turns if one[1]), _TURNED)
         located.stages["registration"] = answer
         self._fresh = counts and answer.accepted
@@ -380,7 +379,7 @@ class LiveLocator:
             self._place = located.middle(answer)
 
     def _continuous(self, ground: _Ground, located: LocatedFrame, answer: StageRecord) -> StageRecord:
-        """Refuse a registration that is turned otherwise than those before, or that the drone can hardly have flown to."""
+        """Refuse a registration at another turn than earlier ones, or at a place that the drone can hardly have reached."""
         if (degrees := self._other_turn(located.frame, answer)) is not None:
             return answer.refused("turned", degrees=degrees)
         time, before = located.frame.time, self._registered_at
@@ -390,12 +389,12 @@ class LiveLocator:
         belief = ground.flown.belief
         assert belief is not None
         is_false = _FALSE / len(belief) > 0.5 * float((belief * np.exp(likely)).sum())
-        # Registrations that agree with each other elsewhere move the belief, and count again; a false place may come back, too.
+        # A false registration counts by half, so that several that agree elsewhere still move the belief.
         ground.flown.weigh(likely / 2 if is_false else likely)
         return answer.refused("unreachable") if is_false else answer
 
     def _likely(self, ground: _Ground, located: LocatedFrame, answer: StageRecord, beyond: int = 0) -> Float64Array:
-        """Return the log probability of a registration if the drone is at each window, or beyond the map, (N + B, 1)."""
+        """Return the log probability of a registration for each place of the drone, window or beyond the map, (N + B, 1)."""
         place = located.middle(answer)
         deviation = math.hypot(answer.radius or 0.0, ground.step)
         near = np.exp(-((ground.places - place) ** 2).sum(axis=1) / (2 * deviation**2))
@@ -403,7 +402,7 @@ class LiveLocator:
         return np.asarray(np.log((1 - _FALSE) * near + _FALSE / len(ground.places))[:, None])
 
     def _other_turn(self, frame: Frame, answer: StageRecord) -> float | None:
-        """Return the degrees between a registration's turn and those before, if these show that it is another place."""
+        """Return the degrees between a registration's turn and earlier ones if these show that it is another place."""
         if answer.turn is None:
             return None
         usual, refused = self._told_turns(), [turn for turn, stands in self._turns if not stands]
@@ -415,13 +414,12 @@ class LiveLocator:
             kept = [*((turn, True) for turn in usual), *((turn, False) for turn in alike), (answer.turn, False)]
             self._turns = deque(kept, _TURNED)
             return degrees
-        # Either it is turned as those before, or so many are turned as it is that the headings count as changed.
+        # Its turn is that of earlier registrations, or enough registrations share it that the headings count as changed.
         standing = usual if degrees is None else alike
         self._turns = deque([*((turn, True) for turn in standing), (answer.turn, True)], _TURNED)
         return None
 
     def _told_turns(self) -> list[float]:
-        """Return the turns of the last registrations that stand."""
         return [turn for turn, stands in self._turns if stands][-_RECENT:]
 
     @property

@@ -1,4 +1,4 @@
-"""Answers of a flight that goes on, as they are made: lines of GeoJSON."""
+"""Answers of a flight in progress as lines of GeoJSON."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from lpn.flight.locate.located import LocatedFrame, StageRecord
 
 @dataclass(frozen=True, eq=False)
 class LiveFix:
-    """The answer for one frame of a flight that goes on.
+    """The answer for one frame of a flight in progress.
 
     Attributes:
         located: the frame with the answers of its stages.
-        best: the answer that counts, of the registration or the sequence, moved below the camera as far as its tilt is known.
+        best: the answer of the registration or the sequence, moved below the camera where the tilt is known.
         latitude, longitude: WGS 84 degrees; None without a place.
-        clock: of the frame in seconds since 1970 in UTC.
+        clock: time of the frame in seconds since 1970 in UTC.
         age: seconds from the frame's arrival to the answer.
-        dropped: frames before this one that were replaced by newer ones, since the start.
+        dropped: number of earlier frames that newer ones replaced.
         telemetry_age: seconds between frame and telemetry; None without telemetry.
         pixels: of the frame, RGB (H, W, 3).
     """
@@ -41,12 +41,12 @@ class LiveFix:
 
     @property
     def answer(self) -> StageRecord:
-        """The answer that counts."""
+        """The answer of `best`."""
         return self.best.answer
 
     @property
     def may_correct(self) -> bool:
-        """True if the place counts: the vehicle's own position, which may have drifted, alone holds none back."""
+        """True if the place may correct the vehicle's position: a contradiction by that position alone is no obstacle."""
         return self.best.usable or (self.answer.accepted and self.best.doubt == ("tag",))
 
     def feature(self) -> dict[str, Any]:

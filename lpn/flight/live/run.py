@@ -1,4 +1,4 @@
-"""A flight that is located while it flies: pictures and telemetry come in, answers go out, until the flight ends."""
+"""A run over a flight in progress: pictures and telemetry come in and answers go out until the flight ends."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ from lpn.flight.locate.located import LocatedFrame
 
 # Seconds without a frame after which the source counts as stalled.
 _STALLED = 5.0
-# Frames in a row without a place to use, or with one against their tags, after which a sentence says so.
+# Frames in a row without a usable place, or with one against their tags, after which the user is told.
 _REFUSED = 10
-# Seconds for which one look at the queue waits.
+# Seconds for which one read of the queue waits.
 _LOOK = 0.2
 
 
@@ -34,15 +34,15 @@ class FixOutput(Protocol):
 
 
 class LiveRun:
-    """Locates the frames of a source one after another.
+    """A loop that locates the frames of a source one after another.
 
     Args:
         source: of the pictures; it is started and closed here.
         telemetry: of the pictures; it is closed here.
         locator: of the frames.
-        outputs: that take each fix.
-        say: receives sentences about what is odd.
-        idle: seconds without a frame after which the run ends; None waits for ever, unless the source itself ends.
+        outputs: receivers of each fix.
+        say: receives sentences about oddities.
+        idle: seconds without a frame after which the run ends; None waits until the source ends.
         stop: ends the run once it is set.
     """
 
@@ -59,9 +59,9 @@ class LiveRun:
         self._source, self._telemetry, self._locator, self._outputs = source, telemetry, locator, outputs
         self._say, self._idle = say, idle
         self._stop = stop or threading.Event()
-        # The wall clock may jump while the flight goes on; it is read once.
+        # The wall clock may jump during the flight, so it is read once.
         self._clock_lead = time.time() - time.monotonic()
-        # The frames in a row without a place that may be used, by state, and those that their tags alone contradict.
+        # Frames in a row without a usable place, by state, and frames that only their tags contradict.
         self._unplaced, self._apart = Counter[str](), 0
         self._failed: set[int] = set()
         self._problem = ""
@@ -86,7 +86,7 @@ class LiveRun:
         return count
 
     def _pictures(self) -> Iterator[ArrivedPicture]:
-        """Yield the newest picture again and again, and say when none comes."""
+        """Yield the newest picture repeatedly, and tell the user when none arrives."""
         came, stalled = time.monotonic(), False
         while not self._stop.is_set() and not self._source.newest.ended:
             picture = self._source.newest.take(_LOOK)
@@ -146,7 +146,7 @@ class LiveRun:
                 self._failed.add(i)
 
     def _watch(self, fix: LiveFix) -> None:
-        """Say when frames one after another have no place that may be used, or another one than their tags."""
+        """Tell the user when many frames in a row have no usable place, or another one than their tags."""
         self._apart = self._apart + 1 if fix.may_correct and not fix.best.usable else 0
         if self._apart == _REFUSED:
             self._say(
@@ -169,9 +169,9 @@ class LiveRun:
 
 
 def live_answer(located: LocatedFrame) -> BestAnswer:
-    """Return the answer that counts, as `lpn locate --best` has it: an accepted registration, else that of the sequence.
+    """Return the best answer, as of `lpn locate --best`: an accepted registration, else the sequence's.
 
-    It is moved below the camera as far as its tilt is known, see `below_camera`. A refused place of the sequence is told, too.
+    It is moved below the camera where the tilt is known, see `below_camera`. The sequence's answer may be a refused one.
     """
     best = best_answer(located, last="sequence")
     answer = located.stages["sequence"] if best.verdict.stage is None else best.answer

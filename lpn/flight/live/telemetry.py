@@ -1,4 +1,4 @@
-"""Heading, height, and position of each picture that arrives: by a MAVLink link, or from a log of any kind."""
+"""Heading, height, and position of each arriving picture, by a MAVLink link or from a log of any kind."""
 
 from __future__ import annotations
 
@@ -21,29 +21,29 @@ from lpn.flight.files.telemetry import VALUES, Telemetry, TelemetryEntry
 from lpn.flight.files.videos import SUBTITLES
 from lpn.flight.live.frames import ArrivedPicture, Say
 
-# Seconds after which the values that change quickly, and heights, count no longer.
+# Seconds for which quickly changing values hold, and heights.
 FRESH, _HEIGHT_HOLDS = 2.0, 10.0
 _QUICK = ("heading", "heading_source", "pitch", "roll", "latitude", "longitude")
-# Entries of a link in memory, some seconds of them.
+# Most entries of a link in memory, some seconds' worth.
 _ENTRIES = 256
 _WAIT = 0.2
 
 
 class TelemetryValue(NamedTuple):
-    """A picture's frame with what telemetry says, and the seconds between the picture and the telemetry; None without any."""
+    """A picture's frame with its telemetry, and the seconds between the two; None without telemetry."""
 
     frame: Frame
     age: float | None
 
 
 class LiveTelemetry:
-    """A source of heading, height, and position of pictures; this one adds nothing to what the picture's own file says."""
+    """A source of heading, height, and position of pictures; this base class adds nothing to the picture's file."""
 
-    # The field of view of the telemetry lies across the longer side of the picture, as subtitles tell it.
+    # True if the telemetry's field of view is across the longer side of the picture, as in subtitles.
     _across_longer_side = False
 
     def value(self, picture: ArrivedPicture) -> TelemetryValue:
-        """Return the picture's frame with the telemetry of its moment."""
+        """Return the picture's frame with the telemetry at its time."""
         return TelemetryValue(picture.frame, None)
 
     def _frame(self, picture: ArrivedPicture, known: dict[str, Any]) -> Frame:
@@ -56,7 +56,7 @@ class LiveTelemetry:
 
 
 class LogTelemetry(LiveTelemetry):
-    """A log or track, by UTC where log and pictures have it, else from the first picture and the log's first row on.
+    """A log or track, matched by UTC where both have it, else with the first picture at the log's first row.
 
     Raises:
         DataError: if it has no times.
@@ -104,7 +104,7 @@ class MavlinkLink(LiveTelemetry):
     The first system that sends a position is the vehicle. Heading, tilt, and position count for 2 s, heights for 10 s.
 
     Args:
-        address: as pymavlink takes it, such as udp:127.0.0.1:14550, tcp:127.0.0.1:5760, or a serial device.
+        address: in pymavlink's format, such as udp:127.0.0.1:14550, tcp:127.0.0.1:5760, or a serial device.
 
     Raises:
         InputError: if the address cannot be opened.
@@ -137,7 +137,7 @@ class MavlinkLink(LiveTelemetry):
         if not entries:
             self._warn(f"No position has come by {self._address} yet; frames have no heading and no height.")
             return TelemetryValue(picture.frame, None)
-        # Entries without a position count where none with one is nearly as near.
+        # Prefer an entry with a position to a slightly nearer one without.
         nearest = min(entries, key=lambda entry: abs(entry.time - picture.received) + FRESH * (entry.latitude is None))
         age = picture.received - nearest.time
         known: dict[str, Any] = {name: value for name in VALUES if (value := getattr(nearest, name)) is not None}
@@ -204,7 +204,7 @@ def open_link(address: str) -> Any:
 
 
 def open_telemetry(source: str | None, say: Say) -> LiveTelemetry:
-    """Open a log or track if `source` is a file, else a MAVLink link; None has no telemetry.
+    """Open a log or track if `source` is a file, else a MAVLink link; None opens a source without telemetry.
 
     Raises:
         DataError: if the log cannot be read.

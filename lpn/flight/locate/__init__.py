@@ -1,6 +1,6 @@
-"""Where each picture of a flight was taken, and whether to believe it: `retrieval` ranks windows of the map, `sequence` lets
-frames correct each other, `registration` lays a photo over the map, `tracks` writes the result, `measures` grades it, and `task`
-makes a task of it for the explorer.
+"""The place of each picture of a flight, and a verdict on it: `retrieval` ranks windows of the map, `sequence` smooths the track,
+`registration` lays a photo over the map, `tracks` writes the result, `errors` measures it, and `task` makes it a task for the
+explorer.
 
 It imports `analysis` and the packages below it; `cli` and the explorer import it.
 """

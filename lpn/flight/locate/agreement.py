@@ -1,7 +1,7 @@
-"""How far places of a registered photo lie from where the map has them, beyond the one transformation that lays the photo.
+"""Offsets between a registered photo and the map, place by place.
 
-A map that is pieced together, a lens, and whatever stands on the ground bend a photo against its map. Square places of the laid
-photo are matched with the map around them by normalised cross-correlation, and back.
+A mosaic's seams, a lens, and objects on the ground bend a photo against its map, beyond the one transformation of the
+registration. Square places of the laid photo are matched with the map around them by normalised cross-correlation, and back.
 """
 
 from __future__ import annotations
@@ -17,21 +17,22 @@ from lpn.core.arrays import BoolArray, Float32Array, Float64Array, UInt8Array
 from lpn.core.homography import apply_homography, corner_pixels, inverse, middle_pixel
 from lpn.flight.maps import Map, Window
 
-# Pixels of the square that holds the laid photo, of a place's side, and of how far from its place it is looked for.
+# Pixels of the square around the laid photo, of a place's side, and of the search around a place.
 _PHOTO, _PLACE, _REACH = 456, 56, 64
-# Pixels of the square of ground that is compared: places at the photo's border are looked for there and back.
+# Pixels of the square of ground that is compared: places at the photo's border are searched there and back.
 _SIDE = _PHOTO + 4 * _REACH
 # The most metres that a photo's square may hold.
 _LARGEST = 5000.0
-# Standard deviation of the blur, in pixels, that is taken out: light and season differ more than edges do.
+# Standard deviation in pixels of the blur that is subtracted: light and season differ more than edges.
 _BLUR = 8.0
-# A place counts if its correlation is so high, stands out so much from all that is more pixels away, and leads back so near.
+# A place counts if its correlation is at least _LEAST, exceeds all others more than _BESIDE pixels away by _STANDS_OUT, and the
+# match back ends within _BACK pixels.
 _LEAST, _STANDS_OUT, _BESIDE, _BACK = 0.55, 0.15, 5, 3.0
-# The share of a place that photo and map must show, and its least contrast in grey levels.
+# Least share of a place that photo and map show, and its least contrast in grey levels.
 _SHOWN, _CONTRAST = 0.98, 2.0
 # Fewer places of a photo tell nothing of the rest.
 _FEW_PLACES = 3
-# A place that lies so near the border of what was searched, as a share of it, may have others beyond.
+# Beyond this share of the searched distance, other places may lie outside of the search.
 _BORDER = 0.9
 
 
@@ -39,8 +40,8 @@ class PhotoPlaces(msgspec.Struct, frozen=True):
     """Places of a photo with their offsets on the map.
 
     Attributes:
-        rows: for each place its shares of the photo's width and height, then from where the registration lays it to where the
-            map has it, metres east and north.
+        rows: for each place its shares of the photo's width and height, then its offset from the registration to the map in
+            metres east and north.
     """
 
     rows: list[tuple[float, float, float, float]]
@@ -52,48 +53,47 @@ class PhotoPlaces(msgspec.Struct, frozen=True):
 
     @property
     def offsets(self) -> Float64Array:
-        """From where the registration lays them to where the map has them, metres east and north, (N, 2)."""
+        """Offsets from the registration to the map, metres east and north, (N, 2)."""
         return np.array(self.rows, np.float64).reshape(-1, 4)[:, 2:]
 
     @property
     def metres(self) -> Float64Array:
-        """The lengths of `offsets`, (N,)."""
         return cast(Float64Array, np.hypot(*self.offsets.T))
 
 
 def offset_rows(places: Float64Array, offsets: Float64Array, digits: int) -> list[tuple[float, float, float, float]]:
-    """Return the rows of `PhotoPlaces` of places (N, 2) and offsets (N, 2), metres rounded to so many digits."""
+    """Return the rows of `PhotoPlaces` for places (N, 2) and offsets (N, 2), in metres rounded to these digits."""
     rounded = np.hstack([places.round(4), offsets.round(digits)]).tolist()
     return [(across, down, east, north) for across, down, east, north in rounded]
 
 
 class MapAgreement(PhotoPlaces, frozen=True):
-    """Places of a photo, and how far from them the map has what they show.
+    """Places of a photo with their offsets by cross-correlation.
 
     Attributes:
-        reach: metres east, west, north, and south within which a place was looked for.
+        reach: metres of the search around a place, to the east, west, north, and south.
     """
 
     reach: float
 
     @classmethod
     def of(cls, places: Float64Array, offsets: Float64Array, reach: float) -> MapAgreement:
-        """Keep places (N, 2) and offsets (N, 2), to centimetres."""
+        """Make a record of places (N, 2) and offsets (N, 2), rounded to centimetres."""
         return cls(offset_rows(places, offsets, 2), round(reach, 2))
 
     @property
     def median(self) -> float | None:
-        """Median of `metres`; None where too few places are found to tell."""
+        """Median length of the offsets; None with too few places."""
         return float(np.median(self.metres)) if len(self.rows) >= _FEW_PLACES else None
 
     @property
     def largest(self) -> float | None:
-        """The most of `metres`; None where too few places are found to tell."""
+        """Largest length of the offsets; None with too few places."""
         return float(self.metres.max()) if len(self.rows) >= _FEW_PLACES else None
 
     @property
     def unchecked(self) -> str:
-        """Say that too few places are found to check the photo away from its middle; "" if they are enough."""
+        """A sentence that too few places are found to check the photo away from its middle; "" if enough are."""
         count = len(self.rows)
         if count >= _FEW_PLACES:
             return ""
@@ -105,7 +105,7 @@ class MapAgreement(PhotoPlaces, frozen=True):
 
     @property
     def may_be_larger(self) -> bool:
-        """True if the farthest place lies so near the border of what was searched that others may lie beyond."""
+        """True if the largest offset is so near the limit of the search that larger ones may exist."""
         return bool(self.rows) and float(np.abs(self.offsets[self.metres.argmax()]).max()) >= _BORDER * self.reach
 
 
@@ -120,13 +120,13 @@ def map_agreement(basemap: Map, photo: UInt8Array, homography: Float64Array, siz
     corners = apply_homography(homography, corner_pixels(*size))
     middle = apply_homography(homography, middle_pixel(*size))
     extent = 2 * float(np.abs(corners - middle).max())
-    if not extent <= _LARGEST:  # a border of the photo looks above the horizon, or nearly so
+    if not extent <= _LARGEST:  # the photo looks above the horizon, or nearly so
         return MapAgreement([], 0.0)
     scale = _PHOTO / extent
     side = _SIDE / scale
     photo = images.shrink(photo, _PHOTO)
     height, width = photo.shape[:2]
-    # From pixels of the photo as it is given to those of its own size, to metres, to pixels of the square of ground.
+    # From pixels of this photo to pixels of its own size, to metres, to pixels of the square of ground.
     zoom = np.array([size[0] / width, size[1] / height])
     own = np.array([[zoom[0], 0, (zoom[0] - 1) / 2], [0, zoom[1], (zoom[1] - 1) / 2], [0, 0, 1]])
     half = (_SIDE - 1) / 2
@@ -151,7 +151,7 @@ def map_agreement(basemap: Map, photo: UInt8Array, homography: Float64Array, siz
 
 
 def _edges(picture: UInt8Array) -> Float32Array:
-    """Return what is finer than the blur, in grey levels."""
+    """Return the detail finer than the blur, in grey levels."""
     grey = cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY).astype(np.float32)
     return np.asarray(grey - cv2.GaussianBlur(grey, (0, 0), _BLUR), np.float32)
 
@@ -170,10 +170,7 @@ def _comparable(laid: Float32Array, seen: BoolArray, valid: BoolArray, place: tu
 
 
 def _match(one: Float32Array, other: Float32Array, place: tuple[int, int]) -> tuple[int, int] | None:
-    """Return where another picture has what a place of one shows; None if that is not clear.
-
-    The best place on the border of what is searched is not clear either: a better one may lie beyond.
-    """
+    """Return the match of a picture's place in another; None if it is unclear, or at the border of the search."""
     searched = other[_around(place, _REACH)]
     if searched.shape != (_PLACE + 2 * _REACH,) * 2:
         return None

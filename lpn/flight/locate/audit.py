@@ -10,11 +10,11 @@ import numpy as np
 from lpn.core.arrays import Float64Array
 from lpn.core.numbers import upper_bound
 
-# A position that is not known.
+# An unknown position.
 UNKNOWN = (float("nan"), float("nan"))
-# Frames that a lag is estimated from, at least.
+# Fewest frames for the estimate of a lag.
 MIN_FRAMES = 8
-# A gap of more seconds between neighbours gives no velocity.
+# Most seconds between neighbours that give a velocity.
 _GAP = 30.0
 # Multiples of the robust spread beyond which a frame counts less (Huber).
 _HUBER = 1.345
@@ -25,15 +25,15 @@ class TagAudit:
     """Tags against registered positions.
 
     Attributes:
-        frames: frames with both.
+        frames: number of frames with both.
         median, largest: metres between tag and registered position.
         lag: seconds by which tags are late; None if it cannot be estimated.
         lag_error: its standard error in seconds.
-        without_lag: median of the metres that remain without the lag and the constant offset beside it.
-        offset: metres of that offset, from the positions to the tags without the lag; it may be the map's.
-        without_offset: median of the metres that remain without the constant offset that explains most if there is no lag.
-        ahead: metres flown in the lag at the median speed, which a tilted camera may look ahead instead (behind, if negative);
-            None if the positions are the camera's.
+        without_lag: median residual in metres after the lag and a constant offset are subtracted.
+        offset: metres of that offset, from the positions to the tags; it may be the map's error.
+        without_offset: median residual in metres after the best constant offset alone is subtracted.
+        ahead: metres flown in the lag at the median speed. A tilted camera may look ahead (behind, if negative) by as much
+            instead. None if the positions are the camera's.
     """
 
     frames: int
@@ -48,15 +48,15 @@ class TagAudit:
 
     @property
     def has_lag(self) -> bool:
-        """True if the tags have a constant lag: one that is larger than its error, and explains their differences."""
+        """True if the tags have a constant lag that clearly exceeds its error and explains their differences."""
         if self.lag is None or self.lag_error is None or self.without_lag is None or self.without_offset is None:
             return False
-        # A lag that is as small as its error, or explains nothing beyond a constant offset, is none.
+        # A lag within its error, or without an improvement over a constant offset, does not count.
         return abs(self.lag) >= max(3 * self.lag_error, 0.3) and self.without_lag <= 0.9 * self.without_offset
 
     @property
     def looks_ahead(self) -> str:
-        """Say that the camera may look ahead or behind, which explains a lag as well; "" if the positions are the camera's."""
+        """A clause that the camera may look ahead or behind, which also explains a lag; "" if the positions are the camera's."""
         if self.ahead is None:
             return ""
         return f"the camera looks {abs(self.ahead):.1f} m {'ahead' if self.ahead > 0 else 'behind'}"
@@ -81,13 +81,13 @@ class TagAudit:
 def audit_tags(times: Float64Array, tags: Float64Array, positions: Float64Array, middles: bool = False) -> TagAudit:
     """Compare tags with registered positions, and estimate the lag of the tags.
 
-    A tag that is late by s seconds shows the place of s seconds before: tag - position = -s v + offset. The lag is the robust
-    slope over the velocities v of the registered track.
+    A tag that is late by s seconds has the place of s seconds before: tag - position = -s v + offset. The lag is the robust slope
+    over the velocities v of the registered track.
 
     Args:
         times: seconds, (N,); NaN where unknown.
         tags, positions: metres east and north, (N, 2); NaN rows where there is none.
-        middles: True if positions are of the pictures' middles; a camera that looks ahead then looks like a lag.
+        middles: True if positions are the pictures' middles; a camera that looks ahead then resembles a lag.
     """
     differences = tags - positions
     off = np.linalg.norm(differences, axis=1)
@@ -119,10 +119,10 @@ def audit_tags(times: Float64Array, tags: Float64Array, positions: Float64Array,
 
 
 def corrected_tags(times: Float64Array, tags: Float64Array, lag: float) -> Float64Array:
-    """Return tags without a constant lag, (N, 2): the place at a time is the one that the tags show `lag` seconds later.
+    """Return tags without a constant lag, (N, 2): the tags' place `lag` seconds later, interpolated linearly.
 
-    Tags are interpolated linearly. The result is NaN where the two that are needed are missing, or more than 30 seconds apart.
-    The offset that the audit estimates beside the lag is not taken out, as it may be the map's.
+    A place is NaN if a tag before or after it is missing, or these are more than 30 seconds apart. The audit's offset is not
+    subtracted, because it may be the map's error.
 
     Args:
         times: seconds, (N,); NaN where unknown.
@@ -143,7 +143,7 @@ def corrected_tags(times: Float64Array, tags: Float64Array, lag: float) -> Float
 
 
 def track_velocities(times: Float64Array, positions: Float64Array) -> Float64Array:
-    """Return velocities in metres a second, (N, 2), from the neighbours before and after; NaN where they are missing or far."""
+    """Return velocities in metres a second, (N, 2), from the neighbours before and after; NaN without near ones."""
     velocities = np.full(positions.shape, np.nan)
     known = np.flatnonzero(~np.isnan(times) & ~np.isnan(positions).any(axis=1))
     known = known[np.argsort(times[known], kind="stable")]
@@ -155,7 +155,7 @@ def track_velocities(times: Float64Array, positions: Float64Array) -> Float64Arr
 
 
 def _robust_fit(design: Float64Array, values: Float64Array) -> tuple[Float64Array, Float64Array]:
-    """Fit by least squares with Huber's weights, and return the solution and its standard errors."""
+    """Fit by least squares with Huber's weights; return the solution and its standard errors."""
     weights = np.ones(len(values))
     for _ in range(20):
         scaled = design * weights[:, None]

@@ -1,4 +1,4 @@
-"""The answers of all stages for one frame in one verdict, and the frames whose answers contradict each other."""
+"""One verdict on each frame from the answers of all stages, and contradictions between these answers."""
 
 from __future__ import annotations
 
@@ -19,15 +19,16 @@ from lpn.flight.locate.located import (
     checked_beside_middle,
 )
 
-# 1-sigma radius in metres of a tag by a consumer's receiver in the open.
+# 1-sigma radius in metres of a consumer receiver's tag under open sky.
 TAG_RADIUS = 5.0
 # Answers contradict each other beyond this multiple of their common 1-sigma radius.
 SIGMAS = 3.0
-# A camera of unknown tilt nearly always looks at most so many degrees away from straight down; beyond others nothing is told.
+# Degrees from straight down within which a camera of unknown tilt nearly always looks, and above which a known tilt tells
+# nothing.
 TILT, _MOST_TILT = 15.0, 85.0
-# The summary of a registration, which goes on with what contradicts it.
+# The summary of a registration; contradictions are appended.
 PLACED = "Placed by its details"
-# The answers that may contradict a place, in words.
+# Possible contradictions of a place, in words.
 AGAINST = {
     "tag": "its GPS tag disagrees",
     "map": "away from its middle it does not fit the map",
@@ -40,13 +41,12 @@ class Belief:
     """The verdict on one frame.
 
     Attributes:
-        sign: True if its position may be believed, None if nothing has verified it or answers contradict each other, False if
-            there is no position.
-        headline: the verdict in some words.
-        summary: the same without figures.
+        sign: True if its position may be believed, None if it is unverified or contradicted, False without a position.
+        headline: the verdict in a few words.
+        summary: the headline without figures.
         reason: its grounds in a sentence.
-        stage: the stage whose position counts; None without a position.
-        corrected: True if a person has corrected that position, which settles every doubt.
+        stage: the stage of the position; None without a position.
+        corrected: True if a person has corrected the position, which settles every doubt.
     """
 
     sign: bool | None
@@ -58,25 +58,25 @@ class Belief:
 
     @property
     def contradicted(self) -> bool:
-        """True if details place the photo, and something contradicts them."""
+        """True if details place the photo and another answer contradicts them."""
         return self.stage == "registration" and self.sign is None
 
     @property
     def in_doubt(self) -> bool:
-        """True if the place is contradicted, and nobody has corrected it."""
+        """True if the place is contradicted and not corrected."""
         return self.contradicted and not self.corrected
 
 
 @dataclass(frozen=True)
 class BestAnswer:
-    """The answer for one frame that counts.
+    """The best answer for one frame.
 
     Attributes:
-        stage: that gave it, or `BY_HAND`; the last stage that ran where there is no position.
-        answer: its answer; a refused one without a position where no stage has one.
-        state: "contradicted" for a registration that the verdict doubts, else the answer's own.
+        stage: its stage, or `BY_HAND`; the last stage that ran if there is no position.
+        answer: of this stage; a refused one without a position if no stage has a position.
+        state: "contradicted" for a registration that the verdict doubts, else the answer's state.
         doubt: the answers that contradict it: "tag", stages, or "map".
-        verdict: of all stages; a correction by hand stands above it.
+        verdict: of all stages; a correction by hand overrides it.
     """
 
     stage: str
@@ -87,7 +87,7 @@ class BestAnswer:
 
     @property
     def usable(self) -> bool:
-        """True if the position is accepted and nothing contradicts it, or the verdict believes it all the same."""
+        """True if the position is accepted, and either uncontradicted or still believed by the verdict."""
         return self.state == "accepted" and (not self.doubt or self.verdict.sign is True)
 
     @property
@@ -97,7 +97,7 @@ class BestAnswer:
 
     @property
     def checked(self) -> Literal["yes", "no", "contradicted", ""]:
-        """If places beside a registered photo's middle lie where the map has them, see `TrackPoint.checked_beside_middle`."""
+        """Agreement with the map away from a registered photo's middle, see `TrackPoint.checked_beside_middle`."""
         if self.stage != "registration" or not self.answer.accepted:
             return ""
         return "contradicted" if "map" in self.doubt else checked_beside_middle(self.answer)
@@ -109,8 +109,8 @@ class Disagreement:
 
     Attributes:
         frame: position in the flight.
-        one, other: stages, or "tag"; "map" is what the map has at places away from the photo's middle.
-        metres: between them; the median of such places.
+        one, other: stages, or "tag"; "map" stands for places on the map away from the photo's middle.
+        metres: between them; for "map" the median of the places' offsets.
         allowed: metres that their radii allow.
     """
 
@@ -122,7 +122,7 @@ class Disagreement:
 
     @property
     def figures(self) -> tuple[str, str]:
-        """The metres, and those that are allowed, a bound and so rounded up; with digits enough to tell that they are more."""
+        """The metres, and the allowed metres rounded up, with enough digits to show that the first are more."""
         digits = next((n for n in (1, 2) if round(self.metres, n) - 10.0**-n >= self.allowed - 1e-6), 3)
         return f"{self.metres:.{digits}f}", upper_bound(self.allowed, digits)
 
@@ -141,11 +141,11 @@ class Disagreement:
 def disagreements(frames: Sequence[LocatedFrame]) -> list[Disagreement]:
     """Return the contradictions between accepted registration, accepted sequence, tag, and map, frame by frame.
 
-    Two answers contradict each other if they lie farther apart than three times the root of the sum of their squared 1-sigma
-    radii. The map's error moves registration and sequence alike, so it counts against the tag alone, which has 5 m. A tag is
-    compared with the place below the camera, see `below_camera`. An answer that is the picture's middle all the same is moved by
-    an unknown tilt, see `_shift`, which is allowed in addition. A registration contradicts the map where the median of its
-    `MapAgreement` is more than three times the radius on this map of the photo's middle.
+    Two answers contradict each other if their distance exceeds three times the root of the sum of their squared 1-sigma radii. A
+    tag's radius is 5 m. The map's error moves registration and sequence alike, so it counts only against the tag. A tag is
+    compared with the place below the camera, see `below_camera`. If that is unknown, the shift by an unknown tilt is allowed in
+    addition, see `_shift`. A registration contradicts the map if the median of its `MapAgreement` exceeds three times the radius
+    on this map of the photo's middle.
     """
     pairs = []
     for i, located in enumerate(frames):
@@ -169,7 +169,7 @@ def disagreements(frames: Sequence[LocatedFrame]) -> list[Disagreement]:
 
 
 def beside_tag(located: LocatedFrame, answer: StageRecord) -> tuple[float, float]:
-    """Return the metres from an answer to the frame's tag, and those that they may lie apart, see `disagreements`."""
+    """Return the metres from an answer to the frame's tag, and the allowed metres, see `disagreements`."""
     assert located.tag is not None
     below = below_camera(located.frame, answer)
     tilt = 0.0 if below.camera else _shift(located)
@@ -177,7 +177,7 @@ def beside_tag(located: LocatedFrame, answer: StageRecord) -> tuple[float, float
 
 
 def map_misfit(answer: StageRecord | None, frame: int = 0) -> Disagreement | None:
-    """Return that places away from the middle of a registered photo lie elsewhere on the map; None if not, or if too few tell."""
+    """Return the contradiction between a registration and the map away from the photo's middle; None without one."""
     if answer is None or not answer.accepted or answer.agreement is None or answer.middle_on_map is None:
         return None
     metres, allowed = answer.agreement.median, SIGMAS * answer.middle_on_map
@@ -185,7 +185,7 @@ def map_misfit(answer: StageRecord | None, frame: int = 0) -> Disagreement | Non
 
 
 def beliefs(frames: Sequence[LocatedFrame], contradictions: Sequence[Disagreement]) -> list[Belief]:
-    """Return the verdict on each frame; `contradictions` are those of all frames."""
+    """Return the verdict on each frame, given the contradictions of all frames."""
     of_frame = _by_frame(contradictions)
     return [belief(located, of_frame.get(i, ())) for i, located in enumerate(frames)]
 
@@ -210,7 +210,7 @@ class FlightVerdicts:
 
 
 def best_answers(flight: LocatedFlight) -> list[BestAnswer]:
-    """Return the answer that counts for each frame: its correction by hand, or that of the stage that the verdict names."""
+    """Return the best answer for each frame: its correction by hand, else the answer of the verdict's stage."""
     of_frame = _by_frame(disagreements(flight.frames))
     last = flight.stages[-1] if flight.stages else ""
     return [best_answer(located, of_frame.get(i, ()), last) for i, located in enumerate(flight.frames)]
@@ -219,11 +219,11 @@ def best_answers(flight: LocatedFlight) -> list[BestAnswer]:
 def best_answer(
     located: LocatedFrame, contradictions: Sequence[Disagreement] | None = None, last: str = ""
 ) -> BestAnswer:
-    """Return the answer that counts for one frame, see `best_answers`.
+    """Return the best answer for one frame, see `best_answers`.
 
     Args:
-        contradictions: those of this frame; by default they are looked for.
-        last: the last stage that ran, which is named where there is no position.
+        contradictions: of this frame; by default they are computed.
+        last: the last stage that ran, which is named without a position.
     """
     if contradictions is None:
         contradictions = disagreements([located])
@@ -246,7 +246,7 @@ def _by_frame(contradictions: Sequence[Disagreement]) -> dict[int, list[Disagree
 
 
 def doubts(located: LocatedFrame, contradictions: Sequence[Disagreement], stage: str) -> tuple[str, ...]:
-    """Return the answers for a frame that contradict a stage's, given its contradictions; a correction settles it."""
+    """Return the names of the answers that contradict a stage's; none for a corrected frame."""
     if located.by_hand is not None:
         return ()
     pairs = [(one.one, one.other) for one in contradictions]
@@ -256,10 +256,10 @@ def doubts(located: LocatedFrame, contradictions: Sequence[Disagreement], stage:
 def belief(located: LocatedFrame, contradictions: Sequence[Disagreement] | None = None) -> Belief:
     """Return the verdict on a frame.
 
-    A registration is believed unless its tag contradicts it, the map away from its middle does, or, without a tag, the sequence.
+    A registration is believed unless its tag or the map away from its middle contradicts it, or, without a tag, the sequence.
 
     Args:
-        contradictions: those of this frame; by default they are looked for.
+        contradictions: of this frame; by default they are computed.
     """
     if contradictions is None:
         contradictions = disagreements([located])
@@ -298,14 +298,14 @@ def belief(located: LocatedFrame, contradictions: Sequence[Disagreement] | None 
 
 
 def _placed(flight: LocatedFlight, verdicts: Sequence[Belief]) -> Iterator[tuple[LocatedFrame, StageRecord]]:
-    """Yield the frames whose place counts, by details or by neighbours, with that answer."""
+    """Yield the frames that details or neighbours place, with that answer."""
     for located, verdict in zip(flight.frames, verdicts, strict=True):
         if verdict.stage in ("registration", "sequence"):
             yield located, located.stages[verdict.stage]
 
 
 def radii_on_map(flight: LocatedFlight, verdicts: Sequence[Belief]) -> list[float]:
-    """Return the 1-sigma radii of a flight's placed photos on this map in metres, of those that have one.
+    """Return the known 1-sigma radii on this map in metres of a flight's placed photos.
 
     Args:
         verdicts: of the frames, see `beliefs`.
@@ -314,7 +314,7 @@ def radii_on_map(flight: LocatedFlight, verdicts: Sequence[Belief]) -> list[floa
 
 
 def placed_errors(flight: LocatedFlight, verdicts: Sequence[Belief]) -> Errors | None:
-    """Return the errors of a flight's placed photos against their tags, whatever a person corrected; None without any.
+    """Return the errors of a flight's placed photos against their tags, corrections ignored; None without any.
 
     Args:
         verdicts: of the frames, see `beliefs`.
@@ -328,13 +328,13 @@ def placed_errors(flight: LocatedFlight, verdicts: Sequence[Belief]) -> Errors |
 
 
 def is_unchecked(located: LocatedFrame) -> bool:
-    """Return whether too few places away from the middle of a registered photo were found on the map to check it."""
+    """Tell whether too few places of a registered photo were found on the map to check it away from its middle."""
     agreement = located.stages["registration"].agreement
     return agreement is not None and bool(agreement.unchecked)
 
 
 def on_what(answer: StageRecord) -> str:
-    """Return what the radius of an answer refers to: this map, or earth, where the map tells the error of its place."""
+    """Return the reference of an answer's radius: earth if the map's own error is known, else this map."""
     return "on earth" if answer.on_earth else "on this map"
 
 
@@ -343,9 +343,9 @@ def _first_refusal(*answers: StageRecord | None) -> str:
 
 
 def _shift(located: LocatedFrame) -> float:
-    """Return the metres by which a tilt may move the picture's middle from below the camera: the told one, or an unknown one.
+    """Return the metres between the picture's middle and the place below the camera, by the frame's tilt, else 15 degrees.
 
-    An unknown one is 15 degrees. The height is that of the flight, else half of the picture's width on the ground.
+    The height is the flight's, else half of the picture's width on the ground.
     """
     answer = located.stages.get("registration")
     width = 0.0 if answer is None or answer.width is None else answer.width

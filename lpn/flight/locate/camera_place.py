@@ -14,10 +14,10 @@ from lpn.flight.files.cameras import rotation
 from lpn.flight.locate.located import StageRecord
 from lpn.flight.locate.registration import Registration, is_turned_over
 
-# Degrees from straight down up to which the camera's place is told, and 1-sigma errors of a gimbal's and an aircraft's tilt.
+# Largest tilt in degrees for which the camera's place is returned, and 1-sigma errors of a gimbal's and an aircraft's tilt.
 _MAX_TILT = 15.0
 _TILT_ERROR, _AIRCRAFT_TILT_ERROR = 1.5, 5.0
-# The least cosine of a tilt that tells where the camera is: 60 degrees.
+# The least cosine of a tilt from which the place below the camera is computed: 60 degrees.
 _LEAST_DOWN = 0.5
 # 1-sigma errors of the direction of a tilted camera in degrees, and of its height as a share.
 _DIRECTION_ERROR, _HEIGHT_ERROR = 5.0, 0.1
@@ -26,12 +26,12 @@ _DIRECTION_ERROR, _HEIGHT_ERROR = 5.0, 0.1
 def camera_place(frame: Frame, size: tuple[int, int], registration: Registration) -> tuple[Float64Array, float] | None:
     """Return the place below the camera in metres, (2,), and its 1-sigma radius.
 
-    Matches that lie evenly over the photo bound its middle best. A linear model's variance at (x, y) is 1 + 12 (x / w)^2 +
-    12 (y / h)^2 times that at the middle of w x h pixels. A tilt that is told wrongly moves the place by the height times its
-    tangent: 1.5 degrees of a gimbal, 5 of an aircraft, which banks while the photo's record waits.
+    Evenly spread matches determine the photo's middle best: a linear model's variance at (x, y) is 1 + 12 (x / w)^2 +
+    12 (y / h)^2 times the variance at the middle of w x h pixels. An error of the tilt moves the place by the height times its
+    tangent: 1.5 degrees for a gimbal, and 5 for an aircraft, which banks between the photo and its record.
 
     Returns:
-        None if the tilt is unknown or above `_MAX_TILT`, or the model bends too much on the way from the middle.
+        None if the tilt is unknown or above 15 degrees, or the model bends too much between the middle and the place.
     """
     nadir = nadir_pixel(frame, size)
     if nadir is None or registration.radius is None or registration.width is None or registration.homography is None:
@@ -41,7 +41,7 @@ def camera_place(frame: Frame, size: tuple[int, int], registration: Registration
         return None
     middle = middle_pixel(*size)
     moved = np.array(nadir) - middle
-    if registration.turned:  # the file was turned after it was taken
+    if registration.turned:  # the file was turned after the flight
         moved = -moved
     depth, there = (float(registration.homography[2] @ (*pixel, 1.0)) for pixel in (middle, middle + moved))
     if not 0.5 < there / depth < 2:
@@ -55,12 +55,12 @@ def camera_place(frame: Frame, size: tuple[int, int], registration: Registration
 def below_camera(frame: Frame, answer: StageRecord) -> StageRecord:
     """Move an answer from the ground at the picture's middle to the ground below the camera, if the tilt is known.
 
-    On flat ground the two are the height times the tangent of the tilt apart, in the direction of the picture's top. The
-    radius is that of the answer with the errors of tilt, direction, and height: 1.5 degrees of a gimbal or 5 of an aircraft, 5
-    degrees, and a tenth.
+    On flat ground their distance is the height times the tangent of the tilt, in the direction of the picture's top. The radius
+    includes the 1-sigma errors of tilt (1.5 degrees for a gimbal, 5 for an aircraft), direction (5 degrees), and height (a
+    tenth).
 
     Args:
-        answer: of any stage for the frame; that of a camera is returned as it is.
+        answer: of any stage for the frame; a camera's place is returned unchanged.
 
     Returns:
         The answer unchanged where heading, pitch, or height is unknown, or the camera looks less than 30 degrees down.
@@ -92,23 +92,23 @@ def below_camera(frame: Frame, answer: StageRecord) -> StageRecord:
 
 
 def told_tilt(frame: Frame) -> float:
-    """Return the degrees that a frame's camera looks away from straight down, as far as the frame tells; else 0."""
+    """Return the degrees from straight down to the camera's direction; 0 if unknown."""
     return 0.0 if frame.pitch is None else math.degrees(math.acos(rotation(0.0, frame.pitch, frame.roll or 0.0)[2, 2]))
 
 
 def told_tilt_error(frame: Frame) -> float:
-    """Return the 1-sigma error in degrees that a frame's tilt counts with before the flight tells more."""
+    """Return the default 1-sigma error of a frame's tilt in degrees."""
     return _AIRCRAFT_TILT_ERROR if frame.heading_source == "aircraft" else _TILT_ERROR
 
 
 def height_of_width(frame: Frame, width: float) -> float:
-    """Return the height in metres from which a camera of known tilt and field of view sees ground of a width in metres."""
+    """Return the height in metres of a camera of known tilt and field of view over ground of a width in metres."""
     down = float(rotation(0.0, frame.pitch or 0.0, frame.roll or 0.0)[2, 2])
     return down * width / 2 / math.tan(math.radians(frame.fov or 0.0) / 2)
 
 
 def nadir_pixel(frame: Frame, size: tuple[int, int]) -> tuple[float, float] | None:
-    """Return the pixel (column, row) of the point below the camera, which may lie outside of the picture.
+    """Return the pixel (column, row) of the point below the camera, possibly outside of the picture.
 
     Args:
         size: width and height of the picture in pixels.

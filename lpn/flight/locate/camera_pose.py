@@ -1,7 +1,7 @@
-"""The six degrees of a camera by its photo's matches with the map and their heights: PnP with MAGSAC, refined, with covariance.
+"""A camera's six-degree pose from matches of its photo with the map's heights: PnP with MAGSAC, refined, with covariance.
 
-A map point is (east, north, height) in metres. OpenCV's camera looks along +z, with x to the picture's right and y downward; a
-turned map point is R (p - c), where c is the camera's place.
+A map point is (east, north, height) in metres. OpenCV's camera looks along +z, with x to the picture's right and y downward. A
+map point p in the camera's axes is R (p - c), where c is the camera's place.
 """
 
 from __future__ import annotations
@@ -20,34 +20,32 @@ from lpn.core.homography import apply_homography, inverse
 from lpn.core.numbers import wrap_degrees
 from lpn.flight.files.cameras import angles_of_view, fov_of_sensor, rotation
 
-# Fields of view in degrees across the picture that are tried where it is unknown, and the one that stands for it.
+# Fields of view in degrees that are tried for an unknown one, and the default.
 _FOVS = (35.0, 50.0, 62.0, 72.0, 82.0, 95.0)
 DEFAULT_FOV = 72.0
-# An unknown focal length counts as solved if its 1-sigma error is at most this share of it.
+# A focal length counts as solved if its 1-sigma error is at most this share of it.
 _FOCAL_ERROR = 0.05
-# Matches, and cells of a grid over the photo that hold some, which a pose needs.
+# Fewest matches of a pose, fewest cells of a grid over the photo that hold some, and cells on a side of the grid.
 _LEAST_MATCHES, _LEAST_CELLS, _GRID = 12, 6, 5
-# Matches must agree with a pose so many times as densely as they lie around it.
+# The density of matches that agree must be this many times the density just beyond the threshold.
 _OVER_CHANCE = 2.0
-# A pose's 1-sigma error may be this share of its height above ground.
+# Largest 1-sigma error of a pose as a share of its height above ground.
 _WORST = 0.25
-# The 1-sigma error of an assumed focal length, and so of the height, as a share of it.
+# The 1-sigma error of an assumed focal length, and so of the height, as a share.
 _ASSUMED_ERROR = 0.15
-# Relief that flat ground lacks moves groups of matches alike. On the rendered flight, over houses and trees, errors on flat
-# ground are so many times those of the inliers' scatter, and heights count from roofs and trees as much as from the ground.
+# Relief that the flat model lacks moves groups of matches alike. On the rendered flight, over houses and trees, errors of the
+# flat model are _RELIEF times what the inliers' scatter predicts, and heights are off by _RELIEF_METRES: they also refer to
+# roofs.
 _RELIEF, _RELIEF_METRES = 8.0, 6.0
 _ITERATIONS = 30
-# Pixels below which residuals are no better than pictures' sampling.
+# Residuals below this many pixels are finer than the sampling of pictures.
 _FINEST = 0.3
-# The largest squared residual counts as this many variances (GRIC's lambda 3 times its codimension).
+# The limit of a squared residual in variances (GRIC's lambda 3 times its codimension).
 _CUT = 4.0
 
 
 class CameraTilt(NamedTuple):
-    """The angle between a camera's axis and straight down, its 1-sigma error, and where the camera looks clockwise from north.
-
-    All are in degrees.
-    """
+    """The angle from straight down to a camera's axis, its 1-sigma error, and the axis's azimuth from north; all in degrees."""
 
     degrees: float
     error: float
@@ -55,17 +53,17 @@ class CameraTilt(NamedTuple):
 
 
 class CameraPose(msgspec.Struct, frozen=True):
-    """Where a photo's camera was, and how it was turned.
+    """The place and orientation of a photo's camera.
 
     Attributes:
         east, north: metres in the map's frame.
-        altitude: metres above the datum of the map's elevation; above the ground where it counts as flat.
-        height: metres above the elevation below the camera, which may be a roof; None where that is unknown.
+        altitude: metres above the datum of the map's elevation; above the ground if that counts as flat.
+        height: metres above the elevation below the camera, which may be a roof; None if unknown.
         heading, pitch, roll: degrees, as in `lpn.flight.files.Frame`.
         fov: horizontal field of view in degrees.
-        fov_source: "told" by the photo, "solved" with the pose, or "assumed", because neither the photo nor the scene tells it.
+        fov_source: "told" by the photo, "solved" with the pose, or "assumed" if neither is possible.
         flat: whether the ground counts as flat, because the map has no elevation.
-        inliers: matches that agree with it.
+        inliers: number of matches that agree with it.
         covariance: of east, north, altitude in metres, and heading, pitch, roll in degrees, 36 numbers by rows.
     """
 
@@ -89,7 +87,7 @@ class CameraPose(msgspec.Struct, frozen=True):
 
     @property
     def radius(self) -> float:
-        """The 1-sigma radius in metres: the root mean square of the errors to the east and north."""
+        """The 1-sigma radius in metres: the root mean square of the 1-sigma errors east and north."""
         return float(np.sqrt((self.sigmas[:2] ** 2).mean()))
 
     @property
@@ -98,7 +96,7 @@ class CameraPose(msgspec.Struct, frozen=True):
         north, east, down = rotation(self.heading, self.pitch, self.roll)[:, 2].tolist()
         away = math.hypot(north, east)
         degrees = math.degrees(math.atan2(away, down))
-        # The tilt's cosine is cos(pitch + 90) cos(roll), so its slopes need no step; at 0 degrees pitch and roll count alike.
+        # The tilt's cosine is cos(pitch + 90) cos(roll), so its derivatives are exact; at 0 degrees pitch and roll count alike.
         pitch, roll = math.radians(self.pitch + 90), math.radians(self.roll)
         slopes = np.array([math.sin(pitch) * math.cos(roll), math.cos(pitch) * math.sin(roll)])
         slopes = slopes / away if away > 1e-9 else np.full(2, math.sqrt(0.5))
@@ -108,7 +106,7 @@ class CameraPose(msgspec.Struct, frozen=True):
 
     @property
     def sentence(self) -> str:
-        """A line about the pose, with its errors and what was assumed."""
+        """A line about the pose, with its errors and assumptions."""
         sigmas = self.sigmas
         above = "above flat ground" if self.flat else "above the datum"
         ground = "" if self.flat or self.height is None else f", {self.height:.1f} m above ground"
@@ -125,15 +123,16 @@ class CameraPose(msgspec.Struct, frozen=True):
 
 @dataclass(frozen=True, eq=False)
 class PoseMatches:
-    """The observations that a pose is solved from.
+    """The observations of a pose.
 
     Attributes:
         pixels: of the photo, (M, 2).
         points: of the map with heights, (M, 3) metres.
         size: width and height of the photo in pixels.
-        plane: the homography from pixels to metres by which the photo was registered, (3, 3).
-        plane_parameters: 8 of a homography; 4 of a similarity, or 6 where it is the special case of a pose whose tilt is known.
-        noise: 1-sigma error of a match in pixels that is to be expected.
+        plane: the registration's homography from pixels to metres, (3, 3).
+        plane_parameters: 8 for a homography, 4 for a similarity, or 6 for a similarity as the special case of a pose of known
+            tilt.
+        noise: expected 1-sigma error of a match in pixels.
     """
 
     pixels: Float64Array
@@ -146,7 +145,7 @@ class PoseMatches:
 
 @dataclass(frozen=True, eq=False)
 class _Camera:
-    """A camera during the search: OpenCV's rotation vector and translation (3,) each, and the focal length in pixels."""
+    """A trial camera: OpenCV's rotation vector and translation, (3,) each, and the focal length in pixels."""
 
     turn: Float64Array
     shift: Float64Array
@@ -171,22 +170,24 @@ def solve_pose(
 ) -> CameraPose | str:
     """Solve the pose of a camera from matches of its photo with the map.
 
-    Perspective-n-point by USAC with MAGSAC's score (Barath et al., CVPR 2020), then Levenberg's least squares on the inliers.
-    An unknown focal length is one more unknown. The covariance is (J^T J)^-1 times the inliers' variance; neighbours err alike,
-    so each cell of a grid over the photo counts as one match. The pose stands unless the plane's model explains the matches
-    clearly better by GRIC (Torr, "Geometric motion segmentation and model selection", 1998): the sum of squared residuals over
-    their variance, each at most 4, plus the number of parameters times the logarithm of 4 n; clearly is by one parameter's worth.
+    Perspective-n-point by USAC with MAGSAC's score (Barath et al., CVPR 2020) is followed by Levenberg's least squares on the
+    inliers. An unknown focal length is one more parameter. The covariance is (J^T J)^-1 times the inliers' variance. Neighbours
+    err alike, so each cell of a grid over the photo counts as one match.
+
+    The pose is compared with the plane's model by GRIC (Torr, "Geometric motion segmentation and model selection", 1998): the sum
+    of squared residuals over their variance, each at most 4, plus the number of parameters times the logarithm of 4 n. The pose
+    is rejected if the plane is better by one parameter's worth.
 
     Args:
         matches: of the registration.
-        fov: horizontal field of view in degrees; None if the photo does not tell it.
-        flat: whether heights are those of flat ground.
-        ground_below: returns the height in metres at a place (2,); None if that is unknown.
-        rematch: matches again near the pixels that a function from map points (N, 3) to pixels (N, 2) predicts.
-        proven: the pose stands only if it explains the matches clearly better than the plane's model.
+        fov: horizontal field of view in degrees; None if unknown.
+        flat: whether the ground counts as flat.
+        ground_below: returns the height in metres at a place (2,); None if unknown.
+        rematch: matches again near predicted pixels; its argument maps points (N, 3) to pixels (N, 2).
+        proven: True if the pose must be better than the plane by one parameter's worth.
 
     Returns:
-        The pose, or a sentence that says why there is none.
+        The pose, or a sentence with the reason for none.
     """
     if len(matches.points) < _LEAST_MATCHES:
         return "Too few matches have a height for a pose of the camera."
@@ -195,7 +196,7 @@ def solve_pose(
     if isinstance(solved, str):
         return solved
     camera, source, inliers = solved
-    # Matches of a second round lie near the pose's own places, which the plane's model could not explain.
+    # Matches of a second round favour the pose that predicted them, so the first round's are compared.
     if not _explains(matches, _residuals(camera, matches, middle), 6 + (source == "solved"), proven):
         return (
             "On flat ground the matches do not show how far the camera was tilted, so there is no pose."
@@ -210,7 +211,7 @@ def solve_pose(
             if not isinstance(better, str) and better[2].sum() >= inliers.sum():
                 matches, (camera, _, inliers) = again, better
     cells = _cells(matches.pixels[inliers], matches.size)
-    # A ring of twice the threshold has three times the area of what is within it.
+    # The ring from one to two thresholds has three times the area inside one threshold.
     ring = int((_residuals(camera, matches, middle) < 2 * _threshold(matches)).sum() - inliers.sum())
     if inliers.sum() < _OVER_CHANCE * ring / 3:
         return f"The {int(inliers.sum())} matches that agree on a pose of the camera are hardly more than would agree by chance."
@@ -253,7 +254,6 @@ def camera_fov(camera: _Camera, size: tuple[int, int]) -> float:
 
 
 def _solved(matches: PoseMatches, middle: Float64Array, fov: float | None) -> tuple[_Camera, str, BoolArray] | str:
-    """Return the camera, the source of its field of view, and which matches agree; or why there is none."""
     tried = []
     for angle in _FOVS if fov is None else (fov,):
         camera = _first(matches, middle, matches.size[0] / 2 / math.tan(math.radians(angle) / 2))
@@ -284,7 +284,6 @@ def _solved(matches: PoseMatches, middle: Float64Array, fov: float | None) -> tu
 
 
 def _threshold(matches: PoseMatches) -> float:
-    """Return the pixels within which a match agrees: three sigmas of what is to be expected."""
     return max(3 * matches.noise, 0.004 * matches.size[0], 1.5)
 
 
@@ -293,7 +292,6 @@ def _intrinsics(focal: float, size: tuple[int, int]) -> Float64Array:
 
 
 def _first(matches: PoseMatches, middle: Float64Array, focal: float) -> _Camera | None:
-    """Return the camera by random samples."""
     parameters = cv2.UsacParams()
     parameters.threshold = _threshold(matches)
     parameters.confidence = 0.999
@@ -317,7 +315,7 @@ def _first(matches: PoseMatches, middle: Float64Array, focal: float) -> _Camera 
 
 
 def _refined(camera: _Camera, matches: PoseMatches, middle: Float64Array, free: bool) -> _Camera:
-    """Fit a camera to the matches that agree with it by Levenberg's method, with the focal length if it is free."""
+    """Fit a camera to its inliers by Levenberg's method, with the focal length if it is free."""
     threshold = _threshold(matches)
     damping = 1e-3
     points = matches.points - middle
@@ -325,7 +323,7 @@ def _refined(camera: _Camera, matches: PoseMatches, middle: Float64Array, free: 
     def judged(candidate: _Camera) -> tuple[float, Float64Array, Float64Array]:
         off, jacobian = _linearised(candidate, points, matches, free)
         squares = (off.reshape(-1, 2) ** 2).sum(axis=1) / threshold**2
-        # Geman and McClure's weights, whose cost has no step where a match begins to agree.
+        # Geman and McClure's cost has no step at the threshold.
         weights = np.repeat(1 / (1 + squares) ** 2, 2)
         cost = float((squares / (1 + squares)).sum())
         return cost, (jacobian * weights[:, None]).T @ jacobian, (jacobian * weights[:, None]).T @ off
@@ -351,7 +349,7 @@ def _refined(camera: _Camera, matches: PoseMatches, middle: Float64Array, free: 
 def _linearised(
     camera: _Camera, points: Float64Array, matches: PoseMatches, free: bool
 ) -> tuple[Float64Array, Float64Array]:
-    """Return pixels minus projections, (2 M,), and the projections' Jacobian by turn, shift, and the focal length's logarithm."""
+    """Return pixels minus projections, (2 M,), and the Jacobian by turn, shift, and the focal length's logarithm."""
     projected, jacobian = cv2.projectPoints(
         points, camera.turn, camera.shift, _intrinsics(camera.focal, matches.size), np.zeros(4)
     )
@@ -363,7 +361,6 @@ def _linearised(
 
 
 def _project(camera: _Camera, points: Float64Array, size: tuple[int, int]) -> Float64Array:
-    """Return the pixels (N, 2) of points (N, 3) about the middle; NaN behind the camera."""
     seen = points @ camera.matrix.T + camera.shift
     with np.errstate(divide="ignore", invalid="ignore"):
         pixels = seen[:, :2] / seen[:, 2:] * camera.focal + (np.array(size) - 1) / 2
@@ -377,7 +374,7 @@ def _residuals(camera: _Camera, matches: PoseMatches, middle: Float64Array) -> F
 
 
 def _explains(matches: PoseMatches, residuals: Float64Array, parameters: int, clearly: bool) -> bool:
-    """Return whether a pose, by its residuals in pixels, explains the matches as well as the plane's model, or clearly better."""
+    """Tell by GRIC whether a pose explains the matches as well as the plane's model, or clearly better."""
     flat = np.linalg.norm(apply_homography(inverse(matches.plane), matches.points[:, :2]) - matches.pixels, axis=1)
     sigma = _threshold(matches) / 3
     cells = _cells(matches.pixels, matches.size)
@@ -402,7 +399,6 @@ def _normal(
 
 
 def _focal_error(camera: _Camera, matches: PoseMatches, middle: Float64Array, inliers: BoolArray) -> float:
-    """Return the 1-sigma error of a solved focal length as a share of it."""
     if inliers.sum() < _LEAST_MATCHES:
         return math.inf
     normal = _normal(camera, matches, middle, inliers, True, _cells(matches.pixels[inliers], matches.size))
@@ -415,7 +411,6 @@ def _focal_error(camera: _Camera, matches: PoseMatches, middle: Float64Array, in
 def _covariance(
     camera: _Camera, matches: PoseMatches, middle: Float64Array, inliers: BoolArray, free: bool, cells: int
 ) -> Float64Array:
-    """Return the covariance of place in metres and of heading, pitch, and roll in degrees, (6, 6)."""
     normal = _normal(camera, matches, middle, inliers, free, cells)
     try:
         inner = np.linalg.inv(normal)[:6, :6]
@@ -437,6 +432,6 @@ def _covariance(
 
 
 def _cells(pixels: Float64Array, size: tuple[int, int]) -> int:
-    """Return how many cells of a grid over the photo hold at least one of these pixels."""
+    """Count the cells of a grid over the photo that hold at least one of these pixels."""
     cells = np.floor((pixels + 0.5) / size * _GRID).astype(np.int64).clip(0, _GRID - 1)
     return len(np.unique(cells[:, 0] * _GRID + cells[:, 1]))

@@ -1,11 +1,11 @@
-"""Registrations that one flight can have: short jumps away and back are found out, and pictures turned unlike the others.
+"""Registrations that contradict the rest of a flight: short jumps away and back, and pictures at another turn.
 
-Equal houses in a row give registrations that agree well, one house too far. Neighbours in time tell them: the drone cannot have
-been there and back. A false alarm costs a true position, so the limit is generous: frames are found out only in short runs
-between neighbours that fit each other, and not at all where they would be many.
+Equal houses in a row give good registrations one house too far, which the drone cannot have reached and left in time. A false
+alarm costs a true position, so the limits are generous: only short runs between consistent neighbours count, and none if there
+are many.
 
-Beyond the map's edge photos in a row fit an equal building on the map. Where headings are certain, their turns against these tell
-them. Headings may be wrong in another way on another leg, so turns that many frames share are right ones.
+Beyond the map's edge photos in a row fit an equal building on the map. Their turns against certain headings reveal them. The
+error of headings may change from leg to leg, so turns that many frames share count as right.
 """
 
 from __future__ import annotations
@@ -15,34 +15,33 @@ import numpy as np
 from lpn.core.arrays import BoolArray, Float64Array, Int64Array
 from lpn.core.numbers import wrap_degrees
 
-# Limits of the speed: times the 80th percentile of registered speeds, and times the largest speed of the tags near by.
+# The speed limit as a multiple of the 80th percentile of registered speeds, and of the largest speed of near tags.
 _REGISTERED, _TAGGED = 1.2, 1.3
-# Neighbours on each side whose tags are near by.
+# Neighbours on each side whose tags count as near.
 _NEAR = 10
-# Metres a second that no limit is below: with tags, and without, when it is what common drones can fly.
+# Least speed limits in metres a second: with tags, and, for common drones, without.
 _LEAST, _COMMON = 10.0, 20.0
 _RADII = 2.0
-# Fewer positions tell no usual speed.
+# Fewest positions for a usual speed.
 _FEWEST = 8
-# Frames of the longest run that can be found out. A step that cannot be flown costs as much as one frame more.
+# Frames of the longest run that is detected. An impossible step costs one frame more.
 _LONGEST = 5
 _GAP = _LONGEST + 1.0
-# Share of the frames above which no frame should be refused.
+# If a larger share of the frames is suspect, none is refused.
 MOST = 0.1
-# A turn is another one if it lies from the median of others by more degrees than this, and than so many times their spread.
+# A turn differs from others if its distance from their median exceeds these degrees, and this multiple of their spread.
 _TURNED, _TURNED_SPREADS = 5.0, 2.0
-# Degrees from the commonest turn within which turns tell the spread of all. Right ones that vary fill them, and allow 10 degrees.
+# Degrees from the commonest turn within which turns define the spread. If they fill this range, 10 degrees are allowed.
 _ALIKE = 2.5
-# Frames of one turn that show another error of the headings.
+# Frames of one turn that prove a new error of the headings.
 NEW_HEADING = 10
 
 
 def top_speeds(times: Float64Array, places: Float64Array, tags: Float64Array | None = None) -> Float64Array | None:
     """Return the metres a second that the drone can fly from each position to the next, (N - 1,).
 
-    It is 1.2 times the 80th percentile of the speeds between neighbours, and at least 1.3 times the largest speed of the tags
-    from 10 positions before to 10 after, and 10 m/s. It is at least 20 m/s where there are no tags, and everywhere if half of
-    the tags stay as they were.
+    The speed is 1.2 times the 80th percentile of the speeds between neighbours. It is at least 1.3 times the largest speed of the
+    tags from 10 positions before to 10 after, and at least 10 m/s, or 20 m/s without tags there or if half of all tags repeat.
 
     Args:
         times: seconds, ascending, (N,).
@@ -71,13 +70,10 @@ def top_speeds(times: Float64Array, places: Float64Array, tags: Float64Array | N
 def jumps(times: Float64Array, places: Float64Array, radii: Float64Array, speeds: Float64Array) -> BoolArray:
     """Return which positions are jumps away and back, (N,).
 
-    Two positions can be flown if their distance is at most the time between them at these speeds and twice their joint 1-sigma
-    radius. Times in whole seconds may be wrong by one. A track of positions is sought, each within reach of the next, with
-    the most frames; of several, the shortest one. A step of the track that cannot be flown costs 6 frames. The up to 5 frames
-    that a step leaves out are jumps if the step can be flown, but neither the way to them nor that from them, or not the whole
-    way over them.
-
-    Time and memory are linear in N.
+    A step between two positions is possible if its length is at most the distance flown at these speeds plus twice the joint
+    1-sigma radius. Times in whole seconds may be wrong by one. The best track has the most frames, less 6 for each impossible
+    step, and of equal ones is the shortest. A step may leave out up to 5 frames. These are jumps if the step is possible, but
+    neither the way to them nor the way back is, or not the whole way over them. Time and memory are linear in N.
 
     Args:
         times: seconds, ascending, (N,).
@@ -93,12 +89,12 @@ def jumps(times: Float64Array, places: Float64Array, radii: Float64Array, speeds
     far = np.concatenate([[0.0], np.cumsum(speeds * np.diff(times))])
 
     def steps(lag: int) -> tuple[Float64Array, Float64Array]:
-        """Distances from each position to the one `lag` later, and how far the drone gets meanwhile, (N - lag,)."""
+        """Return distances from each position to the one `lag` later, and the drone's reach meanwhile, (N - lag,) each."""
         reach = far[lag:] - far[:-lag] + slack[: count - lag] + _RADII * np.hypot(radii[lag:], radii[:-lag])
         return np.linalg.norm(places[lag:] - places[:-lag], axis=1), reach
 
     lags = [steps(lag) for lag in range(1, min(_LONGEST + 1, count - 1) + 1)]
-    # One frame more outweighs any length of the track.
+    # One more frame outweighs any length of the track.
     metre = 1 / (1 + count * float(np.linalg.norm(np.ptp(places, axis=0))))
     gains = [(1 - metre * apart - _GAP * (apart > reach)).tolist() for apart, reach in lags]
     scores, previous = [1.0] * count, [-1] * count
@@ -121,10 +117,10 @@ def jumps(times: Float64Array, places: Float64Array, radii: Float64Array, speeds
 
 
 def other_turn(turn: float, turns: Float64Array) -> float | None:
-    """Return the degrees, 0 .. 180, between a turn and the median of others, (N,) with N > 0; None if it may be one of them.
+    """Return the degrees, 0 .. 180, between a turn and the median of others, (N,) with N > 0; None if it fits them.
 
-    It may be one within 5 degrees, or within twice what they spread. Half turns count as none, as files may be saved upside down.
-    The degrees that are returned hold them: they are those to the way up that most of the others have.
+    A turn fits within 5 degrees, or within twice the others' spread. Half turns are ignored for this, as files may be saved
+    upside down. The returned degrees include them: they are the difference to the way up of most others.
     """
     from_first = _half_turn(turns - turns[0])
     usual = turns[0] + float(np.median(from_first))
@@ -136,12 +132,10 @@ def other_turn(turn: float, turns: Float64Array) -> float | None:
 
 
 def other_turns(turns: Float64Array) -> dict[int, float]:
-    """Return which registrations of a flight are turned unlike the others, and by how many degrees, see `other_turn`.
+    """Return the registrations of a flight at another turn, with the degrees of `other_turn`.
 
-    The others are those within 2.5 degrees of the commonest turn; they must be half of all, and eight at least. A turn stands
-    if ten frames share it to within 5 degrees, or half as many as the commonest one.
-
-    Time is N log N.
+    The reference is the turns within 2.5 degrees of the commonest one; they must be half of all, and at least eight. A turn
+    stands if ten frames share it to within 5 degrees, or half as many as the commonest one. Time is O(N log N).
 
     Args:
         turns: against certain headings in degrees, (N,).
@@ -155,12 +149,12 @@ def other_turns(turns: Float64Array) -> dict[int, float]:
 
 
 def _sharing(turns: Float64Array, degrees: float) -> Int64Array:
-    """Return how many turns lie within some degrees of each, itself included, (N,)."""
+    """Count the turns within some degrees of each, itself included, (N,)."""
     within = turns % 180.0
     circle = np.sort(np.concatenate([within - 180.0, within, within + 180.0]))
     return np.asarray(circle.searchsorted(within + degrees, "right") - circle.searchsorted(within - degrees, "left"))
 
 
 def _half_turn(turns: Float64Array) -> Float64Array:
-    """Return turns without half turns, in degrees, -90 .. 90."""
+    """Return turns modulo half turns, in degrees, -90 .. 90."""
     return np.asarray((turns + 90.0) % 180.0 - 90.0, np.float64)

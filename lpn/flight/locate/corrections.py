@@ -4,9 +4,9 @@
     DJI_0018.JPG,46.84260512,-91.99455804,46.84281 -91.99501,46.84297 -91.99430,46.84240 -91.99410,46.84224 -91.99481
 
 `latitude` and `longitude` are of the picture's middle on the ground, the other columns of its corners, in WGS 84 degrees. The
-file may be edited by hand, and by several programs at once, since each change replaces one line under a lock. It is UTF-8;
-bytes of a file's name that are not stay as they are. What a spreadsheet would compute has an apostrophe in front, such as
-'-33.4 -70.6, which is no difference here; see `lpn.core.csv_cells`.
+file may be edited by hand, and by several programs at once: each change replaces one line under a lock. It is UTF-8, and other
+bytes of a file's name are preserved. Text that a spreadsheet would compute is quoted by an apostrophe, such as '-33.4 -70.6; see
+`lpn.core.csv_cells`.
 """
 
 from __future__ import annotations
@@ -29,17 +29,17 @@ from lpn.flight.maps import LocalFrame
 
 NAME = "corrections.csv"
 _HEADER = ["frame", "latitude", "longitude", "top left", "top right", "bottom right", "bottom left"]
-# Sides and least area of a corrected picture, in metres and square metres, and the least sine at a corner.
+# Limits of a corrected picture: side in metres, area in square metres, and sine of the angle at a corner.
 _MIN_SIDE, _MAX_SIDE, _MIN_AREA, _MIN_SINE = 0.1, 20_000.0, 1.0, 0.01
 
 
 @dataclass(frozen=True, eq=False)
 class Correction:
-    """Where a person says that a frame's picture lies.
+    """A person's place of a frame's picture.
 
     Attributes:
         middle: latitude and longitude of the picture's middle on the ground, (2,).
-        corners: those of its corners, (4, 2): top left, top right, bottom right, bottom left.
+        corners: latitude and longitude of its corners, (4, 2): top left, top right, bottom right, bottom left.
     """
 
     middle: Float64Array
@@ -66,17 +66,13 @@ class Correction:
 
 
 def _possible(corners: Float64Array, slack: float = 1.0) -> bool:
-    """Return whether a camera above the ground could take a picture with these corners in metres, (4, 2).
-
-    Args:
-        slack: factor of at least 1 on the limits, for corners that were rounded since they were checked.
-    """
+    """Tell whether a camera above the ground could see these corners in metres, (4, 2); `slack` >= 1 loosens the limits."""
     after, before = np.roll(corners, -1, axis=0) - corners, corners - np.roll(corners, 1, axis=0)
     turns = before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0]
     sides = np.linalg.norm(after, axis=1)
     if not (_MIN_SIDE / slack <= sides.min() and sides.max() <= _MAX_SIDE * slack):
         return False
-    # Seen from above, the corners of a picture follow each other clockwise.
+    # Seen from above, the corners of a picture run clockwise.
     sines = -turns / (sides * np.roll(sides, 1))
     return bool((sines >= _MIN_SINE / slack).all() and -turns.sum() / 4 >= _MIN_AREA / slack)
 
@@ -85,7 +81,7 @@ def read_corrections(file: Path) -> dict[str, Correction]:
     """Read all corrections, by the frame's name; empty if the file does not exist.
 
     Raises:
-        DataError: when the file is not in the format above; the message names the entry.
+        DataError: if the file is not in the format above; the message names the entry.
     """
     return _FORMAT.read(file)
 
@@ -93,20 +89,20 @@ def read_corrections(file: Path) -> dict[str, Correction]:
 def set_correction(
     file: Path, name: str, correction: Correction | None, known: Mapping[str, Correction] | None = None
 ) -> dict[str, Correction]:
-    """Replace one frame's correction on disk and keep all others; None removes its line.
+    """Replace one frame's correction on disk; None removes its line.
 
     Args:
         file: usually `corrections.csv` in the flight's folder.
         name: of the frame.
-        known: the corrections that the person has seen; None replaces any.
+        known: the corrections that the person has seen; None overwrites any.
 
     Returns:
         All corrections after the change.
 
     Raises:
-        InputError: when the frame's correction is not the known one; it is not changed.
-        DataError: when the existing file is damaged; it is not changed.
-        OutputError: when the file cannot be written.
+        InputError: if the frame's correction differs from the known one; the file is not changed.
+        DataError: if the existing file is damaged; it is not changed.
+        OutputError: if the file cannot be written.
     """
 
     def change(corrections: dict[str, Correction]) -> dict[str, Correction]:

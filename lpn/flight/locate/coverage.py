@@ -1,4 +1,4 @@
-"""The ground that each frame shows, and the frames that show a spot."""
+"""The ground of each frame, and the frames that show a spot."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class Outline:
 
     Attributes:
         corners: (4, 2) metres in the map's frame: top left, top right, bottom right, bottom left of the picture.
-        registered: whether they follow from an accepted registration; otherwise from position, height, angles, and field of view.
+        registered: whether they follow from an accepted registration, or from position, height, angles, and field of view.
     """
 
     corners: Float64Array
@@ -28,9 +28,9 @@ class Outline:
 
 
 def outline(located: LocatedFrame) -> Outline | None:
-    """Return the ground that a frame shows; None if neither a registration nor the camera's model tells it.
+    """Return the ground of a frame by its registration, else by the camera's model; None without both.
 
-    The camera's model is laid at the tag. Without a tag its middle is laid at the answer of the sequence, if that is accepted.
+    The camera's model starts from the tag. Without a tag its middle is at the sequence's answer, if that is accepted.
     """
     answer = located.stages.get("registration")
     if answer is not None and answer.accepted and answer.homography is not None:
@@ -48,7 +48,7 @@ def outline(located: LocatedFrame) -> Outline | None:
 
 
 def crossing(corners: Float64Array) -> Float64Array:
-    """Return where the diagonals of a picture's corners on the ground, (4, 2), cross: the ground of its middle, (2,)."""
+    """Return the ground of a picture's middle, (2,): the crossing of the diagonals of its corners on the ground, (4, 2)."""
     along, across = corners[2] - corners[0], corners[3] - corners[1]
     share = np.linalg.solve(np.stack([along, -across], axis=1), corners[1] - corners[0])[0]
     return np.asarray(corners[0] + share * along, np.float64)
@@ -67,10 +67,10 @@ def corners_of(homography: Float64Array, width: int, height: int) -> Float64Arra
 
 
 def seen_by(outlines: Sequence[Outline | None], x: float, y: float) -> list[int]:
-    """Return the positions of the outlines that hold a spot, in metres of the map's frame; a border belongs to its outline."""
+    """Return the indices of the outlines, borders included, that hold a spot in metres of the map's frame."""
     holding = []
     for i, one in enumerate(outlines):
-        # Corners are taken relative to the spot, because OpenCV computes in single precision.
+        # Corners are relative to the spot, because OpenCV computes in single precision.
         if one is not None and cv2.pointPolygonTest((one.corners - (x, y)).astype(np.float32), (0.0, 0.0), False) >= 0:
             holding.append(i)
     return holding

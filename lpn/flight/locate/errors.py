@@ -1,4 +1,4 @@
-"""Errors of a flight's places against what is known of them: GPS tags, surveyed positions, exact poses, or corrections."""
+"""Errors of a flight's places against GPS tags, surveyed positions, exact poses, or corrections."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ import numpy as np
 
 from lpn.core.arrays import Float64Array
 
-# Metres of the shares in tables and JSON.
+# Limits in metres of the shares in tables and JSON.
 WITHIN = (5, 10, 25, 50, 100)
-# Shares in percent of errors that are normal along both axes, 1 - exp(-k^2 / 2), within k standard deviations.
+# Percent of errors within k standard deviations, 1 - exp(-k^2 / 2), if errors are normal along both axes.
 RIGHT_CALIBRATION = {k: 100 * (1 - math.exp(-(k**2) / 2)) for k in (1, 2, 3)}
-# Three right radii hold 99 % of the errors; a smaller share than this says that radii or truths are wrong.
+# Three correct radii hold 99 % of the errors; a share below this shows that radii or truths are wrong.
 CONFIRMED_SHARE = 90.0
-# Independent photos from which a mean is compared with its standard error, and the multiple of it that is called systematic.
+# Fewest independent photos for a statement on the bias, and the multiple of the standard error that makes it systematic.
 _LEAST_FOR_BIAS, _SYSTEMATIC = 8, 3.0
-# Errors that differ by fewer metres are equal.
+# Metres below which errors count as equal.
 _EQUAL = 1e-6
 
 
@@ -29,8 +29,8 @@ class Errors:
     """Errors of positions against their truths.
 
     Attributes:
-        known: photos with a truth.
-        offsets: position minus truth in metres east and north, (N, 2), of those that have a position, in the flight's order.
+        known: number of photos with a truth.
+        offsets: position minus truth in metres east and north, (N, 2), of photos with both, in the flight's order.
         radii: 1-sigma radii of these positions in metres, (N,); NaN where unknown.
     """
 
@@ -40,7 +40,7 @@ class Errors:
 
     @classmethod
     def of(cls, known: int, rows: Iterable[tuple[float, float, float | None]]) -> Errors:
-        """Return the errors of rows: metres east, metres north, and the radius, None where unknown."""
+        """Make errors of rows: metres east, metres north, and the radius or None."""
         values = np.array([(*row[:2], math.nan if row[2] is None else row[2]) for row in rows], np.float64).reshape(
             -1, 3
         )
@@ -48,7 +48,7 @@ class Errors:
 
     @property
     def photos(self) -> int:
-        """Photos with a truth and a position."""
+        """Number of photos with a truth and a position."""
         return len(self.offsets)
 
     @cached_property
@@ -58,7 +58,7 @@ class Errors:
         return metres
 
     def quantile(self, share: float) -> float:
-        """Return the metres that this share of the errors does not exceed, interpolated between photos; NaN without any."""
+        """Return the quantile of the distances in metres for a share, 0 .. 1, interpolated; NaN without photos."""
         return float(np.quantile(self.metres, share)) if self.photos else math.nan
 
     @property
@@ -99,7 +99,7 @@ class Errors:
 
     @property
     def spread(self) -> tuple[float, float]:
-        """Standard deviations about the means, of N - 1 photos; NaN for fewer than two."""
+        """Standard deviations east and north, with N - 1; NaN for fewer than two photos."""
         if self.photos < 2:
             return math.nan, math.nan
         east, north = self.offsets.std(axis=0, ddof=1).tolist()
@@ -107,19 +107,19 @@ class Errors:
 
     @property
     def independent(self) -> tuple[float, float]:
-        """Photos that would tell as much of each mean if neighbours did not err alike."""
+        """Effective numbers of independent photos for the means east and north, as neighbours err alike."""
         return _independent(self.offsets[:, 0]), _independent(self.offsets[:, 1])
 
     @property
     def calibration(self) -> dict[int, float]:
-        """Share in percent within 1, 2, and 3 radii; empty without radii. Right radii have `RIGHT_CALIBRATION`."""
+        """Percent of errors within 1, 2, and 3 radii, ideally `RIGHT_CALIBRATION`; empty without radii."""
         given = self.radii > 0
         ratios = self.metres[given] / self.radii[given]
         return {k: 100 * float((ratios <= k).mean()) for k in RIGHT_CALIBRATION if len(ratios)}
 
     @property
     def within(self) -> dict[int, float]:
-        """Share in percent of all photos with a truth that have a position within so many metres; empty without any."""
+        """Percent of photos with a truth whose error is at most each limit of `WITHIN` in metres; empty without any."""
         return {metres: 100 * int((self.metres <= metres).sum()) / self.known for metres in WITHIN if self.known}
 
     def figures(self) -> dict[str, Any]:
@@ -141,7 +141,7 @@ class Errors:
 
     @property
     def bias_sentence(self) -> str:
-        """Say whether the mean is more than chance explains; "" of photos too few to tell."""
+        """A sentence on whether the mean exceeds chance; "" with too few photos."""
         told = []
         for axis, mean, spread, count in zip(("east", "north"), self.bias, self.spread, self.independent, strict=True):
             if count >= _LEAST_FOR_BIAS:
@@ -160,9 +160,9 @@ def percents(shares: dict[int, float]) -> str:
 
 
 def _independent(errors: Float64Array) -> float:
-    """Return how many independent errors tell as much of their mean as these, (n,), in the flight's order.
+    """Return the effective number of independent errors among these, (n,), in the flight's order.
 
-    These are n / (1 + 2 sum r), with the correlations r of neighbours, second neighbours, and so on, until one is negative.
+    It is n / (1 + 2 sum r), with the correlations r of first, second, and further neighbours up to the first negative one.
     """
     off, n = errors - errors.mean() if len(errors) else errors, len(errors)
     if n < 2 or np.ptp(errors) < _EQUAL:

@@ -1,7 +1,7 @@
-"""The photos of a flight whose look can be graded: those whose judge nothing contradicts.
+"""Doubt about the judges of a flight's photos.
 
-The judge of a photo is its GPS tag, or its details, see `LocatedFlight.judge_of`. A photo whose judge is in doubt counts neither
-as right nor as wrong, wherever right and wrong answers are counted.
+The judge of a photo's ranking is its GPS tag or its details, see `LocatedFlight.judge_of`. A photo whose judge is in doubt counts
+neither as right nor as wrong.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from lpn.tasks.task import Task
 def doubtful_photos(
     flight: LocatedFlight, task: Task, answers: Int64Array, ranks: Int64Array, verdicts: FlightVerdicts | None = None
 ) -> BoolArray:
-    """Return the photos of a flight whose judge is in doubt, or by whose judge no tile is right, (Q,).
+    """Return a mask, (Q,), of the photos whose judge is in doubt or accepts no tile.
 
     Args:
         task: of the flight, see `flight_task`.
         answers: the first tile of each photo, (Q,).
         ranks: 0-based rank of each photo's first true tile, -1 without one, (Q,).
-        verdicts: of the flight; by default they are looked for.
+        verdicts: of the flight; by default they are computed.
     """
     beliefs = (verdicts or FlightVerdicts.of(flight)).beliefs
     return np.array(
@@ -40,25 +40,25 @@ def doubtful_photos(
 def is_doubtful(
     flight: LocatedFlight, task: Task, query: int, answer: int, right: bool, verdict: Belief | None = None
 ) -> bool:
-    """Return whether the grade of a flight's photo is in doubt.
+    """Tell whether the grade of a flight's photo is in doubt.
 
-    Its details are doubtful judges where its tag, its neighbours, or the map contradict them, and so is its tag where the details
-    say the opposite of this answer.
+    Details are in doubt if the tag, the neighbours, or the map contradict them. A tag is in doubt if the details grade this
+    answer the opposite way.
 
     Args:
         answer: the first tile's position in the gallery.
-        right: it is right by the judge.
-        verdict: on the photo; by default it is looked for.
+        right: whether it is right by the judge.
+        verdict: on the photo; by default it is computed.
     """
     by_details = flight.judge_of(query) == "its details" and (verdict or belief(flight.frames[query])).contradicted
     return by_details or is_disputed(flight, task, query, answer, right)
 
 
 def is_disputed(flight: LocatedFlight, task: Task, query: int, answer: int, right: bool) -> bool:
-    """Return whether the details of a flight's photo contradict its judge on an answer.
+    """Tell whether the details of a flight's photo contradict its judge on an answer.
 
-    They place the photo's middle on an answer that is wrong, or off a right one. They do neither without an accepted
-    registration, and where its 1-sigma radius leaves it open. The map's error moves both alike.
+    They do if they place the photo's middle on a wrong answer, or off a right one, by more than the 1-sigma radius without the
+    map's error, which moves both alike. Without an accepted registration there is no contradiction.
 
     Args:
         answer, right: see `is_doubtful`.
@@ -69,9 +69,9 @@ def is_disputed(flight: LocatedFlight, task: Task, query: int, answer: int, righ
 
 
 def off_window(located: LocatedFrame, window: Window | None) -> float | None:
-    """Return the metres from a piece of the map to a photo's registered place, below 0 inside of the piece.
+    """Return the metres from a window to a photo's registered place, below 0 inside the window.
 
-    None without an accepted registration, or a piece of a map.
+    None without an accepted registration or a window.
     """
     answer = located.stages.get("registration")
     if answer is None or not answer.accepted or answer.x is None or answer.y is None or window is None:
@@ -80,6 +80,6 @@ def off_window(located: LocatedFrame, window: Window | None) -> float | None:
 
 
 def window_of(task: Task, index: int) -> Window | None:
-    """Return where a tile lies on the map; None where it is no piece of one."""
+    """Return the window of a tile; None if the tile is not cut from a map."""
     cut = task.gallery[index].cut
     return cut.window if isinstance(cut, WindowCut) else None

@@ -1,4 +1,4 @@
-"""Local features of a map, described block by block when a photo needs them, and kept in the user's cache."""
+"""Local features of a map, described block by block on demand, and stored in the user's cache."""
 
 from __future__ import annotations
 
@@ -28,28 +28,28 @@ FORMAT = "lpn-ground/2"
 _SIDE = 1024
 _MARGIN = 24
 _LIMIT = 7500
-# A photo is resized to at most this width, and a map is enlarged at most twice.
+# Largest width of a compared photo in pixels, and largest enlargement of a map.
 _PHOTO = 900
 _ENLARGED = 2.0
-# Blocks that one photo may be compared with.
+# Most blocks that one photo is compared with.
 MAX_BLOCKS = 48
 # Bytes of features in memory: as many blocks as one photo needs of two matchers, 2 MB each of XFeat and 4 MB of SIFT.
 _MEMORY = 300_000_000
 
 
 class GroundCache:
-    """Features of blocks of all maps of a process, of which those that were used last stay (LRU); thread-safe.
+    """A thread-safe LRU cache of features, for blocks of all maps of a process.
 
     Args:
-        limit: the most bytes that all features together take; the newest are kept even if they take more.
+        limit: most bytes of all features together; the newest block stays even if it is larger.
     """
 
     def __init__(self, limit: int) -> None:
         self._limit, self._lock = limit, threading.Lock()
-        self._grounds: dict[Hashable, Ground] = {}  # the one that was used last is the last one
+        self._grounds: dict[Hashable, Ground] = {}  # in the order of last use
 
     def get(self, key: Hashable, make: Callable[[], Ground]) -> Ground:
-        """Return the features of a block, which are made if they are not held."""
+        """Return the features of a block, made by `make` if they are not cached."""
         with self._lock:
             if (held := self._grounds.pop(key, None)) is not None:
                 self._grounds[key] = held
@@ -64,20 +64,19 @@ class GroundCache:
         return ground
 
     def clear(self) -> None:
-        """Hold nothing."""
         with self._lock:
             self._grounds.clear()
 
 
-# Shared by all maps, so that a process that shows several needs no more memory.
+# Shared by all maps of a process, to bound the memory.
 in_memory = GroundCache(_MEMORY)
 
 
 class MapFeatures:
-    """Features of the blocks of a map: in memory for the frames to come, and on disk for the runs to come.
+    """Features of a map's blocks: in memory for later frames, and on disk for later runs.
 
-    A block's file is addressed by the digest of the map, the matcher with its version, and the block, so a change of one of them
-    describes the block again. A file that cannot be read is made anew; a cache that cannot be written costs time only.
+    A block's file is named by the digest of the map, the matcher with its version, and the block, so a change of one of them
+    makes a new file. An unreadable file is replaced; a cache that cannot be written costs only time.
 
     Args:
         basemap: the map.
@@ -91,15 +90,15 @@ class MapFeatures:
         self._folder: Path | None = cache_folder() / "locate" / "ground" / self._digest
 
     def resolution(self, width: float) -> float:
-        """Return the metres per pixel at which photos of a ground width are compared: a power of two of the map's half pixel."""
+        """Return the metres per pixel of the comparison for a ground width in metres: half the map's pixel times a power of 2."""
         finest = self._map.resolution / _ENLARGED
         return finest * 2.0 ** max(0, math.ceil(math.log2(max(width / _PHOTO / finest, 1e-9))))
 
     def around(self, centres: Float64Array | None, reach: float, width: float) -> Ground | None:
-        """Return the features of squares of side 2 `reach` about points (K, 2), or of the whole map.
+        """Return the features of squares of side 2 `reach` about points (K, 2), or of the whole map for None.
 
         Returns:
-            None if more than `MAX_BLOCKS` blocks would be needed.
+            None if more than `MAX_BLOCKS` blocks are needed.
         """
         resolution = self.resolution(width)
         side = _SIDE * resolution
@@ -133,12 +132,11 @@ class MapFeatures:
         return Ground(points[near], values[near], resolution)
 
     def holds_map(self, width: float) -> bool:
-        """Return whether photos of a ground width in metres may be compared with the whole map, see `MAX_BLOCKS`."""
+        """Tell whether the whole map has at most `MAX_BLOCKS` blocks for a ground width in metres."""
         columns, rows = self._grid(_SIDE * self.resolution(width))
         return columns * rows <= MAX_BLOCKS
 
     def _grid(self, side: float) -> tuple[int, int]:
-        """Return the columns and rows of blocks of a side in metres."""
         west, south, east, north = self._map.bounds
         return max(math.ceil((east - west) / side), 1), max(math.ceil((north - south) / side), 1)
 
@@ -167,7 +165,7 @@ class MapFeatures:
         return None if self._folder is None else self._folder / f"{'_'.join(map(str, key))}.npz"
 
     def _read(self, key: tuple[int, int, int], resolution: float) -> Ground | None:
-        """Read a block's file; None without one, or if it is damaged."""
+        """Read a block's file; None if it is missing or damaged."""
         if (file := self._file(key)) is None:
             return None
         try:
@@ -185,7 +183,7 @@ class MapFeatures:
             file.parent.mkdir(parents=True, exist_ok=True)
             write_atomic(file, data.getvalue())
         except (OSError, OutputError) as error:
-            self._folder = None  # one sentence, not one for each block
+            self._folder = None  # so that the warning comes once
             log.warning(
                 "Features of the map are not kept for the next run, as %s cannot be written (%s); set LPN_CACHE to a folder that "
                 "can be.",

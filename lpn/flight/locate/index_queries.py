@@ -34,14 +34,14 @@ def flight_queries(
 ) -> IndexQueries:
     """Describe frames as they are compared with the windows of an index.
 
-    A frame is turned north-up by its heading. Where that is not certain, it takes the one of `tried_headings` whose nearest
-    window is nearest; if the index holds turned windows, these stand for the other headings. Where its width on the ground is
-    known, it is cut to the nearest size of window that the index holds. A window shows a frame's place if it holds the frame's
-    tag. A frame that cannot be read is logged and noted; its place is not known.
+    A frame is turned north-up by its heading. If that is uncertain, the heading of `tried_headings` with the nearest window is
+    taken; turned windows of the index replace turns of the frame. A frame of known width on the ground is cut to the nearest size
+    of window in the index. Windows that hold a frame's tag are its true ones. An unreadable frame is logged and noted, and its
+    place is unknown.
 
     Args:
         basemap: map of the windows.
-        root: folder of the flight, where a person's notes are kept.
+        root: folder of the flight, which holds a person's notes.
 
     Raises:
         InputError: if the model's branches have roles, and it has one view, or the index was made for other tiles than windows
@@ -79,7 +79,7 @@ def flight_queries(
 
 
 def _best(index: Index, described: Float32Array, turns: Int64Array, good: BoolArray) -> int:
-    """Return which of a frame's turns has the nearest window; the first if none can be read."""
+    """Return the turn of a frame with the nearest window; the first if the frame is unreadable."""
     if len(turns) == 1 or not good[turns[0]]:
         return int(turns[0])
     scores = [index.search(described[turn], None, 1).scores[0] for turn in turns]

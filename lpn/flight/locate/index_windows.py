@@ -1,8 +1,7 @@
-"""The windows of a map that an index holds, so that they need not be described again.
+"""Windows of a map that an index has described.
 
-The index says which windows of which map it was made for (`lpn index --map`). It may hold each window at several headings
-(`--turns 8`). A photo whose heading is unknown is then described once: turned by t degrees against the map, it is compared with
-windows that are turned by t, too.
+The index names its windows and its map (`lpn index --map`). It may hold each window at several headings (`--turns 8`). A photo of
+unknown heading is then described once, and compared with windows at each heading.
 """
 
 from __future__ import annotations
@@ -19,26 +18,25 @@ from lpn.flight.maps import Map, NamedWindow, Window
 from lpn.index import Index, WindowsRecord, open_index
 from lpn.models.base import Model
 
-# Windows up to which all are compared with each frame; 400 MB of 4 parts of 512 numbers are 50,000.
+# Most windows that are all compared with each frame: 400 MB with 4 parts of 512 numbers.
 MOST = 50_000
-# The number of windows nearest to one description of a frame that are compared, where an index has more: the most, and the
-# fewest for a flight of many frames.
+# For a larger index: most compared windows for each description of a frame, and fewest for a flight of many frames.
 NEAREST, _FEWEST = 500, 20
 
 
 class WindowIndex:
-    """An index of a map's windows, from which those are taken that a flight is compared with.
+    """An index of a map's windows, as the source of a flight's candidates.
 
-    Of up to 50,000 windows these are all. Of more they are those that are nearest to some frame, 500 for each of its
-    descriptions, so that 10^7 windows take a search for each and no more memory than that.
+    Up to 50,000 windows are all candidates. Of more, the 500 nearest to each description of a frame are, so that 10^7 windows
+    need one search for each description and bounded memory.
 
     Args:
         where: the index's folder, or milvus://host:port/collection.
 
     Attributes:
         sizes: sides of its windows in metres, ascending.
-        turns: headings at which it holds each window in degrees, from 0 on.
-        overlap: share of a window's side that its neighbour covers, too.
+        turns: headings of each window in degrees, from 0 on.
+        overlap: share of a window's side that its neighbour also covers.
 
     Raises:
         StoreError: if there is no index, or it holds descriptors of another model.
@@ -59,14 +57,13 @@ class WindowIndex:
         """Return the windows to compare with frames.
 
         Args:
-            described: descriptions of frames, (Q, n, D); one of zeros counts for nothing.
+            described: descriptions of frames, (Q, n, D); zeros are ignored.
 
         Returns:
-            The windows, north up; their descriptors at each of `turns`, (T, W, n, D) float32; and sentences about how they were
-            chosen.
+            The windows, north up; their descriptors at each of `turns`, (T, W, n, D) float32; and sentences about the choice.
 
         Raises:
-            InputError: if there is no description of a frame, and not all windows are taken.
+            InputError: if no frame is described, and not all windows are candidates.
         """
         notes: list[str] = []
         whole = self._record.count * self._record.turns
@@ -105,7 +102,7 @@ class WindowIndex:
         return [[replace(one, heading=round(turn, 2)).name for turn in self.turns] for one in upright]
 
     def _nearest(self, index: Index, described: Float32Array) -> list[NamedWindow]:
-        """Return the windows nearest to descriptions, north up and each once, of which all turns are there."""
+        """Return the windows nearest to descriptions, north up and without repeats, that have all turns in the index."""
         asked = described[np.abs(described).sum(axis=(1, 2)) > 0]
         if not len(asked):
             raise InputError(
@@ -121,7 +118,7 @@ class WindowIndex:
 
 
 def recorded_windows(index: Index, basemap: Map) -> WindowsRecord:
-    """Return which windows of a map an index was made for.
+    """Return the record of an index's windows.
 
     Raises:
         InputError: if it was made for other tiles, or for another map.

@@ -1,4 +1,4 @@
-"""A tilted photo as a camera that looks straight down would show its ground, so that it can be matched with a map."""
+"""A tilted photo, rectified to a view straight down for matching with a map."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from lpn.flight.files import Frame
 from lpn.flight.files.cameras import rotation
 from lpn.flight.locate.matchers import Complex
 
-# Degrees from straight down between which photos are levelled, and the least angle below the horizon of ground that is kept.
+# Least and most tilt in degrees of photos that are levelled, and the least angle below the horizon of ground in the result.
 _LEAST_TILT, _MOST_TILT, _LOWEST_RAY = 15.0, 65.0, 28.0
 # Largest side of a levelled photo, as a multiple of the photo's width.
 _WIDEST = 4.0
@@ -46,11 +46,11 @@ class Levelled:
 
 
 class PhotoView:
-    """Pixels of a photo as points u of the picture that was registered, see `lpn.flight.locate.registration`, and back.
+    """The conversion between pixels of a photo and points u of its registered picture, see `lpn.flight.locate.registration`.
 
     Args:
         size: width and height of the photo in pixels.
-        levelled: the picture that was registered in place of the photo; None if it was the photo.
+        levelled: the registered picture; None if the photo itself was registered.
     """
 
     def __init__(self, size: tuple[int, int], levelled: Levelled | None) -> None:
@@ -60,12 +60,12 @@ class PhotoView:
         self._columns, self._middle = columns, middle_pixel(columns, rows)
 
     def pixels(self, u: Complex) -> Float64Array:
-        """Return pixels of the photo, (N, 2)."""
+        """Convert points u, (N,) complex, to pixels of the photo, (N, 2)."""
         of_picture = np.stack([u.real, -u.imag], axis=1) * self._columns + self._middle
         return apply_homography(inverse(self._matrix), of_picture)
 
     def units(self, pixels: Float64Array) -> Complex:
-        """Return points u, (N,) complex."""
+        """Convert pixels of the photo, (N, 2), to points u, (N,) complex."""
         x, y = ((apply_homography(self._matrix, pixels) - self._middle) / self._columns).T
         return np.asarray(x - 1j * y, np.complex128)
 
@@ -73,16 +73,16 @@ class PhotoView:
 def level(photo: UInt8Array, frame: Frame, assumed: bool = False) -> Levelled | None:
     """Level a photo by its tilt.
 
-    A pixel's ray is turned by the frame's pitch and roll, and meets a plane below the camera. Where rays go down by less than 28
-    degrees, the ground is too far to be compared, and left out.
+    A pixel's ray is turned by the frame's pitch and roll, and meets a plane below the camera. Ground whose rays go down by less
+    than 28 degrees is left out: it is too far away.
 
     Args:
         photo: (H, W, 3) uint8.
-        assumed: whether the pitch is a guess about the camera, whatever the source of the heading is.
+        assumed: whether the pitch is a guess about the camera, whatever the source of the heading.
 
     Returns:
-        None unless pitch and field of view are known, the camera itself and not the aircraft tells the pitch, and it looks
-        between 15 and 65 degrees from straight down.
+        None unless pitch and field of view are known, the pitch is the camera's and not the aircraft's, and the tilt is between
+        15 and 65 degrees.
     """
     if frame.pitch is None or frame.fov is None or (frame.heading_source == "aircraft" and not assumed):
         return None
@@ -106,7 +106,7 @@ def level(photo: UInt8Array, frame: Frame, assumed: bool = False) -> Levelled | 
     moved = np.array([[1, 0, (columns - 1) / 2 - centre[0]], [0, 1, (rows - 1) / 2 - centre[1]], [0, 0, 1]])
     matrix = moved @ plane
     visible = np.empty((height, width), np.uint8)
-    for top in range(0, height, _ROWS):  # the rays of a large photo would fill the memory
+    for top in range(0, height, _ROWS):  # to bound the memory
         block = pixel_grid((width, min(_ROWS, height - top))) + np.array([0, top])
         rays = np.column_stack([block, np.ones(len(block))]) @ (turn @ body).T
         visible[top : top + _ROWS] = _meets_ground(rays).reshape(-1, width)
@@ -117,11 +117,11 @@ def level(photo: UInt8Array, frame: Frame, assumed: bool = False) -> Levelled | 
 
 
 def pixel_grid(size: tuple[int, int], steps: int | None = None) -> Float64Array:
-    """Return pixels on a grid over a picture of this width and height, row by row, (N, 2); all pixels without `steps`."""
+    """Return pixels on a grid over a picture of a width and height, row by row, (N, 2); all pixels without `steps`."""
     sides = [np.linspace(0, side - 1, steps or side) for side in size]
     return np.stack(np.meshgrid(*sides), axis=-1).reshape(-1, 2)
 
 
 def _meets_ground(rays: Float64Array) -> BoolArray:
-    """Return which rays (N, 3), (north, east, down), go down steeply enough to be kept, (N,)."""
+    """Return a mask, (N,), of the rays (north, east, down), (N, 3), that go down steeply enough."""
     return np.asarray(rays[:, 2] >= math.sin(math.radians(_LOWEST_RAY)) * np.linalg.norm(rays, axis=1))

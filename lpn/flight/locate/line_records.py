@@ -1,4 +1,4 @@
-"""Records in a file of lines, appended one by one, so that a run that was killed goes on."""
+"""Records in a file of lines, appended one by one, so that a killed run can resume."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ Kept = TypeVar("Kept", bound=msgspec.Struct)
 
 
 class LineRecords(Generic[Kept]):
-    """Records by a key; a line that a kill cut short is left out.
+    """Records by a key; a line that a kill cut short is ignored.
 
     Args:
-        file: of JSON lines, made by the first record.
+        file: of JSON lines, created by the first record.
         kind: of the records.
     """
 
@@ -45,7 +45,7 @@ class LineRecords(Generic[Kept]):
         try:
             self._file.parent.mkdir(parents=True, exist_ok=True)
             with self._file.open("ab") as file:
-                # A line that was cut short must not swallow this one.
+                # The first line break ends a line that was cut short.
                 file.write(b"\n" + msgspec.json.encode((key, record)) + b"\n")
         except OSError as error:
             raise OutputError(

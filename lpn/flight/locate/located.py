@@ -28,15 +28,15 @@ from lpn.flight.maps import Map
 from lpn.retrieval import field_metrics
 
 STAGES = ("retrieval", "sequence", "registration")
-# The stage of a track that has the places of corrected frames.
+# The stage of corrected frames in a track.
 BY_HAND = "by hand"
-# "not verified" is a position that nothing has checked against the picture: the best guess of the retrieval.
+# "not verified" is the best guess of the retrieval, which no check against the picture has confirmed.
 State = Literal["accepted", "refused", "not verified"]
-# "contradicted" is an accepted position that lies too far from the frame's tag, or from its neighbours' answer, for their errors.
+# "contradicted" is an accepted position too far from the frame's tag, or its neighbours' answer, for their errors.
 TrackState = State | Literal["contradicted"]
-# By what a photo's look is graded.
+# The truth by which a photo's ranking is graded.
 Judge = Literal["its GPS tag", "its GPS tag without its lag", "its details"]
-# Least distance between the centres of a frame's kept windows, as a share of their side; windows that overlap show one place.
+# Least distance between the centres of a frame's best windows, as a share of their side: overlapping windows show one place.
 APART = 0.5
 
 
@@ -57,26 +57,26 @@ class StageRecord(msgspec.Struct, frozen=True, omit_defaults=True):
 
     Attributes:
         state: "accepted" if the position may be used, "refused" if not, "not verified" if the stage cannot tell.
-        finding: what the stage found, in words; with `code`, what a refused place would have been.
-        x, y: metres east and north in the map's frame: of the camera where `camera`, else of the picture's middle.
-        camera: whether the position is the camera's, which needs a pose, or a known tilt: of 15 degrees at most, while the flight
-            goes on of 60.
-        radius: 1-sigma radius in metres; None for the retrieval, which has none.
+        finding: the stage's finding in words; with `code`, a description of the refused place.
+        x, y: metres east and north in the map's frame: of the camera if `camera`, else of the picture's middle.
+        camera: whether the position is the camera's, which needs a pose or a known tilt of at most 15 degrees (60 in live
+            flights).
+        radius: 1-sigma radius in metres; None for the retrieval.
         heading: of the picture's top in degrees.
         turn: `heading` minus the heading in the flight's files, in degrees.
         width: metres of ground across the picture.
-        inliers: matches that agree.
+        inliers: number of matches that agree.
         homography: from pixels to metres, 9 numbers by rows.
-        pose: of the camera; None where the matches do not tell it.
-        map_error: 1-sigma error of the map in metres that the radius holds; it moves all places on the map alike.
-        place_error: the part of it that is the error of the map's place on earth, as the map tells it; 0 if it does not.
-        agreement: of places away from the photo's middle with the map; None while they are not compared.
-        middle_radius: 1-sigma radius in metres of the ground at the photo's middle, where the position is the camera's; with the
-            map's error, as `radius` has it. None where it is not known.
-        details: the matches that agree with a registration, `inliers` in number, and a sample of them; None for other answers.
-        code: why it is refused, see `lpn.flight.locate.words`; "" where the finding says it.
+        pose: of the camera; None if the matches do not determine it.
+        map_error: 1-sigma error of the map in metres, included in the radius; it moves all places on the map alike.
+        place_error: the part of `map_error` that is the error of the map's place on earth; 0 if unknown.
+        agreement: of places away from the photo's middle with the map; None before the comparison.
+        middle_radius: 1-sigma radius in metres of the ground at the photo's middle, map's error included, if the position is the
+            camera's; None if unknown.
+        details: the `inliers` of a registration, with a sample of them; None for other answers.
+        code: the reason of a refusal, see `lpn.flight.locate.words`; "" if `finding` has it.
         numbers: of that reason.
-        alone: whether the details of the photo suffice without a flight, see `lpn.flight.locate.registration.proven`.
+        alone: whether the photo's details suffice without a flight, see `lpn.flight.locate.registration.proven`.
     """
 
     state: State
@@ -102,12 +102,12 @@ class StageRecord(msgspec.Struct, frozen=True, omit_defaults=True):
 
     @property
     def sentence(self) -> str:
-        """What was found, or why it was refused."""
+        """The finding, or the reason of the refusal."""
         return " ".join(filter(None, self.reason_and_note))
 
     @property
     def reason_and_note(self) -> tuple[str, str]:
-        """The sentence as a short reason, and the rest of it."""
+        """The sentence in two parts: a short reason, and the rest."""
         if self.code == "unread":
             return self.finding, ""
         if why := Reason(self.code, self.numbers).sentence:
@@ -117,16 +117,16 @@ class StageRecord(msgspec.Struct, frozen=True, omit_defaults=True):
 
     @property
     def unverified(self) -> bool:
-        """True if it is refused for one reason alone: nothing shows that the map is of this place."""
+        """True if the only reason of its refusal is the lack of evidence that the map is of this place."""
         return self.code in ("unproven", "few")
 
     def refused(self, code: Code, **numbers: float) -> StageRecord:
-        """Return the answer, refused for a reason."""
+        """Return a refused copy of the answer."""
         return msgspec.structs.replace(self, state="refused", code=code, numbers=numbers)
 
     @property
     def on_earth(self) -> bool:
-        """True if the radius holds the error of the map's place on earth, as the map tells it."""
+        """True if the radius includes the known error of the map's place on earth."""
         return self.place_error > 0
 
     @property
@@ -136,13 +136,13 @@ class StageRecord(msgspec.Struct, frozen=True, omit_defaults=True):
 
     @property
     def middle_on_map(self) -> float | None:
-        """As `radius_on_map`, of the ground at the photo's middle, which owes nothing to the tilt."""
+        """`radius_on_map` of the ground at the photo's middle, which does not depend on the tilt."""
         radius = self.radius if self.middle_radius is None else self.middle_radius
         return None if radius is None else math.sqrt(max(radius**2 - self.place_error**2, 0.0))
 
     @property
     def own_radius(self) -> float:
-        """The radius in metres against other places on the same map, whose error cancels; 0 without one."""
+        """The radius in metres without the map's error, which cancels between places on one map; 0 without a radius."""
         return math.sqrt(max((self.radius or 0.0) ** 2 - self.map_error**2, 0.0))
 
     @property
@@ -152,11 +152,11 @@ class StageRecord(msgspec.Struct, frozen=True, omit_defaults=True):
 
     @property
     def by_pose(self) -> bool:
-        """True if the position and its radius are those of the pose."""
+        """True if the position and its radius come from the pose."""
         return self.pose is not None and self.camera and (self.x, self.y) == (self.pose.east, self.pose.north)
 
     def distance(self, place: Float64Array) -> float:
-        """Return the metres from the position, which must be known, to a place (2,)."""
+        """Return the metres from the known position to a place (2,)."""
         assert self.x is not None
         assert self.y is not None
         return math.hypot(self.x - place[0], self.y - place[1])
@@ -168,12 +168,12 @@ class LocatedFrame:
 
     Attributes:
         frame: of the flight.
-        tag: its position in metres of the map's frame, (2,); None without a tag.
+        tag: its tag in metres of the map's frame, (2,); None without one.
         stages: answers by stage.
         windows: best windows of the retrieval.
-        likely: windows of the sequence's greatest posterior, whose centres lie half of a side apart: x, y, and side in metres;
-            none where the sequence did not run over the whole flight.
-        by_hand: where a person's correction lays the photo; None without one.
+        likely: windows of the sequence's greatest posterior with centres at least half a side apart: x, y, and side in metres;
+            empty unless the sequence ran over the whole flight.
+        by_hand: the photo's place by a person's correction; None without one.
     """
 
     frame: Frame
@@ -184,7 +184,7 @@ class LocatedFrame:
     by_hand: StageRecord | None = None
 
     def truth(self, camera: bool) -> Float64Array | None:
-        """Return the true place of the camera or of the picture's middle, (2,): the correction's, else the tag, else None."""
+        """Return the true place of the camera or the picture's middle, (2,): the correction, else the tag, else None."""
         if self.by_hand is None or (camera and not self.by_hand.camera):
             return self.tag
         if camera:
@@ -192,12 +192,12 @@ class LocatedFrame:
         return self.middle(self.by_hand)
 
     def searched_places(self, around_tag: bool) -> Float64Array | None:
-        """Return the places (K, 2) about which the registration searches; None where it searches the whole map.
+        """Return the places (K, 2) about which the registration searches; None for the whole map.
 
         They are the sequence's answer and the two best windows, else all windows.
 
         Args:
-            around_tag: True if it searches about the tag where no stage before it tells a place.
+            around_tag: whether to search about the tag if no earlier stage has a place.
         """
         windows = [(window.x, window.y) for window in self.windows]
         answer = self.stages.get("sequence")
@@ -208,7 +208,7 @@ class LocatedFrame:
         return self.tag[None] if around_tag and self.tag is not None else None
 
     def middle(self, answer: StageRecord) -> Float64Array:
-        """Return the ground at the picture's middle, (2,), by an answer that lays the picture over the map."""
+        """Return the ground at the picture's middle, (2,), by the homography of an answer."""
         matrix = np.array(answer.homography).reshape(3, 3)
         return apply_homography(matrix, middle_pixel(self.frame.width, self.frame.height))
 
@@ -230,7 +230,7 @@ class LocatedFrame:
 
     @property
     def sentence(self) -> str:
-        """Summarise in one line what the stages found."""
+        """Summarise the findings of the stages in one line."""
         sentences = [f"{name.capitalize()}: {answer.sentence}" for name, answer in self.stages.items()]
         return " ".join(
             sentences if self.by_hand is None else [*sentences, f"{BY_HAND.capitalize()}: {self.by_hand_sentence}"]
@@ -238,7 +238,7 @@ class LocatedFrame:
 
     @property
     def by_hand_sentence(self) -> str:
-        """Say what a correction changed; "" without one."""
+        """A sentence on the effect of a correction; "" without one."""
         if self.by_hand is None:
             return ""
         apart = None if self.tag is None else self.by_hand.distance(self.tag)
@@ -259,17 +259,15 @@ class LocatedFlight:
     """A flight over a map, located.
 
     Attributes:
-        flight, basemap: what was located, and where.
+        flight, basemap: the flight, and its map.
         frames: in the order of the flight.
         audit: of the tags against registered positions; None without registration.
         notes: sentences about the run.
         retrieval: scores of all windows; None without a model.
-        tags_without_lag: positions of the tags in metres without the constant lag that the audit finds, (N, 2), NaN where they
-            are not known; None if it finds none.
-        map_error: 1-sigma error in metres along each axis that the radii of registrations hold for the map; None without them.
-        place_error: the part of it that is the error of the map's place on earth, see `Map.place_error`.
-        tags_away: metres from the map's edge to the nearest tag where all lie far off the map, so that they were left out;
-            None where they do not.
+        tags_without_lag: tags in metres without the audit's constant lag, (N, 2), NaN where unknown; None without a lag.
+        map_error: 1-sigma error of the map in metres along each axis in the radii of registrations; None without registrations.
+        place_error: the part of `map_error` that is the error of the map's place on earth, see `Map.place_error`.
+        tags_away: metres from the map's edge to the nearest tag if all tags lie far off the map and were left out, else None.
         shipped: registrations that ship with the flight, by the frame's name, see `lpn.flight.locate.shipped`.
         prior: metres about each tag that registration searched; None if the search used no tag.
     """
@@ -289,7 +287,7 @@ class LocatedFlight:
 
     @property
     def elsewhere(self) -> str:
-        """Say that all GPS tags lie far off the map, and so how far; "" where they do not."""
+        """A clause on the distance of GPS tags that all lie far off the map; "" otherwise."""
         return "" if self.tags_away is None else f"The flight's GPS tags lie {distance(self.tags_away)} from this map"
 
     @property
@@ -299,29 +297,29 @@ class LocatedFlight:
 
     @cached_property
     def rendered(self) -> bool:
-        """True if its photos are those of a rendered world, whose coordinates are of no real place."""
+        """True if its photos are of a rendered world, whose coordinates are of no real place."""
         return bool(self.frames) and is_rendered_flight(self.frames[0].frame.file.parent)
 
     @cached_property
     def late_tags(self) -> TagAudit | None:
-        """The audit of the tags against the registrations that ship with the flight; None unless these show a constant lag."""
+        """The audit of the tags against shipped registrations; None unless these show a constant lag."""
         answers = [self.shipped.get(located.frame.name) for located in self.frames]
         places = np.array([UNKNOWN if a is None or not a.accepted or a.x is None else (a.x, a.y) for a in answers])
         audit = audit_tags(self.flight.times, tag_positions(self.frames), places.astype(np.float64), middles=True)
         return audit if audit.has_lag else None
 
     def judge_of(self, frame: int) -> Judge:
-        """Return what a photo's look is graded by, see `photographed`."""
+        """Return the truth by which a photo's ranking is graded, see `photographed`."""
         if self.late_tags is None:
             return "its GPS tag"
         return "its GPS tag without its lag" if self._shipped_middle(self.frames[frame]) is None else "its details"
 
     @cached_property
     def photographed(self) -> list[Float64Array | None]:
-        """The place of each photo's middle, (2,), that its ranking is graded by; None where that is not known.
+        """The place of each photo's middle, (2,), by which its ranking is graded; None where unknown.
 
-        It is the tag, unless the tags are late (`late_tags`): then it is the registration that ships with the flight, and for a
-        frame without one the tag without the lag.
+        It is the tag, unless the tags are late (`late_tags`). Then it is the shipped registration, or without one the tag without
+        the lag.
         """
         if (audit := self.late_tags) is None or audit.lag is None:
             return [located.tag for located in self.frames]
@@ -340,7 +338,7 @@ class LocatedFlight:
         return located.middle(answer)
 
     def without_lag(self) -> LocatedFlight:
-        """Return the flight with the tags of `tags_without_lag`; itself if there are none."""
+        """Return the flight with the tags of `tags_without_lag`; the flight itself without these."""
         if self.tags_without_lag is None:
             return self
         pairs = zip(self.frames, self.tags_without_lag, strict=True)
@@ -365,9 +363,9 @@ class LocatedFlight:
 
     @cached_property
     def radii_confirmed(self) -> dict[str, bool]:
-        """By stage, if three radii hold its errors about as often as right ones would; without stages that no tag checks.
+        """Tell by stage whether tags confirm its radii: three of these hold about as many errors as they should.
 
-        A search with a prior finds nothing far from the tags, so these may refute its radii, and confirm none.
+        A search with a prior finds nothing far from the tags, so these may refute its radii, but not confirm them.
         """
         checked = {stage: one.calibration for stage, one in self.errors().items() if one.calibration}
         confirmed = {stage: shares[3] >= CONFIRMED_SHARE for stage, shares in checked.items()}
@@ -376,10 +374,9 @@ class LocatedFlight:
     def field_measures(self) -> dict[str, float]:
         """Return Recall@K, SDM@K of GTA-UAV, Dis@K, and MA@m of the retrieval against `LocatedFrame.truth`.
 
-        A window is a hit if it holds that place. "recall@5 apart" is measured on windows whose centres are at least half a side
-        apart, as the registration searches them without a sequence; "sequence recall@5 apart" on those of the sequence's greatest
-        posterior. A frame that cannot be read is a miss of the retrieval, and left out of Dis@K only. Empty without retrieval or
-        such places.
+        A window is a hit if it holds the true place. "recall@5 apart" counts windows with centres at least half a side apart,
+        which the registration searches without a sequence. "sequence recall@5 apart" counts windows of the sequence's greatest
+        posterior. An unreadable frame is a miss, and left out of Dis@K only. Empty without retrieval or truths.
         """
         if self.retrieval is None:
             return {}
@@ -425,7 +422,7 @@ class LocatedFlight:
 
 
 def checked_beside_middle(answer: StageRecord) -> Literal["yes", "no"]:
-    """Return "yes" if places away from the photo's middle are enough to check it by the map; they may contradict it."""
+    """Return "yes" if enough places away from the photo's middle were compared with the map, even if they contradict it."""
     return "no" if answer.agreement is None or answer.agreement.unchecked else "yes"
 
 

@@ -1,19 +1,18 @@
-"""Whether a map is of the flight's place: one sum of log odds over all that speaks for it.
+"""Evidence that a map is of the flight's place, as one sum of log odds.
 
-A photo of another place fits a map by chance now and then, most often where trees stand on both: on such maps up to two of nine
-photos did. Each kind of evidence is a ratio of two probabilities, that on the right map over that on another one, so their
-logarithms add up. The second probability is the chance of it: the share of the searched ground that would agree as well. A search
-that can hardly fail to agree, as close about a prediction, so proves nothing by itself.
+A photo of another place fits a map by chance now and then, most often over trees: on such maps up to two of nine photos did. Each
+kind of evidence is the log of a ratio: its probability on the right map over its probability on another map. The latter is the
+share of the searched ground that would agree as well. So a search that can hardly fail, such as one close about a prediction,
+proves nothing by itself.
 
     number      photos that fit: on another map an unknown share does, up to a fifth
-    neighbours  photos after each other that overlap on the ground, by less than half
+    neighbours  successive photos that overlap on the ground by less than half
     sequence    photos that lie within three quarters of a window's side of their sequence's answer
     tags        photos that lie where their GPS tags say
 
-How many photos agree on the right map is not known, so all shares are equally likely. Few photos may fit the right map, and none
-may overlap: number and neighbours count as a mixture with no evidence at all, so that their lack costs little. For false places
-that are independent a sum of 3 has a probability of exp(-3) at most (Markov's inequality). Photos of one view are not
-independent, and count once.
+The share of photos that agree on the right map is unknown, so all shares are equally likely. On the right map few photos may fit
+and none overlap, so number and neighbours are mixed with no evidence at all, and their lack costs little. If false places are
+independent, a sum of 3 has a probability of at most exp(-3) (Markov's inequality). Photos of one view count once.
 """
 
 from __future__ import annotations
@@ -32,33 +31,33 @@ from lpn.flight.locate.ranked_stages import OVERLAP
 from lpn.flight.locate.registered_stage import AROUND
 from lpn.flight.locate.words import Reason
 
-# Log odds from which the map counts as that of the flight's place: odds of 20.
+# Log odds from which the map counts as of the flight's place: odds of 20.
 ENOUGH = 3.0
-# Share of the views that fit a map of another place by chance, at most.
+# Largest share of views that fit a map of another place by chance.
 _CHANCE = 0.2
-# Share of right flights whose number of photos that fit tells anything at all.
+# Share of flights over the right map whose number of fitting photos is evidence.
 _TELLING = 1 / 3
 # Shares of agreeing photos over which odds are averaged.
 _SHARES = (np.arange(20) + 0.5) / 20
 # Points along each side of a searched square at which a chance is measured.
 _POINTS = 41
-# Photos whose middles are nearer than this share of their ground width, or than their radii, are of one view.
+# Photos are of one view if their middles are nearer than this share of their ground width, or than their radii.
 _ONE_VIEW = 0.25
-# Photos nearer than this share of their ground width see some of the same things, which may mislead both alike.
+# Photos nearer than this share of their ground width show common objects, which may mislead both.
 _SAME_THINGS = 0.5
 
 
 class MapEvidence:
-    """The log odds that a map is of a flight's place, added up photo by photo.
+    """The log odds that a map is of a flight's place, summed photo by photo.
 
     Args:
         bounds: west, south, east, north of the map in metres.
-        prior: metres about each photo's tag that were searched without a model; None if the tags were not used.
-        side: of the windows in metres about which a model had photos searched; None without a model.
-        kept: views and photos that count, the last ones; None for all.
+        prior: metres of the search about each photo's tag without a model; None if tags were not used.
+        side: metres of the model's windows about which photos were searched; None without a model.
+        kept: number of the last views and photos that count; None for all.
 
     Attributes:
-        prior: as it was given.
+        prior: see the arguments.
     """
 
     def __init__(
@@ -70,24 +69,24 @@ class MapEvidence:
     ) -> None:
         self._bounds, self.prior, self._side = bounds, prior, side
         self._before: LocatedFrame | None = None
-        # Middles, ground widths, and radii of the views so far, and of those with tags.
+        # Middles, ground widths, and radii of the views so far, and of the views with tags.
         self._views, self._tagged = (deque[tuple[Float64Array, float, float]](maxlen=kept) for _ in range(2))
         self._fits = deque[bool](maxlen=kept)
-        # Of each photo that counts: the chance to agree, and whether it does.
+        # For each photo: its chance to agree, and whether it does.
         self._neighbours, self._sequence, self._tags = (deque[tuple[float, bool]](maxlen=kept) for _ in range(3))
         self._photos = 0
 
     @property
     def views(self) -> int:
-        """Views that fit the map."""
+        """Number of views that fit the map."""
         return sum(self._fits)
 
     def add(self, located: LocatedFrame, searched: float | None = None) -> None:
-        """Add what a registered photo tells, or that it fits nowhere.
+        """Add the evidence of a photo, registered or not.
 
         Args:
-            searched: side in metres of the ground about the sequence's answer that was searched, beside that of the photo; by
-                default that of a window.
+            searched: side in metres of the search about the sequence's answer, without the photo's own ground; by default a
+                window's.
         """
         before, self._before = self._before, None
         self._photos += 1
@@ -115,35 +114,35 @@ class MapEvidence:
             self._sequence.append((chance, bool(np.linalg.norm(there - middle) <= near)))
         if located.tag is not None and _is_new(view, self._tagged, _SAME_THINGS):
             self._tagged.append(view)
-            # A search about windows knows no tag, so a false place may lie anywhere on the map.
+            # A search about windows ignores tags, so a false place may lie anywhere on the map.
             metres, allowed = beside_tag(located, answer)
             self._tags.append((self._chance(located, located.tag, allowed, self.prior), metres <= allowed))
 
     @property
     def log_odds(self) -> float:
-        """The sum of all evidence that was added."""
+        """The sum of all evidence."""
         fits = _mixed(_log_ratio_of_number(self.views, len(self._fits)), _TELLING)
-        # A run of neighbours that one false thing leads may begin at any photo.
+        # A run of neighbours that share one false match may begin at any photo.
         neighbours = _mixed(_log_ratio(self._neighbours), 1 / max(self._photos, 2))
         return fits + neighbours + _log_ratio(self._sequence) + _log_ratio(self._tags)
 
     def _chance(self, located: LocatedFrame, point: Float64Array, distance: float, margin: float | None) -> float:
-        """Return the share of the ground on which a photo's middle was looked for that lies near a point."""
-        # The middle lies off the searched square's by the margin, and by what the photo needs less than was searched for it.
+        """Return the share of the searched ground of a photo's middle that lies near a point."""
+        # The middle may lie off the searched square's middle by the margin, and by the ground searched beyond the photo's own.
         reach = (margin or 0.0) + (AROUND - 0.5) * (located.stages["registration"].width or 0.0)
         places = None if margin is None else located.searched_places(around_tag=self._side is None)
         return _share_near(point, distance, self._bounds, places, reach)
 
 
 def judge_map(frames: Sequence[LocatedFrame], evidence: MapEvidence) -> list[str]:
-    """Accept what the sequence holds back if the map is of the flight's place, else refuse its registrations; return sentences.
+    """Accept the sequence's answers if the map is of the flight's place, else refuse its registrations; return sentences.
 
-    `MapEvidence` tells it. It is known without where a person has corrected a photo, where the sequence has an accepted answer
-    (the direction of flight shows the map), and where the details of one photo suffice alone, see `StageRecord.alone`.
+    The map is of the place if `MapEvidence` suffices, a person has corrected a photo, the sequence has an accepted answer (by the
+    direction of flight), or the details of one photo suffice alone, see `StageRecord.alone`.
 
     Args:
         frames: their registrations and sequences are replaced.
-        evidence: which the frames are added to.
+        evidence: the sum to which frames are added.
     """
     known = False
     for located in frames:
@@ -169,7 +168,7 @@ def judge_map(frames: Sequence[LocatedFrame], evidence: MapEvidence) -> list[str
 
 
 def _fits(answer: StageRecord) -> bool:
-    """Return whether a registration counts: it is accepted, and the map away from the photo's middle does not contradict it."""
+    """Tell whether a registration is accepted, and not contradicted by the map away from the photo's middle."""
     return answer.accepted and answer.x is not None and map_misfit(answer) is None
 
 
@@ -181,22 +180,15 @@ def _middle_of(located: LocatedFrame, answer: StageRecord) -> Float64Array:
 def _is_new(
     view: tuple[Float64Array, float, float], views: Iterable[tuple[Float64Array, float, float]], share: float
 ) -> bool:
-    """Return whether a view, its middle, ground width, and radius, is none of others.
-
-    Args:
-        share: of the ground width within which middles are of one view.
-    """
+    """Tell whether a view (middle, ground width, radius) differs from others; `share` of the width makes one view."""
     middle, width, radius = view
     return all(math.dist(middle, place) > max(share * max(width, wide), radius + wrong) for place, wide, wrong in views)
 
 
 def _log_ratio(trials: Iterable[tuple[float, bool]]) -> float:
-    """Return the log of the probability of agreements on the right map over that on another one.
+    """Return the log ratio of trials (chance to agree, 0 < chance <= 1; agreement) on the right map and on another.
 
-    On the right map an unknown share of them agrees for sure, and the others by chance; all shares are equally likely.
-
-    Args:
-        trials: of each the chance to agree, above 0 and at most 1, and whether it agrees.
+    On the right map an unknown share agrees for sure, and the others by chance; all shares are equally likely.
     """
     logs = np.zeros(len(_SHARES))
     for chance, agrees in trials:
@@ -205,10 +197,10 @@ def _log_ratio(trials: Iterable[tuple[float, bool]]) -> float:
 
 
 def _log_ratio_of_number(count: int, chances: int) -> float:
-    """Return the log of the probability that so many of some views fit the right map, over that on another one.
+    """Return the log ratio of `count` fits in `chances` views on the right map and on another.
 
-    The share that fits is unknown: any is equally likely, on another map up to a fifth. So the ratio is a fifth over the
-    probability that one fit more in one chance more comes true by a fifth each.
+    All shares of fits are equally likely on the right map, and up to 1/5 on another. So the ratio is 1/5 over the probability of
+    more than `count` fits in `chances` + 1 trials of probability 1/5.
     """
     logs = [
         math.lgamma(chances + 2) - math.lgamma(k + 1) - math.lgamma(chances + 2 - k)
@@ -220,7 +212,7 @@ def _log_ratio_of_number(count: int, chances: int) -> float:
 
 
 def _mixed(log_ratio: float, share: float) -> float:
-    """Return the log odds of evidence that tells something on a share of all right maps only."""
+    """Return the log odds of evidence that is informative on only a share of all right maps."""
     return float(np.logaddexp(math.log1p(-share), math.log(share) + log_ratio))
 
 
@@ -231,11 +223,9 @@ def _share_near(
     places: Float64Array | None,
     reach: float,
 ) -> float:
-    """Return the share of the searched ground that lies within so many metres of a point, (2,): above 0, to 1.
+    """Return the share, 0 < share <= 1, of the searched ground within `distance` metres of a point, (2,).
 
-    Args:
-        bounds: of the map: west, south, east, north in metres.
-        places: (K, 2), about which squares of side 2 `reach` were searched; None for the whole map.
+    The ground is the squares of side 2 `reach` about `places`, (K, 2), or the map's bounds if None.
     """
     west, south, east, north = bounds
     if places is None:
@@ -245,7 +235,7 @@ def _share_near(
     points = points[((points >= bounds[:2]) & (points <= bounds[2:])).all(axis=1)]
     if not len(points):
         return 1.0
-    # A point of several squares is there several times.
+    # A point in several squares is listed several times.
     weights = 1 / (np.abs(points[:, None] - places) <= reach + 1e-6).all(axis=2).sum(axis=1)
     near = np.linalg.norm(points - point, axis=1) <= distance
     return float(max(weights[near].sum(), weights.min()) / weights.sum())

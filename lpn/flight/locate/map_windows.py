@@ -1,4 +1,4 @@
-"""Describe windows of a map into a store: for an index, named by where they are, or for the localisation of a flight."""
+"""Describe windows of a map into a store, for an index or for locating a flight."""
 
 from __future__ import annotations
 
@@ -25,17 +25,17 @@ def describe_windows(
     precision: Precision = "float32",
     names: Sequence[str] | None = None,
 ) -> Store:
-    """Describe windows of a map, mirror included, into a store; existing rows are not computed again.
+    """Describe windows of a map, mirror included, into a store.
 
-    A window is cut when it is described, so memory holds the pictures of the batches in progress only. After a kill, the next
-    call resumes. Rows of an existing store are copied while the map's files are unchanged.
+    A window is cut when it is described, so memory holds only the batches in progress. After a kill, the next call resumes. Rows
+    of an existing store are reused while the map's files are unchanged.
 
     Args:
         windows: the windows, in the order of the rows.
         out: the store's folder.
         view: the branch that describes them.
         precision: precision of the numbers on disk; the computation is in float32.
-        names: of the rows, such as `lpn.flight.maps.named_window` gives them; by default the numbers of each window.
+        names: of the rows, such as those of `lpn.flight.maps.named_window`; by default the numbers of each window.
 
     Raises:
         PictureError: if a file of the map is damaged where a window lies.
@@ -46,7 +46,8 @@ def describe_windows(
     side = max(model.input_size)
     if names is None:
         names = [f"{window.x!r},{window.y!r},{window.size!r},{window.heading!r}" for window in windows]
-    # A row tells its picture by name, size, and time: here the side in pixels, and a digest of the map in place of the time.
+    # A row identifies its picture by name, size, and time: here the side in pixels stands for the size, and a digest of the map
+    # for the time.
     version = int(basemap.digest()[:15], 16)
     rows = tuple(Row(name, side, version) for name in names)
     manifest = Manifest.for_model(model, view, UNCHANGED, rows, precision)

@@ -1,4 +1,4 @@
-"""The details of a photo that agree with its registration: how far they lie from their places, and a sample of them."""
+"""The matches of a photo that agree with its registration: their distances, and a sample of them."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ from lpn.flight.locate.agreement import PhotoPlaces, offset_rows
 from lpn.flight.locate.levelled import PhotoView
 from lpn.flight.locate.registration import Registration
 
-# The most details of a sample: as many as a person can tell apart in a picture.
+# Most details in a sample: as many as a person can distinguish in a picture.
 _SAMPLE = 24
 # Rows of a photo in which the details of a sample are numbered from left to right.
 _ROWS = 4
 
 
 class MatchedDetails(PhotoPlaces, frozen=True):
-    """The matches of a photo that agree with its registration, and a sample of them that is spread over the photo.
+    """The matches of a photo that agree with its registration, and a sample spread over the photo.
 
     Attributes:
-        rows: those of the sample.
-        median: of the distances of all matches that agree, in metres.
+        rows: of the sample.
+        median: of all these matches' distances in metres.
         limit: metres within which a match agrees.
     """
 
@@ -30,10 +30,10 @@ class MatchedDetails(PhotoPlaces, frozen=True):
 
     @classmethod
     def of(cls, registration: Registration, view: PhotoView) -> MatchedDetails | None:
-        """Return the matches that agree with an accepted registration of a photo; None for any other.
+        """Return the matches of an accepted registration; None for a refused one.
 
         Args:
-            view: of the photo, as it was registered.
+            view: of the photo and its registered picture.
         """
         matched, homography = registration.matched, registration.homography
         if not registration.accepted or matched is None or homography is None:
@@ -50,7 +50,7 @@ class MatchedDetails(PhotoPlaces, frozen=True):
         return cls(rows, round(float(np.median(metres[agree])), 3), round(matched.limit, 3))
 
     def on_map(self, homography: Float64Array, width: int, height: int) -> Float64Array:
-        """Return where the map has the sample, metres east and north, (N, 2).
+        """Return the sample's places on the map, metres east and north, (N, 2).
 
         Args:
             homography: of the registration, from pixels of the photo to metres, (3, 3).
@@ -60,12 +60,12 @@ class MatchedDetails(PhotoPlaces, frozen=True):
 
 
 def _spread(points: Float64Array) -> Int64Array:
-    """Return the numbers of at most `_SAMPLE` points, (N, 2), each as far as possible from those before."""
+    """Return the indices of at most `_SAMPLE` points, (N, 2), each as far as possible from earlier ones."""
     count = min(_SAMPLE, len(points))
     chosen = np.zeros(count, np.int64)
     nearest = np.full(len(points), np.inf)
     for i in range(count):
-        # The first is the one nearest to the middle of all.
+        # The first is nearest to the mean of all.
         chosen[i] = nearest.argmax() if i else np.hypot(*(points - points.mean(axis=0)).T).argmin()
         nearest = np.minimum(nearest, np.hypot(*(points - points[chosen[i]]).T))
     return chosen

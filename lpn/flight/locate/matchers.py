@@ -24,9 +24,9 @@ log = logging.getLogger(__name__)
 
 MatcherName = Literal["auto", "xfeat", "sift"]
 
-# Descriptors that are compared at once: their cosines stay in the processor's cache.
+# Descriptors that are compared at once; their cosines then fit in the processor's cache.
 _BLOCK = 512
-# Pixels around nodata in which features are dropped: they would describe the map's edge.
+# Pixels around nodata without features, which would describe the map's edge.
 _MARGIN = 8
 
 
@@ -46,10 +46,10 @@ class Matcher(ABC):
     """Finds and matches local features.
 
     Attributes:
-        name: as reports and tracks name it.
+        name: in reports and tracks.
         tolerance: degrees by which two pictures of one place may be turned against each other and still match.
         ratio: largest ratio of the distances to the nearest and to the second nearest descriptor; 1 for mutual matches alone.
-        package: that computes the features; another version of it may compute others.
+        package: of the features; another version of it may compute others.
     """
 
     name: str
@@ -59,7 +59,7 @@ class Matcher(ABC):
 
     @property
     def version(self) -> str:
-        """The version of the package, by which stored features are told from those of another one; "" if it is unknown."""
+        """The version of the package, which stored features depend on; "" if unknown."""
         try:
             return version(self.package)
         except PackageNotFoundError:
@@ -67,13 +67,13 @@ class Matcher(ABC):
 
     @abstractmethod
     def features(self, picture: UInt8Array, valid: BoolArray | None = None, limit: int = 4096) -> Features:
-        """Return at most `limit` features of a picture (H, W, 3), those on valid pixels (H, W) only."""
+        """Return at most `limit` features of a picture (H, W, 3), only on valid pixels (H, W)."""
 
     def match(self, photo: Features, ground: Features) -> Int64Array:
         """Return mutual nearest neighbours that pass the ratio test, (M, 2) int64: indices of `photo` and of `ground`."""
         if len(photo.points) < 2 or len(ground.points) < 2:
             return np.zeros((0, 2), np.int64)
-        # The map's features are the rows of the product, because an argmax over columns is slow.
+        # The map's features are the rows of the product, because argmax over columns is slow.
         best = np.full(len(photo.points), -2.0, np.float32)
         nearest = np.empty(len(ground.points), np.int64)
         values = np.empty(len(ground.points), np.float32)
@@ -108,7 +108,7 @@ class SiftMatcher(Matcher):
 
     def features(self, picture: UInt8Array, valid: BoolArray | None = None, limit: int = 4096) -> Features:
         grey = cv2.createCLAHE(3.0, (8, 8)).apply(cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY))
-        # Without the precise enlargement OpenCV places every keypoint a quarter of a pixel to the right and below.
+        # Without the precise enlargement OpenCV shifts every keypoint by a quarter of a pixel to the right and down.
         sift = cv2.SIFT_create(  # type: ignore[attr-defined]
             nfeatures=limit, contrastThreshold=0.02, enable_precise_upscale=True
         )
@@ -202,7 +202,7 @@ def open_matchers(name: MatcherName = "auto") -> list[Matcher]:
     """Return the matchers that a registration tries, in their order: for "auto" SIFT after XFeat.
 
     Raises:
-        InputError, MissingPackageError: as `open_matcher`.
+        InputError, MissingPackageError: see `open_matcher`.
     """
     first = open_matcher(name)
     return [first] if name != "auto" or isinstance(first, SiftMatcher) else [first, SiftMatcher()]
@@ -218,7 +218,7 @@ def _xfeat() -> Any:
 
 
 def _inner(valid: BoolArray | None) -> Any:
-    """Return a mask (H, W) uint8 of the pixels that are far enough from nodata; None for a picture without nodata."""
+    """Return a mask (H, W) uint8 of the pixels far enough from nodata; None for a picture without nodata."""
     if valid is None:
         return None
     side = 2 * _MARGIN + 1

@@ -1,4 +1,4 @@
-"""How a flight is located."""
+"""Options of locating a flight."""
 
 from __future__ import annotations
 
@@ -8,22 +8,22 @@ from dataclasses import dataclass
 from lpn.core.errors import InputError
 from lpn.flight.locate.matchers import MatcherName
 
-# Windows that are kept for each frame, of places apart.
+# Windows kept for each frame, at distinct places.
 TOP = 5
 
 
 @dataclass(frozen=True)
 class LocateOptions:
-    """How a flight is located.
+    """Options of locating a flight.
 
     Attributes:
         sequence, register: whether these stages run; retrieval runs with a model. The sequence needs retrieval.
-        matcher: of the registration; "auto" is XFeat where it is installed, and SIFT for the photos that XFeat does not place.
+        matcher: of the registration; "auto" is XFeat if installed, then SIFT for photos that XFeat does not place.
         prior: metres around each frame's tag that registration searches; None uses no tag.
         map_error: 1-sigma error of the map's places in metres, along each axis; None takes `Map.default_error`.
         sizes: sides of windows in metres; None chooses them from the flight.
         overlap: of neighbouring windows, 0 to below 1.
-        speed: of the motion model, metres a second; None takes the one at which the flight's scores are most probable.
+        speed: of the motion model, metres a second; None takes the speed at which the flight's scores are most probable.
     """
 
     sequence: bool = True

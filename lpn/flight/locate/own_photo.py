@@ -1,4 +1,4 @@
-"""The registration of one photo of no flight: on the whole map, or about its most similar windows where that is too large."""
+"""The registration of a single photo, on the whole map, or about its most similar windows if the map is too large."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from lpn.flight.maps import Map, Window
 
 @dataclass(frozen=True, eq=False)
 class OwnPhoto:
-    """The answer of the registration for one photo.
+    """The registration's answer for a single photo.
 
     Attributes:
         located: the photo, with one stage.
@@ -32,7 +32,7 @@ class OwnPhoto:
 
     @property
     def answer(self) -> StageRecord:
-        """The answer; its homography is from pixels of the photo without the distortion of its lens, see `Frame.undistorted`."""
+        """The answer; its homography is from pixels of the undistorted photo, see `Frame.undistorted`."""
         return self.located.stages["registration"]
 
 
@@ -45,19 +45,18 @@ def register_own_photo(
     on_progress: CountProgress | None = None,
     map_error: float | None = None,
 ) -> OwnPhoto:
-    """Register a photo of which nothing needs to be known: neither its place nor its heading, height, or field of view.
+    """Register a photo without any need of its place, heading, height, or field of view.
 
-    It is accepted by the rules of a flight's photos, see `lpn.flight.locate.registration`, and needs more support
-    than these, see `lpn.flight.locate.registration.proven`. The whole map is searched where it is small enough, so that every
-    place that looks alike is a rival.
+    The rules of a flight's photos apply, see `lpn.flight.locate.registration`, but more support is needed, see
+    `lpn.flight.locate.registration.proven`. A small enough map is searched whole, so that every similar place is a rival.
 
     Args:
-        features: of the map by each matcher, which are tried in this order.
-        photo: RGB, (H, W, 3), as it was taken.
-        frame: what the photo's file tells; None if it tells nothing. It is not believed where its tag lies farther off the map
-            than the map is wide: then either the photo is of another place, or what it tells is of another photo.
-        windows: the most similar ones, about which a large map is searched.
-        on_progress: called before each try with the number of those made, and of all; what it raises ends the search.
+        features: of the map by each matcher, in the order of the tries.
+        photo: RGB, (H, W, 3), as taken.
+        frame: the data of the photo's file; None without any. They are ignored if the tag lies farther off the map than the map
+            is wide: either the photo is of another place, or the data are of another photo.
+        windows: the most similar windows, about which a large map is searched.
+        on_progress: called before each try with the numbers of tries made and of all; an exception in it ends the search.
         map_error: see `LocateOptions.map_error`.
     """
     height, width = photo.shape[:2]

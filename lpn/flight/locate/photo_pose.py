@@ -17,13 +17,13 @@ from lpn.flight.locate.matchers import Complex
 from lpn.flight.locate.registration import Registration
 from lpn.flight.maps import Map
 
-# Matches of the second round lie within this share of the picture's width of where the first pose has them.
+# Reach of the second round of matching around the first pose's predictions, as a share of the picture's width.
 _REACH = 0.02
-# Ground that the plane's model lays within so many widths of the picture's middle may be seen.
+# Ground within this many widths of the picture's middle, by the plane's model, may be in the picture.
 _SEEN = 1.0
-# Sigmas by which a pose's tilt may differ from the one that the photo tells.
+# Sigmas by which a pose's tilt may differ from the photo's.
 _SIGMAS = 3.0
-# 1-sigma error of a match in pixels of the pictures that were compared.
+# 1-sigma error of a match in pixels of the compared pictures.
 _MATCH_ERROR = 1.0
 
 
@@ -34,11 +34,11 @@ def photo_pose(
 
     Args:
         size: width and height of the photo in pixels.
-        registration: of the photo, with its matches; `homography` and `width` are those of the photo itself.
-        levelled: the picture that was registered in place of the photo; None if it was the photo.
+        registration: of the photo, with its matches; `homography` and `width` are of the photo itself.
+        levelled: the registered picture; None if the photo itself was registered.
 
     Returns:
-        The pose, or a sentence that says why there is none; "" without matches.
+        The pose, or a sentence with the reason for none; "" without matches.
     """
     matched, plane, metres = registration.matched, registration.homography, registration.width
     if matched is None or plane is None or metres is None:
@@ -46,7 +46,7 @@ def photo_pose(
     flat = basemap.elevation is None
     noise = _MATCH_ERROR * max(1.0, matched.ground.resolution * size[0] / metres)
     view = PhotoView(size, levelled)
-    # Where neither heights nor the photo tell the tilt, noise and relief would pass for one.
+    # If neither heights nor the photo tell the tilt, noise and relief may pass for one.
     proven = flat and (frame.pitch is None or frame.roll is None)
 
     def collected(u: Complex, places: Float64Array) -> PoseMatches:
@@ -57,7 +57,7 @@ def photo_pose(
         return PoseMatches(view.pixels(u)[known], points, size, plane, parameters, noise)
 
     def again(predict: Callable[[Float64Array], Float64Array]) -> PoseMatches:
-        # The plane's model tells which ground the photo may show at all.
+        # The plane's model limits the ground that the photo may show.
         on_plane = np.abs(view.units(apply_homography(inverse(plane), matched.ground.points)))
         numbers = np.flatnonzero(on_plane < _SEEN)
         places = matched.ground.points[numbers]
@@ -77,10 +77,10 @@ def photo_pose(
 
 
 def _contradiction(frame: Frame, solved: CameraPose, turned: bool) -> str:
-    """Return that pitch or roll contradict what the photo tells, as a sentence; "" if they agree within three sigmas."""
+    """Return a sentence if pitch or roll contradict the photo's; "" if they agree within three sigmas."""
     if frame.pitch is None or frame.roll is None:
         return ""
-    way = -1 if turned else 1  # the file was turned after it was taken
+    way = -1 if turned else 1  # the file was turned after the flight
     told = way * (frame.pitch + 90) - 90, way * frame.roll
     limits = [_SIGMAS * math.hypot(told_tilt_error(frame), float(sigma)) for sigma in solved.sigmas[4:]]
     if abs(solved.pitch - told[0]) <= limits[0] and abs(solved.roll - told[1]) <= limits[1]:

@@ -1,4 +1,4 @@
-"""The three stages over a whole flight: retrieval, sequence, registration; resumable, and past frames that cannot be read."""
+"""The three stages over a whole flight: retrieval, sequence, registration; resumable, and robust to unreadable frames."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ from lpn.flight.locate.tags import enter_corrections, tags_on_map
 from lpn.flight.maps import Map
 from lpn.models.base import Model
 
-# Seconds from one answer of a registration that goes on to the next.
+# Seconds from one partial result of a registration to the next.
 _PARTIAL_INTERVAL = 3.0
-# Photos before and after one whose details, within three quarters of a window's side, show that it lies on the map.
+# Neighbours of a photo that can confirm it on the map, if details place them within three quarters of a window's side.
 _NEIGHBOURS = (-2, -1, 1, 2)
 
 
@@ -46,17 +46,17 @@ def locate(
 ) -> LocatedFlight:
     """Locate the frames of a flight.
 
-    Registered frames are kept in the user's cache, so a run that was killed goes on where it stopped.
+    Registered frames are stored in the user's cache, so a killed run resumes.
 
     Args:
         model: for the retrieval; without one, registration searches the whole map, or around the tags with a prior.
-        corrections: a person's, by the frame's name. They change no answer of a stage: they are the truth of errors and of the
-            audit, and stand in the track in place of registrations.
-        indexed: of the map's windows, described by the model; without it, the windows that the options tell are described.
-        shipped: a folder of answers that ship with the flight, which are taken if they fit, see `lpn.flight.locate.shipped`.
+        corrections: a person's, by the frame's name. They change no stage's answer, but are the truth of errors and audit, and
+            replace registrations in the track.
+        indexed: an index of the map's windows by the model; without it, the windows of the options are described.
+        shipped: a folder of answers that ship with the flight, used if they fit, see `lpn.flight.locate.shipped`.
 
     Raises:
-        InputError: if no stage is left, a prior is given beside a model, or the model lacks a view.
+        InputError: if no stage runs, a prior comes with a model, or the model lacks a view.
         DataError: if the flight has no frame.
     """
     options = options or LocateOptions()
@@ -115,8 +115,8 @@ def registered(
     """Register the frames of a flight whose other stages are done, and audit its tags; `located` is not changed.
 
     Args:
-        model, options: those that the flight was located with, so that answers of `locate` are found in the cache.
-        on_partial: called every few seconds with the flight as far as it is registered; the tags are not audited yet.
+        model, options: the same as in `locate`, so that the cache has its answers.
+        on_partial: called every few seconds with the flight registered so far, whose tags are not yet audited.
     """
     options = replace(options or LocateOptions(), register=True)
     map_error = located.basemap.total_error(options.map_error)
@@ -136,7 +136,7 @@ def registered(
         located.basemap, located.flight, frames, options, model, located.retrieval, publish, located.shipped
     )
     side = None if located.retrieval is None else float(np.median(located.retrieval.sizes))
-    if not located.shipped:  # a sequence that ships knows them
+    if not located.shipped:  # a shipped sequence has used these frames
         _know_frames_on_map(located, frames, options)
     notes += judge_map(frames, MapEvidence(located.basemap.bounds, options.prior, side))
     answers = [frame.by_hand or frame.stages["registration"] for frame in frames]
@@ -169,10 +169,9 @@ def _beyond(retrieval: MapRetrieval, basemap: Map) -> Float64Array:
 
 
 def _know_frames_on_map(located: LocatedFlight, frames: list[LocatedFrame], options: LocateOptions) -> None:
-    """Compute the sequence anew where it refuses frames: those that their details, or a person, place are not beyond the map.
+    """Repeat the sequence if it refuses frames, with frames that details or a person place on the map.
 
-    Beyond the edge a photo may fit an equal building by itself, so details count where those of a photo before or after place
-    that near by, see `_NEIGHBOURS`.
+    A single photo from beyond the edge may fit an equal building, so details need a neighbour near by, see `_NEIGHBOURS`.
     """
     if located.retrieval is None:
         return

@@ -1,4 +1,4 @@
-"""Errors of poses against the exact ones of a rendered flight."""
+"""Errors of poses against the exact poses of a rendered flight."""
 
 from __future__ import annotations
 
@@ -26,7 +26,8 @@ class PoseErrors:
 
     Attributes:
         places: of the camera in the plane.
-        others: metres of height, degrees of heading and of pitch, (N, 3), 0 or more; NaN for a height over flat ground.
+        others: absolute errors of height in metres, and of heading and pitch in degrees, (N, 3); NaN for a height over flat
+            ground.
     """
 
     places: Errors
@@ -49,7 +50,7 @@ class PoseErrors:
 
 
 def pose_errors(located: LocatedFlight) -> PoseErrors | None:
-    """Return the errors of a flight's poses; None unless exact ones lie beside its photos.
+    """Return the errors of a flight's poses; None unless exact poses lie beside its photos.
 
     Raises:
         DataError: if the exact poses cannot be read.
@@ -74,7 +75,7 @@ def pose_errors(located: LocatedFlight) -> PoseErrors | None:
 
 
 def _true_poses(photos: Path) -> dict[str, list[float]]:
-    """Return `_COLUMNS` of the photos of a rendered flight, by their names; none for another folder."""
+    """Return `_COLUMNS` of a rendered flight's photos by their names; empty for another folder."""
     file = photos.parent / TRUTH
     if not is_rendered_flight(photos) or not file.is_file():
         return {}

@@ -1,4 +1,4 @@
-"""The stages of a flight that rank windows: retrieval, and the sequence over its scores."""
+"""The stages that rank windows: retrieval, and the sequence over its scores."""
 
 from __future__ import annotations
 
@@ -25,18 +25,18 @@ from lpn.flight.locate.sequence import (
     smooth,
 )
 
-# A place is told by windows that overlap it, whose centres lie within this share of a side, and with this probability.
+# A place is accepted if windows within this share of a side of it have this probability together.
 OVERLAP = 0.75
 CONFIDENCE = 0.98
-# Log odds from which steps along the headings show that the map is of the flight's place.
+# Log odds of steps along the headings from which the map counts as of the flight's place.
 EVIDENCE = 4.0
-# Steps of known time between frames that can be read, from which a flight's motion is told.
+# Fewest steps of known time between readable frames for a note on the flight's motion.
 _LEAST_STEPS = 10
-# Standard deviation of a step, as a share of the distance between windows, below which it tells no direction.
+# Least standard deviation of a step that has a direction, as a share of the distance between windows.
 _LEAST_STEP = 0.3
 
 
-# Probability of places beyond the map from which a frame is said to lie there.
+# Probability of places beyond the map from which a frame counts as there.
 _LEFT = 0.5
 _UNREAD = "The photo cannot be read; the position is a guess of its neighbours."
 # No places beyond the map, (0, 2).
@@ -85,7 +85,7 @@ def enter_retrieval(retrieval: MapRetrieval, frames: list[LocatedFrame], k: int)
 
 
 def _margin(retrieval: MapRetrieval, frame: int) -> float | None:
-    """Return d² of the best window that does not overlap the best one, minus d² of that; None without such a window."""
+    """Return the margin in d² of the best window over the best one that does not overlap it; None without one."""
     scores = retrieval.scores(frame)
     best = int(scores.argmax())
     apart = (
@@ -97,12 +97,10 @@ def _margin(retrieval: MapRetrieval, frame: int) -> float | None:
 def smoothed(
     retrieval: MapRetrieval, flight: Flight, speed: float | None, beyond: Float64Array, on_map: Collection[int]
 ) -> tuple[SequenceResult, MotionModel, float]:
-    """Run the sequence over windows, places `beyond` the map, (B, 2), and headings; return it, its motion, and its evidence.
+    """Run the sequence over windows, places `beyond` the map, (B, 2), and headings; return it, its motion, `heading_evidence`.
 
-    The evidence is that of `heading_evidence`. Frames `on_map` have no place beyond.
-
-    A frame whose heading is told has this one as its state, as the drone flies along it, and each window counts with the best of
-    the turns that are tried. Other frames have all headings that are tried.
+    Frames `on_map` have no place beyond. A frame with a heading has only this state, and each window has its best score over the
+    tried turns. Other frames have all tried headings as states.
     """
     best = np.stack([retrieval.scores(i) for i in range(len(flight.frames))])
     flown = [frame.heading for frame in flight.frames]
@@ -145,9 +143,9 @@ def sequence_answer(point: SequencePoint, side: float, spacing: float, proven: b
     """Return the answer of the sequence for a frame.
 
     Args:
-        point: by the sequence.
-        side, spacing: of the windows, and from one to the next, in metres.
-        proven: whether it is shown that the map is of the flight's place; else the answer is refused until `judge_map`.
+        point: of the sequence.
+        side, spacing: of the windows, and between them, in metres.
+        proven: whether the map is known to be of the flight's place; if not, the answer is refused until `judge_map`.
         finding: about the frame.
     """
     radius = math.hypot(point.radius, spacing / 2)
@@ -164,7 +162,7 @@ def sequence_answer(point: SequencePoint, side: float, spacing: float, proven: b
 
 
 def _floored(probability: float) -> float:
-    """Return a probability that is never rounded up to what is needed."""
+    """Round a probability down to two digits, so that it never seems to reach a limit that it misses."""
     return math.floor(100 * probability) / 100
 
 
@@ -178,11 +176,11 @@ def enter_sequence(
 ) -> list[str]:
     """Enter the answers of the sequence; return sentences about it.
 
-    Where the direction of flight does not show that the map is of its place, answers are refused until `judge_map`.
+    If the direction of flight does not prove that the map is of its place, answers are refused until `judge_map`.
 
     Args:
         beyond: places beyond the map in metres, (B, 2), see `places_beyond`.
-        on_map: frames that lie on the map for other reasons. With any, the places where the registration has searched are kept.
+        on_map: frames known to lie on the map. With any, the places of the registration's search are kept.
     """
     side = float(np.median(retrieval.sizes))
     spacing = side * (1 - retrieval.overlap)

@@ -1,4 +1,4 @@
-"""The stage of a flight that registers each photo on the map; resumable."""
+"""The stage that registers each photo of a flight on the map; resumable."""
 
 from __future__ import annotations
 
@@ -56,26 +56,26 @@ from lpn.flight.maps import Map
 from lpn.models.base import Model
 
 FORMAT = "lpn-locate/7"
-# Answers in the cache have poses and matched details of this version.
+# Version of poses and matched details in cached answers.
 _POSES = 6
-# Ratios between the ground widths that are tried where none is known.
+# Ratio of one tried ground width to the next, where none is known.
 _WIDTHS = 1.9
-# Frames whose registered widths correct the next one's, and those that stand for it where no height is known.
+# Frames whose registered widths correct the next width, and frames whose widths replace it if no height is known.
 _RECENT = 7
 _LATEST = 3
-# Ground widths around a candidate that are searched.
+# Reach of the search around a candidate in ground widths.
 AROUND = 0.75
-# Share of a photo's ground beyond what was searched, above which the search is repeated about the place found.
+# Share of a photo's ground outside of the searched ground above which the search is repeated about the result.
 _BEYOND = 0.05
-# How far a picture's middle may sway with the tilt, as a share of the ground width: 8 degrees at 70 degrees of view.
+# Shift of a picture's middle by the tilt, as a share of the ground width: 8 degrees at 70 degrees of view.
 _SWAY = 0.1
-# Pitches at which a photo is levelled that tells none and is not placed as it is, and the field of view where that is not told.
+# Pitches in degrees for levelling a photo of unknown pitch that is not placed unlevelled.
 _TRIED_PITCHES = (-60.0, -42.0)
-# The photos of flights of fewer are searched as those of no flight first, as so few show little together.
+# Photos of a flight of fewer photos are first searched as single photos, as so few are little evidence together.
 FEWEST = 5
-# Levelled so, a photo needs so many times the usual support, as each try is a chance to agree with a wrong place.
+# Multiple of the usual support for a photo levelled by a guess: each try is a chance to agree with a wrong place.
 _TRIED_SUPPORT = 2.0
-# Each model of a registration in words: the matches agree on it.
+# The models of a registration in words, as the object of "the matches agree on".
 _AGREED = {"similarity": "one place, turn, and scale", "homography": "one place, turn, scale, and tilt"}
 
 
@@ -89,14 +89,14 @@ def register_frames(
     on_frame: CountProgress,
     shipped: Mapping[str, StageRecord],
 ) -> list[str]:
-    """Enter the answers of the registration, shipped ones and those of a killed run's records first; return sentences on them.
+    """Enter the answers of the registration, first shipped ones and records of a killed run; return sentences on them.
 
     Args:
         on_frame: called after each frame with the numbers of frames done and of all.
     """
     matchers = open_matchers(options.matcher)
     features = [MapFeatures(basemap, matcher) for matcher in matchers]
-    # The limit of frames is not part of the key, as a frame's answer depends on those before it only.
+    # The limit of frames is not part of the key: a frame's answer depends only on earlier frames.
     names = [matcher.name for matcher in matchers]
     searched = replace(options, map_error=None)
     side = None if retrieval is None else float(np.median(retrieval.sizes))
@@ -110,7 +110,7 @@ def register_frames(
     answers: list[StageRecord] = []
     map_error, place_error = basemap.total_error(options.map_error), basemap.place_error(options.map_error)
     for i, located in enumerate(frames):
-        # An answer depends on the frames before it, whose widths it takes over.
+        # An answer depends on earlier frames, whose widths it uses.
         places = located.searched_places(options.prior is not None)
         around = None if places is None else places.tolist()
         plain = {key: value for key, value in asdict(located.frame).items() if key != "file"}
@@ -120,7 +120,7 @@ def register_frames(
         if answer is None:
             answer = register_frame(basemap, features, located, options, before, side, few)
             if few and not answer.accepted and located.tag is not None:
-                # The tag may show what the details alone do not.
+                # With the tag, fewer details may suffice.
                 answer = register_frame(basemap, features, located, options, before, side)
             records.append(trail, answer)
         answers.append(answer)
@@ -133,13 +133,13 @@ def register_frames(
 
 
 def correct_radii(frames: list[LocatedFrame], answers: Sequence[StageRecord], map_error: float) -> list[str]:
-    """Give the radii of accepted cameras the error of the tilts that the flight itself shows; return sentences about it.
+    """Correct the radii of accepted cameras by the error of tilts that the flight's scatter shows; return sentences about it.
 
-    An error that frames have in common, such as a camera mounted askew, moves them alike along a leg and does not scatter. So
-    the squares of the scatter and of a share `COMMON` of the told error add up, and radii never grow.
+    A common error of frames, such as that of a camera mounted askew, moves a leg as a whole and does not scatter. So the squares
+    of the scatter and of a share `COMMON` of the default error add up, and radii never grow.
 
     Args:
-        answers: of the registration of each frame, before the map's error was added.
+        answers: of the registration for each frame, without the map's error.
     """
     notes = []
     for told in sorted({told_tilt_error(located.frame) for located in frames}):
@@ -177,7 +177,7 @@ def correct_radii(frames: list[LocatedFrame], answers: Sequence[StageRecord], ma
 
 
 def with_map_error(answer: StageRecord, map_error: float, place_error: float) -> StageRecord:
-    """Add the map's error to an answer's radius, and tell the radius of an accepted one.
+    """Add the map's error to an answer's radius, and name the radius in the finding of an accepted one.
 
     Args:
         place_error: see `Map.place_error`.
@@ -202,14 +202,14 @@ def with_map_error(answer: StageRecord, map_error: float, place_error: float) ->
 
 
 def refuse_contradicted(frames: list[LocatedFrame]) -> list[str]:
-    """Refuse registrations that the flight's other ones contradict, by turn or by place; return sentences about it."""
+    """Refuse registrations that others of the flight contradict, by turn or by place; return sentences about it."""
     return [*_refuse_turned(frames), *_refuse_jumps(frames)]
 
 
 def _refuse_turned(frames: list[LocatedFrame]) -> list[str]:
-    """Refuse registrations that are turned against a certain heading unlike the others; return a sentence about them.
+    """Refuse registrations whose turn against a certain heading differs from the others'; return a sentence about them.
 
-    A share of them that is too large is not known: beyond the edge of a map 5 of 21 were false.
+    There is no limit on their share: beyond the edge of a map 5 of 21 were false.
     """
     turned = [
         (located, answer, answer.turn)
@@ -243,9 +243,9 @@ def _degrees(degrees: float) -> str:
 
 
 def _refuse_jumps(frames: list[LocatedFrame]) -> list[str]:
-    """Refuse registrations that the drone cannot have flown to and back from, unless they are many; return sentences about it.
+    """Refuse registrations that the drone cannot have reached and left, unless they are many; return sentences about it.
 
-    Cameras and pictures' middles are two tracks. The map's error moves neighbours alike, so their radii count without it.
+    Cameras and pictures' middles are two tracks. Radii exclude the map's error, which moves neighbours alike.
     """
     notes = []
     for of_camera in (True, False):
@@ -287,7 +287,7 @@ def register_frame(
     side: float | None,
     anywhere: bool = False,
 ) -> StageRecord:
-    """Register one frame, and compare it with the map away from its middle; for the arguments see `PhotoSearch`."""
+    """Register one frame, and compare it with the map away from its middle; see `PhotoSearch`."""
     try:
         photo = _photo(located.frame)
     except PictureError as error:
@@ -301,11 +301,11 @@ def _photo(frame: Frame) -> UInt8Array:
 
 
 def compared(basemap: Map, answer: StageRecord, photo: UInt8Array) -> StageRecord:
-    """Compare places of an accepted answer's photo, RGB (H, W, 3) as it was registered, with the map."""
+    """Compare places of an accepted answer's registered photo, RGB (H, W, 3), with the map."""
     if not answer.accepted or answer.homography is None:
         return answer
     matrix = np.array(answer.homography).reshape(3, 3)
-    with suppress(DataError):  # a damaged part of the map away from the photo's middle
+    with suppress(DataError):  # the map may be damaged away from the photo's middle
         agreement = map_agreement(basemap, photo, matrix, (photo.shape[1], photo.shape[0]))
         return msgspec.structs.replace(answer, agreement=agreement)
     return answer
@@ -313,11 +313,11 @@ def compared(basemap: Map, answer: StageRecord, photo: UInt8Array) -> StageRecor
 
 @dataclass(eq=False)
 class Before:
-    """What the registered frames so far tell of the next one.
+    """Facts from earlier registered frames for the next one.
 
     Attributes:
         widths: metres of ground across the last pictures.
-        ratios: of these widths to those that heights and fields of view tell.
+        ratios: of these widths to the widths by height and field of view.
         heading: of the last frame, in degrees.
     """
 
@@ -326,7 +326,7 @@ class Before:
     heading: float | None = None
 
     def add(self, frame: Frame, answer: StageRecord) -> None:
-        """Take over what an answer tells, if it is accepted."""
+        """Add an answer if it is accepted."""
         if not answer.accepted or answer.width is None:
             return
         self.heading = answer.heading
@@ -340,15 +340,15 @@ class PhotoSearch:
     """A search of the map for one photo.
 
     Attributes:
-        features: of the map by each matcher, which are tried in this order.
+        features: of the map by each matcher, in the order of the tries.
         located: the frame, with the answers of earlier stages.
-        photo: RGB (H, W, 3), without the distortion of its lens, see `Frame.undistorted`.
-        before: the frames that were registered before.
-        side: of the windows that the frame's places come from, in metres; None if they do not come from windows.
-        quick: try the width by height and field of view alone, where it is known, and no tilt that the photo does not tell.
-        on_progress: called before each try of a matcher and a width; an exception that it raises ends the search.
-        anywhere: the photo may be of another place than the map's; all matchers together must have more support then, and no
-            tilt is tried that the photo does not tell.
+        photo: RGB (H, W, 3), undistorted, see `Frame.undistorted`.
+        before: facts from earlier frames.
+        side: metres of the windows that the frame's places come from; None if they come from no windows.
+        quick: whether to try only the width by height and field of view, if known, and only the photo's own tilt.
+        on_progress: called before each try of a matcher and a width; an exception in it ends the search.
+        anywhere: whether the photo may be of another place than the map's. All matchers together then need more support, and only
+            the photo's own tilt is tried.
     """
 
     basemap: Map
@@ -364,20 +364,19 @@ class PhotoSearch:
 
     @property
     def size(self) -> tuple[int, int]:
-        """Width and height of the photo in pixels."""
         return self.photo.shape[1], self.photo.shape[0]
 
 
 def register_photo(search: PhotoSearch) -> StageRecord:
-    """Register the photo of a search, and describe the answer in a sentence."""
+    """Run a search, and describe the answer in a sentence."""
     basemap, frame, options = search.basemap, search.located.frame, search.options
     if options.prior is not None and search.located.tag is None and search.side is None:
         return StageRecord("refused", "", code="no tag")
     answer = _searched(search, frame, search.quick)
     best, solved = _posed(search, answer)
-    # On flat ground most photos from straight above have no pose either, and are placed well enough without one.
+    # On flat ground most photos from straight above are placed well without a pose.
     unsolved = not best.accepted or (basemap.elevation is not None and isinstance(solved, str))
-    # More tries are more chances for a false answer, of which a photo of another place must have none.
+    # More tries are more chances for a false answer, so a photo that may be of another place gets none.
     if unsolved and not search.quick and not search.anywhere and answer.has_ground and frame.pitch is None:
         near = best if best.accepted else None
         tilts = (replace(frame, pitch=pitch, roll=0.0, fov=frame.fov or DEFAULT_FOV) for pitch in _TRIED_PITCHES)
@@ -399,7 +398,7 @@ def register_photo(search: PhotoSearch) -> StageRecord:
         place, radius = below
     camera, by_tilt = below is not None, ""
     solution = None if isinstance(solved, str) else solved
-    # On flat ground the pose of a photo from nearly straight above is worse than the middle of its picture.
+    # On flat ground the pose of a photo from nearly straight above is less exact than the picture's middle.
     placed = basemap.elevation is not None or answer.levelled is not None
     if placed and solution is not None and (below is None or radius is None or solution.radius < radius):
         place, radius, camera = np.array([solution.east, solution.north]), solution.radius, True
@@ -440,11 +439,11 @@ class _SearchResult:
     """The best registration of a photo at one tilt.
 
     Attributes:
-        levelled: the picture that was registered in place of the photo; None if it was the photo.
-        reach: half the side of the squares that were searched, in metres.
-        pitch: at which the photo was searched, in degrees; None if none was known or tried.
+        levelled: the registered picture; None if the photo itself was registered.
+        reach: half the side of the searched squares in metres.
+        pitch: of the search in degrees; None if none was known or tried.
         has_ground: whether the map could be searched.
-        widths: of the ground that were tried where nothing tells it, in metres.
+        widths: tried ground widths in metres, if none was known.
     """
 
     best: Registration
@@ -456,7 +455,7 @@ class _SearchResult:
 
 
 def _posed(search: PhotoSearch, answer: _SearchResult) -> tuple[Registration, CameraPose | str]:
-    """Return the registration of the photo itself, and its camera's pose or why there is none."""
+    """Return the registration of the photo itself, and its camera's pose or the reason for none."""
     best, frame = answer.best, search.located.frame
     if answer.levelled is not None:
         best = _of_photo(best, answer.levelled, search.size, frame)
@@ -464,8 +463,7 @@ def _posed(search: PhotoSearch, answer: _SearchResult) -> tuple[Registration, Ca
 
 
 def _clearest(plain: _SearchResult, tilted: Sequence[_SearchResult]) -> _SearchResult:
-    """Return the search of the levelled photo that explains clearly more than the photo as it is, and than every other tilt does
-    elsewhere; else `plain`."""
+    """Return the tilted search with clearly more support than `plain` and than other tilts elsewhere, else `plain`."""
     clearest = max(tilted, key=lambda search: search.best.support)
     best = clearest.best
     if not best.accepted or best.support < _TRIED_SUPPORT * MIN_SUPPORT:
@@ -481,12 +479,7 @@ def _clearest(plain: _SearchResult, tilted: Sequence[_SearchResult]) -> _SearchR
 
 
 def _searched(search: PhotoSearch, frame: Frame, quick: bool, near: Registration | None = None) -> _SearchResult:
-    """Search the map for a photo as `frame` tells its tilt.
-
-    Args:
-        quick: in place of that of the search.
-        near: an answer about whose place, heading, and width alone the photo is searched.
-    """
+    """Search the map for a photo at the tilt of `frame`; `near` limits the search to an answer's place, heading, and width."""
     basemap, features, photo = search.basemap, search.features, search.photo
     centres = search.located.searched_places(search.options.prior is not None)
     levelled = level(photo, frame, assumed=frame is not search.located.frame)
@@ -526,7 +519,7 @@ def _searched(search: PhotoSearch, frame: Frame, quick: bool, near: Registration
             answer = register(kind.matcher, shown, ground, expected, [width], basemap.bounds, valid)
             alike = searches.setdefault(width, {})
             alike[answer.matcher] = kind.matcher, ground
-            # A search that finds one of several equal places must not undo that an earlier one found more.
+            # An earlier search may have found equal places that this one has missed.
             if answer.accepted and rivals:
                 answer = contested(answer, shown, list(alike.values()), rivals, valid)
             rivals += answer.places
@@ -540,7 +533,7 @@ def _searched(search: PhotoSearch, frame: Frame, quick: bool, near: Registration
         assert best is not None
         if again or search.side is None or centres is None or not _reaches_out(best, grid, centres, searched):
             break
-        # A wrong place at the border of what was searched has no rival, as the true one beyond was not seen.
+        # A wrong place at the border of the searched ground has no rival, as the true one beyond was not searched.
         assert best.centre is not None
         centres = best.centre[None]
     assert best is not None
@@ -549,7 +542,7 @@ def _searched(search: PhotoSearch, frame: Frame, quick: bool, near: Registration
 
 
 def _guess(located: LocatedFrame, before: float | None) -> float | None:
-    """Return the heading to try first: that of the sequence, else of the accepted frame before, else of the retrieval."""
+    """Return the heading to try first: of the sequence, else the last accepted frame, else the retrieval."""
     sequence, retrieval = (located.stages.get(stage) for stage in ("sequence", "retrieval"))
     if sequence is not None and sequence.accepted and sequence.heading is not None:
         return sequence.heading
@@ -557,7 +550,6 @@ def _guess(located: LocatedFrame, before: float | None) -> float | None:
 
 
 def _of_photo(answer: Registration, levelled: Levelled, size: tuple[int, int], frame: Frame) -> Registration:
-    """Return the registration of a photo of this size, from that of its levelled picture."""
     if answer.homography is None:
         return answer
     full = answer.homography @ levelled.matrix
@@ -568,7 +560,7 @@ def _of_photo(answer: Registration, levelled: Levelled, size: tuple[int, int], f
 
 
 def _reaches_out(answer: Registration, pixels: Float64Array, centres: Float64Array, reach: float) -> bool:
-    """Return whether an accepted photo lies beyond squares of side 2 `reach` about points (K, 2); `pixels` (N, 2) are a grid."""
+    """Tell whether an accepted photo leaves squares of side 2 `reach` about points (K, 2); `pixels` (N, 2) are a grid."""
     if not answer.accepted:
         return False
     off = np.abs(answer.to_metres(pixels)[:, None] - centres).max(axis=2).min(axis=1)
@@ -576,13 +568,13 @@ def _reaches_out(answer: Registration, pixels: Float64Array, centres: Float64Arr
 
 
 def tried_widths(basemap: Map, known_width: float | None, widths: Collection[float]) -> Iterator[tuple[float, bool]]:
-    """Yield ground widths to try, and whether each is known: that of the height, that of the frames before, or a range."""
+    """Yield ground widths to try, each with whether it is known: by the height, by earlier frames, or a range."""
     if known_width is not None:
         yield known_width, True
-        # The height may be that above take-off, and the correction by the frames before may be wrong.
+        # The height may be above take-off, and the correction by earlier frames may be wrong.
         yield known_width, False
         return
-    if widths:  # a flight that climbs or sinks moves away from it, so it is no more than a start
+    if widths:  # only a start, because the flight may climb or sink
         yield float(np.median(list(widths))), False
     largest = 0.8 * min(basemap.bounds[2] - basemap.bounds[0], basemap.bounds[3] - basemap.bounds[1])
     width = min(largest, 400.0)

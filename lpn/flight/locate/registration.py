@@ -1,4 +1,4 @@
-"""Registration of a photo to the map: local features, a similarity by RANSAC, a homography where it explains more, or a refusal.
+"""Registration of a photo to the map: local features, a similarity by RANSAC, a homography if better, or a refusal.
 
 A photo point is a complex number u: x to the right and y up from the picture's centre, in units of the picture's width. A map
 point is m = east + i north in metres. A similarity is m = a u + b: |a| is the width of the ground that the picture shows,
@@ -21,40 +21,40 @@ from lpn.core.numbers import wrap_degrees
 from lpn.flight.locate.matchers import Complex, Features, Matcher, mutual_within
 from lpn.flight.locate.words import Reason
 
-# Residuals up to this share of the ground width are inliers of a similarity. Tilt and relief of a flight at 50 m cause as much.
+# Inliers of a similarity have residuals up to this share of the ground width, which tilt and relief at 50 m height cause.
 _RADIUS = 0.015
 # Guided matching looks for partners within this share of the ground width about their predicted place.
 _REACH = 0.1
 # A homography is judged at this share of the similarity's radius.
 _TIGHT = 0.5
-# A width is plausible within this factor of the expected one, or of the tried one if none is expected.
+# A width is plausible within this factor of the expected width, or within FREE_FACTOR of the tried width if none is expected.
 _WIDTH_FACTOR = 1.35
 FREE_FACTOR = 2.0
-# Degrees by which the heading found may differ from a known one, or from that known one turned by 180.
+# Degrees by which the heading may differ from the known heading, or from its opposite.
 _HEADING_TOLERANCE = 40.0
-# Support is the sum of 1 - (residual / radius)^2 over the inliers, less what chance would give.
+# Least support: the sum of 1 - (residual / radius)^2 over the inliers, less the expectation by chance.
 MIN_SUPPORT = 15.0
-# The support must be this many times that of the best other place.
+# The support must be this multiple of the best other place's.
 MIN_RATIO = 1.7
-# Degrees from the expected heading beyond which a place needs this many times the support: few pictures lie so.
+# Beyond these degrees from the expected heading, where few pictures lie, a place needs this multiple of the support.
 _FAR_TURN = 60.0
 _FAR_SUPPORT = 2.0
-# Cells of a grid of 8 x 8 over the photo that must hold inliers.
+# Cells of a grid of 8 x 8 over the photo that must contain inliers.
 MIN_CELLS = 6
 _GRID = 8
-# A centre may lie off the map by this share of the ground width.
+# Largest distance of a centre off the map as a share of the ground width.
 _OFF_MAP = 0.25
 _SAMPLES = 200_000
 _HYPOTHESES = 4000
-# Places that are matched again, and their least distance in ground widths.
+# Most places that are matched again, and their least distance in ground widths.
 _PLACES = 4
 APART = 0.25
-# Features of a photo; more cost time, and raise the support of wrong places.
+# Most features of a photo; more cost time, and raise the support of wrong places.
 _FEATURES = 2048
 
 
 def is_turned_over(turn: float | None) -> bool:
-    """Return True if a turn in degrees against the heading is about 180, as that of a file that was turned later."""
+    """Tell whether a turn in degrees against the heading is about 180, such as that of a file turned after the flight."""
     return turn is not None and abs(turn) > 135
 
 
@@ -73,7 +73,7 @@ class Ground:
     resolution: float
 
     def near(self, centre: Float64Array, reach: float) -> Ground:
-        """Return the features of a square of side 2 `reach` about a point."""
+        """Return the features in the square of side 2 `reach` about a point, (2,)."""
         kept = (np.abs(self.points - centre) <= reach).all(axis=1)
         return Ground(self.points[kept], self.descriptors[kept], self.resolution)
 
@@ -85,11 +85,10 @@ class Expectation:
     Attributes:
         width: metres of ground across the picture.
         heading: of the picture's top, degrees clockwise from north.
-        certain: whether the heading is the picture's; that of a course or of an aircraft may be another. Unless an uncertain
-            heading or its opposite gives twice the support and ratio that are needed, all headings are tried, and that of more
-            support is taken.
-        guess: heading to try first where none is known, such as that of an earlier stage. It limits nothing: unless it gives
-            twice the support and ratio that are needed, all headings are tried, too.
+        certain: whether the heading is the picture's, not a course's or an aircraft's. Unless an uncertain heading or its
+            opposite has twice the needed support and ratio, all headings are tried, and the best supported one is taken.
+        guess: heading to try first if none is known, such as an earlier stage's. Unless it has twice the needed support and
+            ratio, all headings are tried.
     """
 
     width: float | None = None
@@ -112,7 +111,7 @@ class Matched:
     Attributes:
         u: of the photo, (M,) complex, see the module.
         m: of the map, (M,) complex.
-        ground: the map's features that the photo was matched with.
+        ground: the matched features of the map.
         limit: metres within which a match agrees with the registration.
     """
 
@@ -126,11 +125,11 @@ class Matched:
         """Match again near predicted places.
 
         Args:
-            predicted: where the photo would show the map's features, (N,) complex; not finite for those that it does not.
+            predicted: photo points u of the map's features, (N,) complex; not finite for features outside of the photo.
             reach: in units of the picture's width.
 
         Returns:
-            Photo points u, (K,), and the numbers of their features of the map, (K,).
+            Photo points u, (K,), and the indices of their features of the map, (K,).
         """
         near = np.flatnonzero(np.isfinite(predicted) & (np.abs(predicted) < 1))
         if not len(near) or not len(self._seen.u):
@@ -142,22 +141,22 @@ class Matched:
 
 @dataclass(frozen=True, eq=False)
 class Registration:
-    """A photo laid over the map, or the reason why it is not.
+    """A photo laid over the map, or the reason of the refusal.
 
     Attributes:
-        refusal: why it was refused; None if it was accepted.
+        refusal: the reason of the refusal; None if accepted.
         matcher: the name of the matcher.
         model: "similarity" or "homography".
-        matches, inliers: guided matches, and those that agree with the model.
+        matches, inliers: numbers of guided matches, and of matches that agree with the model.
         support: of this place, see `MIN_SUPPORT`.
         homography: from pixels of the photo (x, y, 1) to metres east and north, (3, 3) float64.
         centre: of the picture on the ground, metres east and north, (2,) float64.
         heading: of the picture's top, degrees clockwise from north, 0 .. 360.
         width: metres of ground across the picture's middle.
-        turn: degrees clockwise, -180 .. 180, from the heading that was expected to `heading`; None if none was.
+        turn: degrees clockwise, -180 .. 180, from the expected heading to `heading`; None if none was expected.
         covariance: of the centre in square metres, (2, 2) float64.
-        places: that were compared, this one first.
-        matched: the matches, of which `inliers` agree; None where nothing was matched.
+        places: all compared places, this one first.
+        matched: the matches, of which `inliers` agree; None without a match.
     """
 
     refusal: Reason | None
@@ -182,7 +181,7 @@ class Registration:
 
     @property
     def reason(self) -> str:
-        """Why it was refused, as a sentence; "" if it was accepted."""
+        """The reason of the refusal as a sentence; "" if accepted."""
         return "" if self.refusal is None else self.refusal.sentence
 
     @property
@@ -192,27 +191,27 @@ class Registration:
 
     @property
     def turned(self) -> bool:
-        """True if the picture is turned by about 180 degrees against its heading, as a file that was turned later is."""
+        """True if the picture is turned by about 180 degrees against its heading, see `is_turned_over`."""
         return is_turned_over(self.turn)
 
     @property
     def turn_sentence(self) -> str:
-        """A sentence that names the turn against the heading; "" if they agree."""
+        """A sentence about the turn against the heading; "" if they agree."""
         if self.turn is None or abs(self.turn) <= _HEADING_TOLERANCE:
             return ""
         return f"The picture is turned by {abs(self.turn):.0f} degrees against its heading."
 
     def to_metres(self, pixels: npt.ArrayLike) -> Float64Array:
-        """Map pixels of the photo (N, 2) to metres east and north (N, 2)."""
+        """Convert pixels of the photo, (N, 2), to metres east and north, (N, 2)."""
         assert self.homography is not None
         return apply_homography(self.homography, pixels)
 
 
 def pose(homography: Float64Array, width: int, height: int) -> tuple[Float64Array, float, float]:
-    """Return where a homography from pixels to metres, (3, 3), lays a picture of this size.
+    """Return the pose in the plane of a picture of this size by its homography from pixels to metres, (3, 3).
 
     Returns:
-        The place of its middle, (2,); the heading of its top in degrees, 0 .. 360; and the metres of ground across its middle.
+        The ground of its middle, (2,), the heading of its top in degrees, 0 .. 360, and the metres of ground across its middle.
     """
     middle = middle_pixel(width, height)
     right, up = np.array([width / 2, 0]), np.array([0, -0.01 * width])
@@ -262,10 +261,10 @@ def register(
 
     Args:
         photo: (H, W, 3) uint8.
-        ground: features of the map where the photo may be.
-        expected: width and heading as far as they are known.
+        ground: features of the searched part of the map.
+        expected: known width and heading.
         widths: ground widths in metres to try if none is expected.
-        bounds: x0, y0, x1, y1 of the map in metres; a centre outside of them is refused.
+        bounds: x0, y0, x1, y1 of the map in metres; a centre outside is refused.
         valid: pixels of the photo that show ground, (H, W); None for all.
     """
     tried = [expected.width] if expected.width else list(widths)
@@ -292,7 +291,7 @@ def register(
         best, runner_up = _ranked([known[seed] for seed in chosen])
         if best is not None and best.support >= 2 * MIN_SUPPORT and best.support >= 2 * MIN_RATIO * runner_up.support:
             break
-    # A place at the given heading is more probable than one at another, which must have more support, and is no rival else.
+    # A place at the given heading is more probable. One at another heading must have more support, and otherwise is no rival.
     if at_given is not None and best is not None:
         if at_given.support >= best.support:
             best = at_given
@@ -316,19 +315,19 @@ def contested(
     rivals: Sequence[Similarity],
     valid: BoolArray | None = None,
 ) -> Registration:
-    """Compare an accepted answer with places that other searches found, by the features of all matchers together.
+    """Compare an accepted answer with places of other searches, by the features of all matchers together.
 
-    Equal buildings look alike to one matcher, and another one may see a single of them only. What one has seen counts
-    beside the other: the support of a place is the sum of its supports by each matcher, at least 0 each.
+    A matcher may find only one of several equal buildings. So the support of a place is the sum of its supports by all matchers,
+    at least 0 each.
 
     Args:
         photo: (H, W, 3) uint8.
-        searches: a matcher and features of the map where the photo may be, once for each matcher.
-        rivals: places of the other searches; those within a quarter of the ground width of the answer are no rivals.
-        valid: as for `register`.
+        searches: each matcher with its features of the searched part of the map.
+        rivals: places of the other searches; places within a quarter of the ground width of the answer do not count.
+        valid: see `register`.
 
     Returns:
-        The answer, refused if its support is less than 1.7 times that of a rival.
+        The answer, refused if its support is less than 1.7 times a rival's.
     """
     own, *_ = answer.places
     others: list[Similarity] = []
@@ -352,15 +351,15 @@ def proven(
     others: Sequence[tuple[Matcher, Ground]],
     valid: BoolArray | None = None,
 ) -> Registration:
-    """Refuse an accepted answer for a photo that may be of another place, unless its support by all matchers suffices for that.
+    """Refuse an accepted answer for a photo that may be of another place, unless its support by all matchers is high.
 
-    Two pictures of meadows can agree by chance as two of one place do, by one matcher; another one then sees nothing there. So
-    the supports of a place are added, at least 0 each, and must be 15 for each matcher and another 15.
+    By one matcher, two pictures of meadows can agree by chance as well as two of one place; another matcher then finds no
+    agreement. So the supports of a place are summed, at least 0 each, and must reach 15 for each matcher and another 15.
 
     Args:
         photo: (H, W, 3) uint8.
-        others: the matchers beside the answer's own, and features of the map where the photo may be.
-        valid: as for `register`.
+        others: the other matchers, with their features of the searched part of the map.
+        valid: see `register`.
     """
     place, *_ = answer.places
     support = answer.support + sum(_support_at(place, matcher, photo, valid, ground) for matcher, ground in others)
@@ -373,7 +372,7 @@ def proven(
 def _support_at(
     place: Similarity, matcher: Matcher, photo: UInt8Array, valid: BoolArray | None, ground: Ground
 ) -> float:
-    """Return the support of a place by guided matching, 0 or more; 0 if the matches lead to another place."""
+    """Return the support of a place by guided matching, at least 0; 0 if the matches lead to another place."""
     heading = float(-np.degrees(np.angle(place.a)))
     turn = heading if matcher.tolerance < 90 else 0.0
     seen = _described(matcher, photo, valid, abs(place.a) / ground.resolution, turn)
@@ -386,7 +385,7 @@ class _Candidate:
     """A similarity with its guided matches: photo points u, map points m, both (M,) complex.
 
     Attributes:
-        support: of the matches of the last round within the whole reach, `matches` in number.
+        support: by the last round's matches within the whole reach; `matches` is their number.
     """
 
     seen: _Described
@@ -415,11 +414,7 @@ class _Rival(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class _Seed:
-    """A similarity through two matches, before guided matching.
-
-    Attributes:
-        support: by all matches.
-    """
+    """A similarity through two matches, before guided matching, with its support by all matches."""
 
     seen: _Described
     a: complex
@@ -436,7 +431,7 @@ class _Described:
 
 
 def _turns(matcher: Matcher, expected: Expectation) -> Iterator[tuple[list[float], float | None]]:
-    """Yield groups of headings to turn the photo by, and the heading that limits the answer; a later one if the earlier fail."""
+    """Yield groups of headings to turn the photo by, each with the heading that limits the answer, in the order of tries."""
     count = max(round(180 / matcher.tolerance), 1)
     circle = [i * 360 / count for i in range(count)] if matcher.tolerance < 90 else [0.0]
     if expected.heading is not None:
@@ -452,7 +447,7 @@ def _turns(matcher: Matcher, expected: Expectation) -> Iterator[tuple[list[float
 def _described(
     matcher: Matcher, photo: UInt8Array, shown: BoolArray | None, pixels: float, heading: float
 ) -> _Described:
-    """Resize a photo, whose shown pixels are (H, W), to a width in pixels, turn it north-up, and describe it."""
+    """Resize a photo to a width in pixels, turn it north-up, and describe its `shown` pixels, (H, W)."""
     height, width = photo.shape[:2]
     pixels = int(np.clip(round(pixels), 64, width))
     small = cv2.resize(photo, (pixels, max(round(height * pixels / width), 32)), interpolation=cv2.INTER_AREA)
@@ -479,7 +474,7 @@ def _described(
 def _seeds(
     matcher: Matcher, seen: _Described, ground: Ground, width: float, factor: float, heading: float | None
 ) -> list[_Seed]:
-    """Return the similarities with most support among the matches, of places apart."""
+    """Return the similarities at distinct places with the most support among the matches."""
     pairs = matcher.match(seen.features, Features(cast(Float32Array, ground.points), ground.descriptors))
     if len(pairs) < 4:
         return []
@@ -497,7 +492,6 @@ def _seeds(
 
 
 def _apart(seeds: list[_Seed]) -> list[_Seed]:
-    """Return the seeds with most support, of places apart."""
     chosen: list[_Seed] = []
     for seed in sorted(seeds, key=lambda seed: -seed.support):
         if len(chosen) < _PLACES and all(abs(seed.b - other.b) > APART * abs(seed.a) for other in chosen):
@@ -506,7 +500,6 @@ def _apart(seeds: list[_Seed]) -> list[_Seed]:
 
 
 def _ranked(candidates: list[_Candidate]) -> tuple[_Candidate | None, _Rival]:
-    """Return the candidate with most support, and the best other place."""
     best = max(candidates, key=lambda candidate: candidate.support, default=None)
     if best is None:
         return None, _Rival()
@@ -516,7 +509,7 @@ def _ranked(candidates: list[_Candidate]) -> tuple[_Candidate | None, _Rival]:
 
 
 def _hypotheses(u: Complex, m: Complex, width: float, factor: float, heading: float | None) -> tuple[Complex, Complex]:
-    """Return similarities a, b through random pairs of matches that are plausible in scale and heading, (K,) each."""
+    """Return similarities a, b through random pairs of matches, plausible in scale and heading, (K,) each."""
     rng = np.random.default_rng(0)
     i, j = rng.integers(0, len(u), (2, _SAMPLES))
     apart = u[j] - u[i]
@@ -540,7 +533,6 @@ def _support(a: Complex, b: Complex, u: Complex, m: Complex) -> Float64Array:
 
 
 def _guided(seed: _Seed, ground: Ground) -> _Candidate:
-    """Match again near the predicted places, and fit the similarity to what agrees."""
     seen, a, b = seed.seen, seed.a, seed.b
     near = np.abs(ground.points - (b.real, b.imag)).max(axis=1) < 0.8 * abs(a)
     places = (ground.points[near] @ (1, 1j)).astype(np.complex128)
@@ -559,7 +551,7 @@ def _guided(seed: _Seed, ground: Ground) -> _Candidate:
 
 
 def _fitted(a: complex, b: complex, u: Complex, m: Complex) -> tuple[complex, complex]:
-    """Fit a similarity to the matches that agree with it, by least squares, with a radius that shrinks."""
+    """Fit a similarity to its inliers by least squares, with a shrinking radius."""
     for radius in (1.5, 1.2, 1.0, 1.0):
         inliers = np.abs(a * u + b - m) < radius * _RADIUS * abs(a)
         if inliers.sum() < 4:
@@ -572,9 +564,9 @@ def _fitted(a: complex, b: complex, u: Complex, m: Complex) -> tuple[complex, co
 
 
 def _counted(a: complex, b: complex, u: Complex, m: Complex, reach: float) -> float:
-    """Return the support beyond what matches at random within `reach` would give."""
+    """Return the support less the expectation of random matches within `reach`."""
     raw = float(_support(np.array([a]), np.array([b]), u, m)[0])
-    # A random match lies within the radius with probability (radius / reach)^2, and then supports by a half.
+    # A random match lies within the radius with probability (radius / reach)^2, and then adds 1/2 in the mean.
     return raw - 0.5 * len(u) * (_RADIUS / reach) ** 2
 
 
@@ -586,7 +578,6 @@ def _concluded(
     expected: Expectation,
     bounds: tuple[float, float, float, float] | None,
 ) -> Registration:
-    """Choose the model, and accept or refuse it."""
     height, width = photo.shape[:2]
     inliers = best.residuals < best.radius
     homography, model, inliers = _homography(best, inliers, height / width)
@@ -624,7 +615,7 @@ def _concluded(
 
 
 def _homography(best: _Candidate, inliers: BoolArray, aspect: float) -> tuple[Float64Array, str, BoolArray]:
-    """Return the homography from u to metres, its model, and its inliers; a similarity unless more is clearly better."""
+    """Return the homography from u to metres, its model, and its inliers; a similarity unless a homography is clearly better."""
     a, b = best.a, best.b
     similarity = np.array([[a.real, -a.imag, b.real], [a.imag, a.real, b.imag], [0, 0, 1]])
     radius = _TIGHT * best.radius
@@ -644,7 +635,7 @@ def _homography(best: _Candidate, inliers: BoolArray, aspect: float) -> tuple[Fl
 
 
 def _plausible(homography: Float64Array, width: float, aspect: float) -> bool:
-    """Return whether a homography keeps the picture's orientation, and its scale to a factor of 2 from corner to corner."""
+    """Tell whether a homography preserves the orientation, and the scale to a factor of 2 between corners."""
     corners = np.array([[x, y] for x in (-0.5, 0.5) for y in (-aspect / 2, aspect / 2)])
     depths = np.append(corners @ homography[2, :2], 0.0) + homography[2, 2]
     if depths.min() * depths.max() <= 0:
@@ -666,7 +657,7 @@ def _covariance(
 ) -> Float64Array:
     """Return the covariance of the centre in square metres, (2, 2), from residuals and geometry of the inliers.
 
-    Residuals of neighbours are alike, because relief and tilt cause them. So each cell of the grid counts as one observation.
+    Relief and tilt make residuals of neighbours alike, so each cell of the grid counts as one observation.
     """
     u, m = best.u[inliers], best.m[inliers]
     if len(u) < 3:
@@ -676,7 +667,7 @@ def _covariance(
     places = apply_homography(homography, np.stack([x, y], axis=1))
     residuals = np.stack([m.real, m.imag], axis=1) - places
     variance = residuals.T @ residuals / max(len(u) - free / 2, 1)
-    # Both models are linearised as polynomials of u about the centre; a homography adds the two terms of second order.
+    # Both models are linearised as polynomials of u about the centre; a homography adds two terms of second order.
     columns = [np.ones_like(x), x, y] + ([x * x, x * y] if model == "homography" else [])
     design = np.stack(columns, axis=1)
     gram = design.T @ design * (min(_cells(u), len(u)) / len(u)) + 1e-9 * np.eye(len(columns))
@@ -687,7 +678,7 @@ def _covariance(
 
 
 def _doubt(best: _Candidate, runner_up: _Rival) -> Reason | None:
-    """Return why the support is too low for a place; None if it is not."""
+    """Return the reason if the support is too low for a place, else None."""
     if best.support < MIN_SUPPORT:
         support = max(best.support, 0.0)
         return Reason("support", {"support": support, "matches": best.matches, "needed": MIN_SUPPORT})
@@ -695,17 +686,13 @@ def _doubt(best: _Candidate, runner_up: _Rival) -> Reason | None:
 
 
 def _rivalled(support: float, b: complex, rival: _Rival) -> Reason | None:
-    """Return that another place has nearly as much support; None if it has not.
-
-    Args:
-        b: the place, see `_Rival`.
-    """
+    """Return the reason if another place has nearly the support of place `b`, else None."""
     if support >= MIN_RATIO * rival.support:
         return None
     return Reason("rival", {"support": support, "other": rival.support, "metres": abs(rival.b - b)})
 
 
 def _cells(u: Complex) -> int:
-    """Return how many cells of a grid over the photo hold at least one of the points."""
+    """Count the cells of a grid over the photo that hold at least one of the points."""
     cells: Int64Array = np.floor((np.stack([u.real, u.imag]) + 0.5) * _GRID).astype(np.int64)
     return len(np.unique(cells[0] * 1000 + cells[1]))

@@ -1,8 +1,8 @@
 """Retrieval over a map: windows and frames described by an LPN, and windows ranked for each frame.
 
-A frame is turned north-up, cut to a square that shows as much ground as a window of the pyramid, and described as a drone
-picture; windows are described as satellite tiles. Where its width on the ground is unknown, a frame is compared with windows
-of all sizes; where its heading is unknown or not certain, it is described at several turns.
+A frame is turned north-up, cut to a square with the ground of a window of the pyramid, and described as a drone picture; windows
+are described as satellite tiles. A frame of unknown width on the ground is compared with windows of all sizes. A frame of unknown
+or uncertain heading is described at several turns.
 """
 
 from __future__ import annotations
@@ -40,29 +40,29 @@ if TYPE_CHECKING:
 # Ratio of one size of the pyramid to the next, and the most sizes without a known width.
 _PYRAMID = 1.4
 _SIZES = 5
-# Headings that are tried where none is certain.
+# Number of tried headings if none is certain.
 _TURNS = 8
-# Distinct frames that centring needs, for the mean of few holds what tells them apart. Frames of a greater cosine are alike.
+# Fewest distinct frames for centring: the mean of fewer holds their own differences. Frames of a greater cosine are alike.
 MIN_DISTINCT = 20
 ALIKE = 0.99
-# Degrees from an aircraft's heading within which its pictures mostly lie, as it drifts and banks.
+# Turns in degrees from an aircraft's heading that its pictures mostly have, as it drifts and banks.
 _AIRCRAFT_TURNS = (0.0, -10.0, 10.0, -20.0, 20.0)
-# Standard deviations of a frame's scores by which any other heading must be better than those.
+# Any other heading must be better by this many standard deviations of the frame's scores.
 _OTHER_TURN = 1.5
-# Added to the variances that whitening divides by, as a share of their mean: few samples tell the small ones badly.
+# Added to the variances of whitening, as a share of their mean: few samples estimate small variances badly.
 _SHRINKAGE = 1.0
-# Bytes of the scores of frames that are held in memory: a sequence asks for each frame's a dozen times.
+# Most bytes of frames' scores in memory: a sequence uses each frame's a dozen times.
 _HELD_SCORES = 1 << 26
 
 
 @dataclass(frozen=True, eq=False)
 class RankedWindows:
-    """Windows of a map in the order of their score for one frame.
+    """The best windows of a map for one frame.
 
     Attributes:
         indices: windows, best first, (K,) int64.
         scores: weighted mean cosines, (K,) float64.
-        headings: degrees at which the frame scored best, (K,) float64.
+        headings: heading in degrees of each best score, (K,) float64.
         cosines: of each part, (K, n) float32.
         contributions: of each part to the squared distance 2 - 2 score, (K, n) float32.
     """
@@ -83,20 +83,20 @@ class MapRetrieval:
         places: their centres in metres, (W, 2) float64.
         sizes: their sides in metres, (W,) float64.
         windows_described: (W, n, D) float32.
-        frames_described: of each frame at its headings, without the last T - 1 where windows are turned in its place,
-            (headings, n, D) float32; None if it cannot be read.
-        headings: degrees at which each frame was described.
-        levels: the size of windows that each frame was cut for; NaN if all sizes are compared.
-        cut_shares: of its width that each frame's square shows, see `lpn.flight.files.cut.cut_square`, (N,).
-        pixels: side of the pictures that were described.
-        means: the mean descriptor that was subtracted from each view's, (n, D); empty if they were not centred.
-        broken: the error of each frame that cannot be read.
-        notes: sentences about how they were described.
-        whitening: the matrix that multiplied each part after the mean was subtracted, (n, D, D); None if they were not whitened.
-        by_aircraft: frames whose first five headings are within 20 degrees of an aircraft's, as the picture's mostly is.
-        overlap: share of a window's side that its neighbour covers, too.
+        frames_described: descriptors of each frame at its headings, (headings, n, D) float32, without the last T - 1 if turned
+            windows replace these; None for an unreadable frame.
+        headings: of each frame in degrees.
+        levels: the size of window that each frame was cut for; NaN if all sizes are compared.
+        cut_shares: share of each frame's width that its square shows, see `lpn.flight.files.cut.cut_square`, (N,).
+        pixels: side of the described pictures.
+        means: the mean descriptor that was subtracted, by view, (n, D); empty without centring.
+        broken: the error of each unreadable frame.
+        notes: sentences about the description.
+        whitening: the matrix that multiplied each centred part, (n, D, D); None without whitening.
+        by_aircraft: frames whose first five headings are within 20 degrees of an aircraft's.
+        overlap: share of a window's side that its neighbour also covers.
         turned_windows: descriptors of windows at further headings, evenly turned, (T - 1, W, n, D); None unless an index has
-            them. A frame is compared with them at the last T - 1 of its headings, in its first description.
+            them. They are compared with a frame's first description, and stand for the last T - 1 of its headings.
     """
 
     windows: list[Window]
@@ -120,15 +120,15 @@ class MapRetrieval:
     )
 
     def scores(self, frame: int) -> Float64Array:
-        """Return the score of each window, (W,), the best heading counting."""
+        """Return the score of each window at its best heading, (W,)."""
         best: Float64Array = self.scores_by_heading(frame).max(axis=1)
         return best
 
     def scores_by_heading(self, frame: int) -> Float64Array:
-        """Return the score of each window at each of the frame's headings, (W, H); 0 at one heading if it cannot be read.
+        """Return the score of each window at each of the frame's headings, (W, H); (W, 1) zeros for an unreadable frame.
 
-        Headings more than 20 degrees from an aircraft's count with 1.5 standard deviations of the frame's scores less. Windows of
-        other sizes get the lowest score that a window has at its best heading.
+        Headings more than 20 degrees from an aircraft's lose 1.5 standard deviations of the frame's scores. Windows of other
+        sizes get the lowest best score of a window.
         """
         return self._scores.get(frame, lambda: self._scored(frame))
 
@@ -145,20 +145,20 @@ class MapRetrieval:
             scores[:, len(_AIRCRAFT_TURNS) :] -= _OTHER_TURN * scores.std()
         if not np.isnan(self.levels[frame]):
             scores[self.sizes != self.levels[frame]] = scores.max(axis=1).min()
-        scores.flags.writeable = False  # it is held
+        scores.flags.writeable = False  # it is cached
         return scores
 
     def best_turn(self, frame: int) -> int:
-        """Return the position among its headings at which a frame's best window has its score."""
+        """Return the index of the heading at which a frame's best window has its score."""
         scores = self.scores_by_heading(frame)
         return int(scores[scores.max(axis=1).argmax()].argmax())
 
     def first(self, frame: int, k: int, apart: float = 0.0) -> Int64Array:
-        """Return the k best windows of a frame, best first; none overlaps a better one by more than 1 - `apart` of its side."""
+        """Return the k best windows of a frame, best first; overlaps with better ones are at most 1 - `apart` of a side."""
         return self.best_apart(self.scores(frame), k, apart)
 
     def best_apart(self, values: Float64Array, k: int, apart: float = 0.0) -> Int64Array:
-        """Return the k windows of the greatest values (W,), as `first` does by a frame's scores."""
+        """Return the k windows of the greatest values (W,), with the overlaps of `first`."""
         order = np.argsort(-values, kind="stable")
         kept: list[int] = []
         for i in order.tolist():
@@ -186,7 +186,7 @@ class MapRetrieval:
         )
 
     def _compared(self, frame: int, heading: int, window: int) -> tuple[Float32Array, Float32Array]:
-        """Return the descriptors that are compared at a frame's heading: the frame's (n, D), and the window's (1, n, D)."""
+        """Return the descriptors to compare at a frame's heading: the frame's (n, D), and the window's (1, n, D)."""
         described = self.frames_described[frame]
         assert described is not None
         if heading < len(described):
@@ -196,15 +196,15 @@ class MapRetrieval:
 
 
 def heading_is_certain(frame: Frame) -> bool:
-    """Return whether a frame's heading is its picture's: neither a course nor an aircraft's."""
+    """Tell whether a frame's heading is its picture's, not a course or an aircraft's."""
     return frame.heading is not None and frame.heading_source not in ("course", "aircraft")
 
 
 def tried_headings(frame: Frame, turns: Sequence[float] | None = None) -> list[float]:
-    """Return the headings in degrees at which a frame is compared: its own if it is certain, else 8, or 12 if an aircraft's.
+    """Return the headings of a frame in degrees: its own if certain, else 8, or 12 for an aircraft's.
 
     Args:
-        turns: headings of windows that are compared with it, from 0 on; None if windows are north up, and the frame is turned.
+        turns: headings of turned windows, from 0 on; None if windows are north up and the frame is turned.
     """
     about = _AIRCRAFT_TURNS if frame.heading_source == "aircraft" else (0.0,)
     others = tuple(360 / _TURNS * k for k in range(1, _TURNS)) if turns is None else tuple(turns[1:])
@@ -212,7 +212,7 @@ def tried_headings(frame: Frame, turns: Sequence[float] | None = None) -> list[f
 
 
 def pyramid_sizes(basemap: Map, frames: Sequence[Frame]) -> list[float]:
-    """Return sides of windows in metres: those that frames of known width show, else sizes from small to most of the map."""
+    """Return sides of windows in metres: of frames of known width, else from small to most of the map."""
     cuts = [cut for frame in frames if (cut := cut_size(frame)) is not None]
     if cuts:
         low, high = np.log(np.quantile(cuts, (0.02, 0.98)))
@@ -233,16 +233,16 @@ def retrieve(
     indexed: WindowIndex | None = None,
     shipped: ShippedAnswers | None = None,
 ) -> MapRetrieval:
-    """Describe windows and frames, from the user's cache where they were described before.
+    """Describe windows and frames, or read earlier descriptions from the user's cache.
 
     Args:
         sizes: sides of windows in metres; by default those of `pyramid_sizes`.
-        overlap: share of a window's side that its neighbour covers, too.
-        centre: subtract the mean descriptor of the windows and that of the frames, part by part, which makes up for a difference
-            of views that the model has not seen, and whiten the parts, see `whitening_of`. With fewer than 20 distinct frames
-            neither is done, and a note says so.
-        indexed: an index of windows that are described already; `sizes` and `overlap` do not count then.
-        shipped: descriptors that ship with the flight; those of other windows or frames are not taken.
+        overlap: share of a window's side that its neighbour also covers.
+        centre: whether to subtract the mean descriptors of windows and of frames, part by part, against differences of the views
+            that are new to the model, and to whiten the parts, see `whitening_of`. With fewer than 20 distinct frames neither is
+            done, with a note.
+        indexed: an index of described windows, which replaces `sizes` and `overlap`.
+        shipped: descriptors that ship with the flight, used if they fit the windows and frames.
 
     Raises:
         InputError: if the model lacks a view, or no window of the map has data.
@@ -320,13 +320,13 @@ def retrieve(
 
 @dataclass(frozen=True)
 class FrameViews:
-    """The squares of a frame that are described.
+    """The squares of a frame to describe.
 
     Attributes:
-        level: the size of windows that the frame is cut for; NaN if its width on the ground is unknown.
+        level: the size of window that the frame is cut for; NaN if its width on the ground is unknown.
         share: of its width that the squares show, see `lpn.flight.files.cut.cut_square`.
-        headings: degrees at which it is compared.
-        described: the number of them, from the first on, at which it is described; turned windows stand for the others.
+        headings: of the comparison in degrees.
+        described: number of the first headings that are described; turned windows replace the others.
     """
 
     level: float
@@ -336,7 +336,7 @@ class FrameViews:
 
 
 def frame_views(frame: Frame, sizes: Sequence[float], turns: Sequence[float]) -> FrameViews:
-    """Return the squares of a frame that are compared with windows of some sizes, which are described at some turns."""
+    """Return the squares of a frame for the comparison with windows of these sizes and turns."""
     level, share, cut = math.nan, CUT * min(1.0, frame.height / frame.width), cut_size(frame)
     if cut is not None:
         level = min(sizes, key=lambda size: abs(math.log(size / cut)))
@@ -346,18 +346,16 @@ def frame_views(frame: Frame, sizes: Sequence[float], turns: Sequence[float]) ->
 
 
 def owners_of(views: Sequence[FrameViews]) -> Int64Array:
-    """Return the frame of each description, (J,)."""
     return np.repeat(np.arange(len(views)), [one.described for one in views])
 
 
 def describe_frames(
     model: Model, frames: Sequence[Frame], views: Sequence[FrameViews], view: View
 ) -> tuple[Float32Array, dict[int, PictureError]]:
-    """Describe frames, from the user's cache where they were described before.
+    """Describe frames, or read earlier descriptions from the user's cache.
 
     Returns:
-        Descriptors, (J, n, D), of each frame at its described headings, and the errors of those that cannot be read, by their
-        position.
+        Descriptors, (J, n, D), of each frame at its described headings, and the errors of unreadable frames by their index.
     """
     side = max(model.input_size)
     jobs = [(frames[i], one.share, heading) for i, one in enumerate(views) for heading in one.headings[: one.described]]
@@ -379,14 +377,14 @@ def describe_frames(
 
 
 def described_windows(model: Model, basemap: Map, windows: list[Window]) -> Float32Array:
-    """Return the descriptors of windows, (W, n, D), from the user's cache where they were described before."""
+    """Return the descriptors of windows, (W, n, D), using the user's cache."""
     ground = _cached(basemap.digest(), model.fingerprint, max(model.input_size), windows)
     with in_cache():
         return np.array(describe_windows(model, basemap, windows, ground).float32)
 
 
 def _size_notes(frames: Sequence[Frame], levels: Float64Array) -> list[str]:
-    """Return a sentence about frames whose windows, of sides `levels` (N,), are far from the ground that they show."""
+    """Return a sentence about frames whose windows, of sides `levels` (N,), differ much from their ground."""
     sides = [(cut, level) for frame, level in zip(frames, levels, strict=True) if (cut := cut_size(frame)) is not None]
     unfit = np.array([pair for pair in sides if abs(np.log(pair[1] / pair[0])) > np.log(_PYRAMID)]).reshape(-1, 2)
     if not len(unfit):
@@ -402,13 +400,13 @@ def _size_notes(frames: Sequence[Frame], levels: Float64Array) -> list[str]:
 
 
 def whitening_of(*views: Float32Array) -> Float32Array:
-    """Return the matrices that whiten the parts of centred descriptors, (n, D, D), symmetric.
+    """Return the symmetric matrices that whiten the parts of centred descriptors, (n, D, D).
 
-    Directions in which windows and frames of one place differ as much as those of others count less then. Each part is
-    multiplied by (C + s I)^(-1/2). C is the covariance of the parts at norm 1, of all views together, and s its mean variance.
+    Whitening multiplies each part by (C + s I)^(-1/2). C is the covariance of the parts at norm 1, of all views together, and s
+    is its mean variance. Directions that vary within a place as much as between places then count less.
 
     Args:
-        views: of each view, (N, n, D).
+        views: descriptors of each view, (N, n, D).
     """
     parts = np.concatenate(views).astype(np.float64)
     parts /= np.maximum(np.linalg.norm(parts, axis=2, keepdims=True), 1e-12)
@@ -421,7 +419,7 @@ def whitening_of(*views: Float32Array) -> Float32Array:
 
 
 def frame_identity(frame: Frame) -> list[Any]:
-    """Return what tells a frame's picture from another: its path, size, and time of change."""
+    """Return path, size, and time of change of a frame's picture."""
     try:
         stat = frame.file.stat()
     except OSError:
@@ -430,18 +428,16 @@ def frame_identity(frame: Frame) -> list[Any]:
 
 
 def _frame_row(frame: Frame, heading: float, share: float) -> Row:
-    """Return the row of a frame's square in a store."""
     file, size, time = frame_identity(frame)
     return Row(f"{file} {heading!r} {share!r}", size or 0, time or 0)
 
 
 def _cached(*key: object) -> Path:
-    """Return the folder of a store in the user's cache, by all that its descriptors depend on."""
     return cache_folder() / "locate" / "descriptors" / hashlib.sha256(repr(key).encode()).hexdigest()[:24]
 
 
 def _distinct(described: Float32Array) -> int:
-    """Return how many of some descriptors (N, n, D) differ from all before them; counting stops where centring may start."""
+    """Count the descriptors (N, n, D) that differ from all earlier ones, up to the number for centring."""
     kept: list[Float32Array] = []
     for one in described.reshape(len(described), -1):
         if len(kept) < MIN_DISTINCT and all(float(one @ other) < ALIKE for other in kept):

@@ -1,13 +1,14 @@
-"""A hidden Markov model over places and headings: the frames of a flight correct each other.
+"""A hidden Markov model over places and headings, by which the frames of a flight correct each other.
 
 A state is a window of the map and a heading of the picture. The emission is a softmax of the scores at a temperature, mixed with
-a floor for frames whose scores mislead. Forward-backward gives each frame's posterior (Rabiner, Proc. IEEE 77, 1989).
-Speed, kind of motion, and temperature are those at which the flight's scores are most probable. Scores count in units of what a
-window gets from frames of other places, so that a window that resembles many frames, such as one ploughed field among others,
-proves little.
+a floor for misleading scores. Forward-backward gives each frame's posterior (Rabiner, Proc. IEEE 77, 1989).
 
-A drone may leave the map, so places beyond its edge are states, too. No window shows them, so a frame has one emission for all
-of them: frames whose windows on the way are no better than others lie there, if the way leads there. Leaving the map is rare.
+Speed, kind of motion, and temperature maximise the probability of the flight's scores. A window's scores are divided by its usual
+score from frames of other places, so that a window that resembles many frames, such as one of many ploughed fields, proves
+little.
+
+A drone may leave the map, so places beyond its edge are states, too. They have no window, so a frame has one emission for all of
+them. A frame lies there if its windows on the way are no better than others, and the way leads there. Leaving the map is rare.
 """
 
 from __future__ import annotations
@@ -25,57 +26,57 @@ from lpn.core.arrays import BoolArray, Float64Array, Int64Array
 from lpn.core.filled_cache import FilledCache
 from lpn.core.numbers import wrap_degrees
 
-# Scores or log emissions of a frame's windows at its headings, (N, K), by the frame's position in the flight.
+# Returns scores or log emissions of a frame's windows at its headings, (N, K), for the frame's index in the flight.
 OfFrame = Callable[[int], Float64Array]
 
-# Frames of unit score that count beside those of other places in a window's mean square.
+# Frames of unit score that are added to the frames of other places in a window's mean square.
 PRIOR_FRAMES = 30
-# Speeds in metres a second and temperatures that are compared, and the frames that they are compared on.
+# Tried speeds in metres a second, tried temperatures, and most frames for these trials.
 SPEEDS = (4.0, 6.0, 9.0, 13.0, 19.0, 28.0)
 TEMPERATURES = (0.25, 0.33, 0.4, 0.5, 0.67, 1.0)
 _FIRST_TEMPERATURE = 0.4
 _FITTED = 100
-# Probability of a step along the headings that is compared with 0, and factor between the speeds along them.
+# Tried probability of steps along the headings, beside 0, and factor between the tried speeds along them.
 ALONG, FINER = 0.9, 1.2
-# Deviation of a step along the headings, as a share of its length: wind, and speeds that vary.
+# Deviation of a step along the headings as a share of its length, by wind and varying speed.
 _ALONG_DEVIATION = 0.3
-# Shares of a step's time that are flown along the heading before it; the rest is flown along the heading after it.
+# Shares of a step's time along the heading before it; the rest is along the heading after it.
 _LEGS = (0.0, 0.25, 0.5, 0.75, 1.0)
-# Degrees between a picture's heading and the nearest one that is tried, one standard deviation.
+# Standard deviation in degrees between a picture's heading and the nearest tried one.
 _HEADING_DEVIATION = 20.0
-# Probability that a heading has nothing to do with the one before.
+# Probability that a heading is independent of the one before.
 _ANY_HEADING = 0.1
-# Usual steps in seconds beyond which a step may be a pause, and the probability that it is one.
+# Multiple of the usual seconds above which a step may be a pause, and the probability of a pause.
 _LONG, _PAUSE = 3.0, 0.5
-# Log odds of a place beyond the map against a window of mean share, where a frame shows the ground of the one before: a wrong
-# window that suits the one suits the other.
+# Log odds of a place beyond the map against a window of mean share if a frame shows the ground of the last one: a wrong window
+# that suits the last frame also suits this one.
 _ALIKE = 1.5
-# Factor of the probability of a step that leaves the map, and the probability that the first frame lies beyond it.
+# Factor of the probability of a step off the map, and probability of a first frame beyond it.
 _LEAVE, _BEGIN = 1e-3, 0.1
-# Probability that a step is not of the motion model, as between parts of a flight that lie apart, or where a clock jumps.
+# Probability of a step outside the motion model, as between separate parts of a flight, or at a jump of the clock.
 _JUMP = 1e-3
-# Metres between coordinates that count as one: those of an index come from names, which are rounded to about 1 cm.
+# Metres within which coordinates are equal: an index's names round them to about 1 cm.
 _ONE_COORDINATE = 0.02
-# Bytes of the steps that are held in memory: each is taken several times, and steps of like seconds and headings are one.
+# Most bytes of steps in memory: each is used several times, and equal ones are shared.
 _HELD_STEPS = 1 << 26
 
 
 @dataclass(frozen=True)
 class MotionModel:
-    """How the flight moves between frames.
+    """The motion of the flight between frames.
 
-    A step goes along the headings, or in any direction. Along the headings it takes a part of the time in the direction of the
-    heading before it, and the rest in that of the heading after it, where that is the only one. A step of more than three times
-    the usual seconds is a pause with a probability of a half: the drone hovers or lands, and goes on one usual step from there.
+    A step goes along the headings, or in any direction. Along the headings it follows the heading before it for a part of the
+    time, and then the heading after it, if that is unique. A step of more than three times the usual seconds is a pause with
+    probability 1/2: the drone hovers or lands, and goes on by one usual step.
 
     Attributes:
-        speed: metres a second: of a step along the headings, or one standard deviation of one in any direction.
-        spacing: metres added to the deviation of a step, for the windows lie on a grid and pictures tilt.
+        speed: metres a second of a step along the headings, or one standard deviation of a step in any direction.
+        spacing: metres added to the deviation of a step, because windows lie on a grid and pictures tilt.
         unknown: metres of a step whose time is unknown.
         along: probability that a step goes along the headings, 0 .. 1.
         turn_rate: degrees a second by which the heading changes, one standard deviation.
         usual: seconds of a usual step; infinite if no step is a pause.
-        aside: degrees clockwise from the heading to the direction in which a step along the headings goes.
+        aside: degrees clockwise from the heading to the direction of a step along it.
     """
 
     speed: float = 15.0
@@ -96,9 +97,9 @@ class MotionModel:
         return np.where(np.isnan(elapsed), self.unknown, np.hypot(self.speed * elapsed, self.spacing))
 
     def alike(self, times: npt.ArrayLike, side: float) -> Float64Array:
-        """Return the share of a window's side that each frame has in common with the one before, (T,); 0 where it is unknown.
+        """Return the share of a window's side that each frame has in common with the last one, (T,); 0 where unknown.
 
-        The first frame has that of the second.
+        The first frame has the share of the second.
 
         Args:
             times: seconds, (T,), NaN where unknown.
@@ -120,7 +121,7 @@ class MotionModel:
         if np.isnan(change).any() or np.isnan(deviation):
             return np.full(change.shape, 1 / len(after))
         likely = sum(np.exp(-((change + turn) ** 2) / (2 * deviation**2)) for turn in (-360, 0, 360))
-        # Headings that are all far from the one before are equally likely.
+        # Headings all far from the one before are equally likely.
         likely = np.maximum(likely, 1e-12)
         shares = likely / likely.sum(axis=1, keepdims=True)
         return cast(Float64Array, (1 - _ANY_HEADING) * shares + _ANY_HEADING / len(after))
@@ -134,8 +135,8 @@ class SequenceResult:
         positions: mean of each frame's posterior near its likeliest window in metres, (T, 2) float64.
         radii: 1-sigma radius in metres of each posterior, all windows included, about that position, (T,) float64.
         likeliest: window of the greatest posterior, all headings together, (T,) int64.
-        first: windows that `keep` of `smooth` chose by each posterior, all headings together; of each frame (K,) int64.
-        headings: the likeliest heading in that window in degrees, (T,) float64; NaN where none is known.
+        first: windows chosen by `keep` of `smooth` from each posterior, all headings together; of each frame (K,) int64.
+        headings: the likeliest heading in that window in degrees, (T,) float64; NaN where unknown.
         nearby: posterior of all places near the position, (T,) float64.
         beyond: posterior of all places beyond the map that are not near the position, (T,) float64.
         own: window of each frame's best score, (T,) int64.
@@ -153,12 +154,12 @@ class SequenceResult:
     moved: Float64Array
 
     def point(self, frame: int) -> SequencePoint:
-        """Return where a frame was taken."""
+        """Return the position of a frame."""
         values = self.radii, self.headings, self.nearby, self.beyond
         return SequencePoint(self.positions[frame], *(float(of_frames[frame]) for of_frames in values))
 
     def sentence(self, frame: int) -> str:
-        """Say how far the place lies from the frame's own answer; the sentence holds for a refused place, too."""
+        """A sentence on the distance from the frame's own answer, for accepted and refused places alike."""
         moved = self.moved[frame]
         if self.likeliest[frame] == self.own[frame]:
             return "The picture's own answer is the same place."
@@ -171,7 +172,7 @@ class ScoreUnits:
 
     Attributes:
         means: of each frame, (T,).
-        scales: by which a score less that mean is multiplied, (T, N).
+        scales: factors of scores after the mean is subtracted, (T, N).
         compared: scores that count, (T, N).
         least: the value of the others, (T,).
     """
@@ -190,17 +191,17 @@ class ScoreUnits:
 def score_units(
     scores: npt.ArrayLike, steps: Float64Array, side: float, compared: BoolArray | None = None
 ) -> ScoreUnits:
-    """Return the units of what a frame and a window usually get.
+    """Return the units of scores, by the usual scores of each frame and window.
 
-    Each frame's scores get mean 0 and variance 1. Each score is then divided by the root mean square of its window's scores
-    from the frames of other places, and from 30 frames more of unit score. Where a frame's scores are all alike they become 0.
+    Each frame's scores get mean 0 and variance 1, or become 0 if they are all equal. Each score is then divided by the root mean
+    square of its window's scores from frames of other places and from 30 more frames of unit score.
 
     Args:
         scores: (T, N), at each window's best heading.
-        steps: standard deviation of each step in metres, (T - 1,). Frames between which the standard deviation of the motion is
-            more than `side` count as those of other places.
+        steps: standard deviation of each step in metres, (T - 1,). Frames are of other places if the standard deviation of the
+            motion between them exceeds `side`.
         side: of a window in metres.
-        compared: scores that count, (T, N); the others become the least one of their frame. None for all.
+        compared: scores that count, (T, N); the others get their frame's least score. None for all.
     """
     values = np.array(scores, np.float64)
     counted = np.ones(values.shape, bool) if compared is None else compared
@@ -235,15 +236,15 @@ def emissions(
 ) -> Float64Array:
     """Return log emissions of one frame: log of (softmax of score / temperature + floor / (N K)), normalised.
 
-    Places beyond the map stand behind the windows. They have the mean share, 1 / (N K), and more by up to a factor of e^1.5
-    where the frame is like the one before. A frame whose scores are all alike, as of a photo that cannot be read, tells nothing.
+    Places beyond the map follow the windows. Their share is 1 / (N K), times up to e^1.5 if the frame resembles the last one. A
+    frame of equal scores, such as an unreadable photo, tells nothing.
 
     Args:
         scores: of windows at headings, (N, K).
         temperature: of the softmax, in units of the score, see `score_units`.
         floor: share of a uniform distribution, 0 .. 1.
         beyond: number of places beyond the map, B.
-        alike: share of the ground that the frame before shows, too, 0 .. 1, see `MotionModel.alike`.
+        alike: share of the ground in common with the last frame, 0 .. 1, see `MotionModel.alike`.
 
     Returns:
         (N + B, K) float64.
@@ -271,14 +272,13 @@ def smooth(
 
     Args:
         log_emissions: of each frame, (N + B, K), see `emissions`.
-        headings: of each frame in degrees, (K,). NaN, as the only one, where none is known.
-        places: centres of the windows, and places beyond the map behind them, in metres, (N + B, 2). Time is the less, the fewer
-            different x and y they have.
+        headings: of each frame in degrees, (K,); a single NaN if unknown.
+        places: centres of the windows, then places beyond the map, in metres, (N + B, 2). Fewer distinct x and y take less time.
         times: seconds, (T,), NaN where unknown.
-        near: metres around the likeliest window within which windows count for a frame's position, so that it does not lie
-            between two places; and around the position for `SequenceResult.nearby`.
+        near: metres around the likeliest window within which windows contribute to a frame's position, so that it does not lie
+            between two places; also the radius of `SequenceResult.nearby`.
         keep: chooses the windows of `SequenceResult.first` by a posterior (N,); by default the likeliest one.
-        beyond: number of places beyond the map, B, which are no frame's position.
+        beyond: number of places beyond the map, B, which are never a frame's position.
     """
     chain = _Chain(log_emissions, _Steps(headings, places, times, motion, beyond))
     frames, states = len(headings), len(places)
@@ -331,7 +331,7 @@ class SequencePoint(NamedTuple):
 def _point(
     joint: Float64Array, places: Float64Array, headings: Float64Array, near: float, beyond: int
 ) -> SequencePoint:
-    """Return the place of a distribution (N + B, K) over windows, B places beyond the map, and headings."""
+    """Return the position of a distribution (N + B, K) over windows, B places beyond the map, and headings."""
     shares, windows = joint.sum(axis=1), len(places) - beyond
     best = shares[:windows].argmax()
     kept = np.flatnonzero(((places[:windows] - places[best]) ** 2).sum(axis=1) <= near**2)
@@ -348,16 +348,16 @@ def _point(
 
 
 class ForwardFilter:
-    """The forward half of forward-backward, frame by frame, for a flight that goes on: it knows no frame to come.
+    """The forward half of forward-backward, frame by frame, for a flight in progress.
 
     Args:
-        places: centres of the windows, and places beyond the map behind them, in metres, (N + B, 2).
-        motion: how the flight moves.
+        places: centres of the windows, then places beyond the map, in metres, (N + B, 2).
+        motion: of the flight.
         beyond: number of places beyond the map, B.
 
     Attributes:
-        belief: probability of each place at each heading, (N + B, K), given all that was weighed; None before the first frame.
-        headings: of the belief in degrees, (K,); NaN, as the only one, where none is known.
+        belief: probability of each place at each heading, (N + B, K), by all likelihoods so far; None before the first frame.
+        headings: of the belief in degrees, (K,); a single NaN if unknown.
     """
 
     def __init__(self, places: Float64Array, motion: MotionModel, beyond: int = 0) -> None:
@@ -370,7 +370,7 @@ class ForwardFilter:
 
         Args:
             elapsed: seconds since the frame before, NaN if unknown.
-            headings: of the next frame, (K,); NaN, as the only one, where none is known.
+            headings: of the next frame, (K,); a single NaN if unknown.
         """
         if self.belief is None:
             self.belief = self._grid.start(len(headings))
@@ -387,13 +387,13 @@ class ForwardFilter:
         self.belief = joint / joint.sum()
 
     def point(self, near: float) -> SequencePoint:
-        """Return where the drone is; `near` is as for `smooth`."""
+        """Return the drone's position; for `near` see `smooth`."""
         assert self.belief is not None
         return _point(self.belief, self._places, self.headings, near, self._beyond)
 
 
 def fitted_frames(count: int) -> tuple[int, int]:
-    """Return the first of the frames that a flight's motion is fitted to, and the one after the last."""
+    """Return the range of frames that a flight's motion is fitted to: the first, and the one after the last."""
     start = max(count - _FITTED, 0) // 2
     return start, min(start + _FITTED, count)
 
@@ -408,14 +408,15 @@ def fitted(
 ) -> tuple[MotionModel, float]:
     """Return the motion model and the temperature at which scores are most probable.
 
-    They are compared on the 100 frames in the middle of the flight: at the temperature 0.4 speeds in any direction and along
-    the headings, then half of the spacing and, for a motion along the headings, speeds beside the best one, then temperatures.
+    The trials use the 100 frames in the middle of the flight. The first are speeds in any direction and along the headings, at
+    the temperature 0.4. Then come half of the spacing, speeds beside the best one for a motion along the headings, and
+    temperatures.
 
     Args:
         scores: of each frame, (N, K), see `ScoreUnits`.
-        headings, places, times: as for `smooth`, without places beyond the map.
-        spacing: of the motion model in metres, at most.
-        speed: metres a second where it is known.
+        headings, places, times: see `smooth`; without places beyond the map.
+        spacing: largest one of the motion model in metres.
+        speed: metres a second, if known.
     """
     elapsed = np.abs(np.diff(np.asarray(times, np.float64)))
     elapsed = elapsed[elapsed > 0]
@@ -447,14 +448,14 @@ def heading_evidence(
     motion: MotionModel,
     temperature: float,
 ) -> float:
-    """Return the log odds of steps along the headings, against the likeliest of those backwards and at right angles to them.
+    """Return the log odds of steps along the headings against the likeliest of steps backwards and at right angles.
 
-    Over a map of another place a frame's scores know nothing of the direction of flight, so one direction is seldom much more
-    probable than the others. The frames are those that the motion was fitted to.
+    Over a map of another place, scores do not depend on the direction of flight, so one direction is seldom much more probable
+    than the others. The frames of `fitted_frames` are used.
 
     Args:
-        scores, headings, places, times: as for `fitted`.
-        motion, temperature: as `fitted` returns them. Where steps go in any direction the log odds are 0.
+        scores, headings, places, times: see `fitted`.
+        motion, temperature: results of `fitted`. The log odds are 0 if steps go in any direction.
     """
     if not motion.along:
         return 0.0
@@ -466,7 +467,6 @@ def heading_evidence(
 def _likelihood(
     scores: OfFrame, headings: Sequence[Float64Array], places: Float64Array, times: npt.ArrayLike
 ) -> Callable[[MotionModel, float], float]:
-    """Return the log likelihood of the scores of the fitted frames, as a function of motion and temperature."""
     start, stop = fitted_frames(len(headings))
     chosen = [scores(t) for t in range(start, stop)]
     seconds = np.asarray(times, np.float64)[start:stop]
@@ -488,11 +488,7 @@ def _likelihood(
 
 
 class _Steps:
-    """The steps between the frames of a flight; those that are alike are computed once.
-
-    Attributes:
-        headings: of each frame in degrees, (K,).
-    """
+    """The steps between the frames of a flight, equal ones computed once; `headings` are of each frame in degrees, (K,)."""
 
     def __init__(
         self,
@@ -509,11 +505,9 @@ class _Steps:
         self._held = FilledCache[_Step](_HELD_STEPS, lambda step: step.nbytes)
 
     def start(self, headings: int) -> Float64Array:
-        """Return the distribution before the first frame, (N, K); see `_Grid.start`."""
         return self._grid.start(headings)
 
     def __getitem__(self, t: int) -> _Step:
-        """Return the step from frame t to the next."""
         before, after = self.headings[t : t + 2]
         elapsed, deviation = float(self._elapsed[t]), float(self._deviations[t])
         return self._held.get(
@@ -529,7 +523,6 @@ class _Chain:
         self._log_emissions, self._steps = log_emissions, steps
 
     def step(self, t: int) -> _Step:
-        """Return the step from frame t to the next."""
         return self._steps[t]
 
     def emission(self, t: int) -> tuple[Float64Array, float]:
@@ -539,11 +532,7 @@ class _Chain:
         return np.exp(logs - peak), peak
 
     def forward(self, t: int, before: Float64Array | None) -> tuple[Float64Array, float]:
-        """Return the distribution (N, K) of a frame's state given the scores up to it, and the log likelihood that it adds.
-
-        Args:
-            before: that of the frame before; None for the first.
-        """
+        """Return a frame's distribution (N, K) given the scores up to it, from the one `before`, and its log likelihood."""
         emitted, peak = self.emission(t)
         prior = self._steps.start(emitted.shape[1]) if before is None else self.step(t - 1).push(before)
         joint = prior * emitted
@@ -554,9 +543,9 @@ class _Chain:
 def _backwards(
     ahead: Callable[[int, Float64Array | None], Float64Array], frames: int
 ) -> Iterator[tuple[int, Float64Array]]:
-    """Yield each frame and its value from the last to the first, where `ahead` computes a value from the one before.
+    """Yield each frame and its value from the last to the first; `ahead` computes a value from the one before.
 
-    Only every sqrt(T)-th value is kept; those between are computed again.
+    Only every sqrt(T)-th value is stored; the others are computed again.
     """
     stride = math.isqrt(frames - 1) + 1
     kept: list[Float64Array] = []
@@ -574,9 +563,9 @@ def _backwards(
 
 
 def merged_coordinates(values: Float64Array) -> tuple[Float64Array, Int64Array]:
-    """Return the different coordinates of values (N,) in ascending order, (M,), and which of them each value is, (N,).
+    """Return the distinct coordinates of values (N,) in ascending order, (M,), and each value's index among them, (N,).
 
-    Those less than 2 cm apart are one, which is their mean.
+    Coordinates less than 2 cm apart are merged into their mean.
     """
     order = np.argsort(values, kind="stable")
     group = np.empty(len(values), np.int64)
@@ -585,15 +574,13 @@ def merged_coordinates(values: Float64Array) -> tuple[Float64Array, Int64Array]:
 
 
 class _Grid:
-    """Windows as cells of a grid of all their different x and y; those less than 2 cm apart are one.
-
-    Places beyond the map are the last `beyond` of them.
+    """Places as cells of a grid of their merged x and y; the last `beyond` of them are beyond the map.
 
     Attributes:
-        axes: the different coordinates along x and y, (X,) and (Y,).
-        columns, rows: of each window, (N,).
-        is_beyond: of each place, (N,), whether it is beyond the map.
-        bands: rows and columns that hold all places beyond the map together, (R,) and (C,).
+        axes: the merged coordinates along x and y, (X,) and (Y,).
+        columns, rows: of each place, (N,).
+        is_beyond: whether each place is beyond the map, (N,).
+        bands: rows and columns that together contain all places beyond the map, (R,) and (C,).
     """
 
     def __init__(self, places: Float64Array, beyond: int = 0) -> None:
@@ -607,7 +594,6 @@ class _Grid:
         self.bands = np.flatnonzero(in_row.any(axis=1)), np.flatnonzero((out & ~in_row).any(axis=0))
 
     def start(self, headings: int) -> Float64Array:
-        """Return the distribution of a flight before its first frame over places at some headings, (N, K)."""
         count, out = len(self.is_beyond), int(self.is_beyond.sum())
         share = _BEGIN if out else 0.0
         each = np.where(self.is_beyond, share / max(out, 1), (1 - share) / (count - out)) / headings
@@ -620,16 +606,15 @@ class _Grid:
         return np.array(sums, np.float64).reshape(-1, len(y), len(x))
 
     def values(self, image: Float64Array) -> Float64Array:
-        """Return the values of an image (K, Y, X) at the windows, (N, K)."""
         return image[:, self.rows, self.columns].T
 
 
 class _Step:
     """The transition from one frame to the next.
 
-    Its kernel is a mixture of Gaussians, for each heading before the step, of the distance between two windows. It is
-    normalised by source. Steps from a window to a place beyond the map are less probable by a factor. A Gaussian is a
-    product of one along x and one along y, so that sums over all pairs of windows are products of matrices.
+    Its kernel is a mixture of Gaussians of the way between two places, for each heading before the step, normalised by source.
+    Steps from a window to a place beyond the map are less probable by a factor. A Gaussian is a product of one along x and one
+    along y, so sums over all pairs of places are products of matrices.
     """
 
     def __init__(
@@ -664,11 +649,10 @@ class _Step:
 
     @property
     def nbytes(self) -> int:
-        """Bytes of its arrays."""
         return sum(array.nbytes for array in (self._x, self._y, self._scale, self._turns))
 
     def push(self, weights: Float64Array) -> Float64Array:
-        """Return the distribution (N, M) after the step of one before it, (N, K)."""
+        """Return the distribution (N, M) after the step from the one before it, (N, K)."""
         scaled, out = weights / self._scale, self._grid.is_beyond[:, None]
         after = self._grid.values(self._blurred(self._grid.image(np.where(out, 0, scaled))))
         if out.any():
@@ -682,7 +666,7 @@ class _Step:
         return cast(Float64Array, self._back(message @ self._turns.T) / self._scale + _JUMP * message.mean())
 
     def _back(self, values: Float64Array) -> Float64Array:
-        """Return the sums (N, K) over the step's targets of values at them, (N, K) or (N, 1), before they are normalised."""
+        """Return the unnormalised sums (N, K) over the step's targets of their values, (N, K) or (N, 1)."""
         out = self._grid.is_beyond[:, None]
         before = self._grid.values(self._blurred(self._grid.image(np.where(out, 0, values)), back=True))
         if out.any():
@@ -691,12 +675,12 @@ class _Step:
         return before
 
     def _blurred(self, image: Float64Array, back: bool = False) -> Float64Array:
-        """Return the sums (K, Y, X) over sources of an image (K, Y, X), or over targets."""
+        """Return the sums (K, Y, X) of an image (K, Y, X) over sources, or, if `back`, over targets."""
         x, y = self._kernels(back)
         return cast(Float64Array, (y @ image[:, None] @ x).sum(axis=1))
 
     def _blurred_beyond(self, image: Float64Array, back: bool = False) -> Float64Array:
-        """Return what `_blurred` does of an image that is 0 but for places beyond the map, which are few rows and columns."""
+        """Compute `_blurred` for an image that is 0 except beyond the map, which is few rows and columns."""
         (x, y), (rows, columns) = self._kernels(back), self._grid.bands
         beside = image[:, None, :, columns]
         beside[..., rows, :] = 0
@@ -704,16 +688,14 @@ class _Step:
         return cast(Float64Array, (along_rows + y @ beside @ x[..., columns, :]).sum(axis=1))
 
     def _kernels(self, back: bool) -> tuple[Float64Array, Float64Array]:
-        """Return the matrices by which an image is multiplied from the right and from the left."""
+        """Return the factors of an image from the right and from the left."""
         return (self._x, self._y.swapaxes(-1, -2)) if back else (self._x.swapaxes(-1, -2), self._y)
 
 
 def _legs(before: Float64Array, after: Float64Array) -> Float64Array:
-    """Return how far steps go by their speed and time, (K, legs, 2).
+    """Return steps of unit speed and time, (K, legs, 2), along headings before and after in degrees, (K,) and (M,).
 
-    Args:
-        before, after: headings in degrees, (K,) and (M,). With M above 1, or a heading after the step that is NaN, all steps go
-            along the headings before them.
+    With M above 1, or NaN after the step, all steps go along the headings before them.
     """
     shares = np.array(_LEGS if len(after) == 1 and not np.isnan(after[0]) else (1.0,))[:, None]
     first, last = (

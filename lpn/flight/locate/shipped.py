@@ -1,11 +1,11 @@
-"""Answers that ship with a flight over its map, as those of the demo do: descriptors and registrations of one model.
+"""Answers that ship with a flight over its map, as in the demo: descriptors and registrations of one model.
 
-    located.json   model, files of map and flight, and what sequence and registration answer for each frame
+    located.json   model, files of map and flight, and the answers of sequence and registration for each frame
     windows/       store of the map's windows
-    frames/        store of the flight's frames at the headings that are tried
+    frames/        store of the flight's frames at the tried headings
 
-They count only if model, map, and photos are those that they were made with, and descriptors only if windows and headings are,
-too. Otherwise they are computed anew.
+They are used only for the same model, map, and photos, and descriptors also only for the same windows and headings. Otherwise
+they are computed again.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from lpn.models.base import Model
 
 NAME, WINDOWS, FRAMES = "located.json", "windows", "frames"
 FORMAT = "lpn-located/1"
-# Metres, degrees, and shares that may differ from one processor to the next.
+# Tolerance of metres, degrees, and shares between processors.
 _TOLERANCE = 2e-3
 
 # A file's name and size.
@@ -41,7 +41,7 @@ class ShippedRecord(msgspec.Struct, frozen=True):
         registered_by: the format of the registration that made the answers.
         fingerprint: of the model.
         map, photos: their files.
-        registration, sequence: answers by the frame's name; those of the registration without the map's own error.
+        registration, sequence: answers by the frame's name; registrations exclude the map's own error.
         notes: sentences about the sequence.
     """
 
@@ -71,7 +71,7 @@ class ShippedAnswers:
     def open(
         cls, folder: Path, registered_by: str, model: Model, basemap: Map, flight: Flight
     ) -> ShippedAnswers | None:
-        """Open the answers in a folder; None if there are none, or they are of another model, map, or flight.
+        """Open the answers in a folder; None without any, or if they are of another model, map, or flight.
 
         Args:
             registered_by: the format of the registration.
@@ -85,13 +85,13 @@ class ShippedAnswers:
         return cls(folder, record) if fits else None
 
     def windows(self, windows: Sequence[Window], side: int) -> Float32Array | None:
-        """Return descriptors (N, n, D) of windows, see `window_rows`; None if those that ship are of others, or damaged."""
+        """Return descriptors (N, n, D) of windows, see `window_rows`; None if shipped ones do not fit, or are damaged."""
         return self._descriptors(WINDOWS, window_rows(windows, side))
 
     def frames(
         self, flight: Flight, headings: Sequence[Sequence[float]], cut_shares: Float64Array
     ) -> Float32Array | None:
-        """Return descriptors (N, n, D) of frames, see `frame_rows`; None if those that ship are of others, or damaged."""
+        """Return descriptors (N, n, D) of frames, see `frame_rows`; None if shipped ones do not fit, or are damaged."""
         return self._descriptors(FRAMES, frame_rows(flight, headings, cut_shares))
 
     def _descriptors(self, name: str, rows: Sequence[Row]) -> Float32Array | None:
@@ -104,12 +104,12 @@ class ShippedAnswers:
 
 
 def window_rows(windows: Sequence[Window], side: int) -> list[Row]:
-    """Return the rows of windows in shipped answers; `side` is that of their pictures in pixels."""
+    """Return the rows of windows in shipped answers; `side` is their pictures' in pixels."""
     return [_row((window.x, window.y, window.size, window.heading), size=side) for window in windows]
 
 
 def frame_rows(flight: Flight, headings: Sequence[Sequence[float]], cut_shares: Float64Array) -> list[Row]:
-    """Return the rows of frames at their headings in shipped answers, which know their photos by name and size."""
+    """Return the rows of frames at their headings in shipped answers, which identify photos by name and size."""
     return [
         _row((heading, share), frame.name, frame.file.stat().st_size)
         for frame, tried, share in zip(flight.frames, headings, cut_shares.tolist(), strict=True)
@@ -118,7 +118,7 @@ def frame_rows(flight: Flight, headings: Sequence[Sequence[float]], cut_shares: 
 
 
 def _row(numbers: Sequence[float], name: str = "", size: int = 0) -> Row:
-    """Return the row of a picture that numbers tell from others of the same file, such as metres and degrees."""
+    """Return the row of a picture that numbers, such as metres and degrees, identify within a file."""
     return Row(" ".join([*(f"{number:.6f}" for number in numbers), name]), size, 0)
 
 
@@ -132,7 +132,7 @@ def photo_files(flight: Flight) -> Files:
 
 
 def _alike(stored: Sequence[Row], wanted: Sequence[Row]) -> bool:
-    """Return whether rows are of the same pictures, up to the rounding of their numbers."""
+    """Tell whether rows are of the same pictures, up to rounding."""
     if len(stored) != len(wanted):
         return False
     for one, other in zip(stored, wanted, strict=True):

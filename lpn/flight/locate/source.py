@@ -37,7 +37,7 @@ class OpenedFlight(OpenedSource):
     located: LocatedFlight | None = None
 
     def graded(self) -> tuple[Task, Collection[int]]:
-        """Lay each photo over the map; a GPS tag that this contradicts judges nothing. See `OpenedSource.graded`."""
+        """Register each photo; contradicted GPS tags do not grade. See `OpenedSource.graded`."""
         import numpy as np
 
         from lpn.flight.locate.grades import doubtful_photos
@@ -103,7 +103,7 @@ class FlightSource(TaskSource):
 
         if is_flight(options.path):
             return True
-        # A folder of photos is a flight by the map under it.
+        # A folder of photos with a map is a flight.
         marked = any(not layout.deep and layout.recognises(options.path) for layout in known_layouts())
         return options.map is not None and not options.path.is_file() and not marked
 
@@ -125,7 +125,7 @@ class FlightSource(TaskSource):
         return self.locate(None, names, weights)
 
     def to_measure(self) -> list[Task]:
-        if getattr(self.options, "rotate", 0):  # of lpn evaluate; one picture, as of lpn explain, can be turned
+        if getattr(self.options, "rotate", 0):  # of lpn evaluate; lpn explain can turn its single picture
             raise InputError(
                 f"{printable(self.options.path.name)} is a flight, whose queries are cut out of photos and not turned; leave "
                 "--rotate out."
@@ -144,7 +144,7 @@ class FlightSource(TaskSource):
 
         Args:
             shipped: see `lpn.flight.locate.pipeline.locate`.
-            loaded: the model, if it is loaded already.
+            loaded: the model if already loaded.
         """
         from lpn.flight.files import open_flight
         from lpn.flight.locate.options import LocateOptions

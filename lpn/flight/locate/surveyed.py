@@ -1,10 +1,10 @@
-"""A flight's answers against surveyed positions, which a person has in a table (CSV).
+"""A flight's answers against a person's table (CSV) of surveyed positions.
 
     photo,easting,northing,epsg,point
     DJI_0012.JPG,612345.21,3338010.87,32614,camera
 
-Latitude and longitude may stand in place of easting and northing; they are of WGS 84 where no CRS is told. `point` is what was
-surveyed: "camera", or "ground" for the ground at the photo's middle.
+Latitude and longitude may replace easting and northing; their default CRS is WGS 84. `point` is the surveyed point: "camera", or
+"ground" for the ground at the photo's middle.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from lpn.flight.maps import LocalFrame, Map
 from lpn.flight.maps.sources import parse_crs
 
 SurveyedPoint = Literal["camera", "ground"]
-# The names of the columns that are read, in the order in which they count.
+# Accepted names of columns, best first.
 COLUMNS = {
     "photo": ("photo", "image", "frame", "file", "filename", "file_name", "name", "label"),
     "latitude": ("latitude", "lat"),
@@ -43,9 +43,9 @@ COLUMNS = {
 }
 _DEGREES, _METRES = ("latitude", "longitude"), ("easting", "northing")
 _EXPECTED = "expected photo and latitude,longitude or easting,northing,epsg, and, if you like, point (camera or ground)"
-# The CRS of degrees where no other one is told.
+# The default CRS of degrees.
 _WGS84 = "EPSG:4326"
-# Names in one sentence at most.
+# Most names in one sentence.
 _MOST_NAMES = 10
 _RESIDUAL_COLUMNS = (
     *("photo", "point", "answer_is", "stage", "state", "doubt"),
@@ -70,7 +70,7 @@ class MatchedSurvey:
 
     Attributes:
         by_frame: positions by the number of their frame in the flight.
-        strangers: names in the table that are no photo of the flight.
+        strangers: names in the table without a photo in the flight.
     """
 
     by_frame: Mapping[int, Sequence[SurveyedPosition]]
@@ -83,10 +83,10 @@ class Residual:
 
     Attributes:
         photo: the frame's name.
-        point: what was surveyed.
-        answered: what the answer is of, the camera or the ground at the photo's middle; another than `point` where the answer
-            tells no more. None without an answer.
-        stage, state: of the answer that counts, see `lpn.flight.locate.belief.best_answers`.
+        point: the surveyed point.
+        answered: the answer's point, the camera or the ground at the photo's middle; it differs from `point` if the answer has no
+            place of that. None without an answer.
+        stage, state: of the best answer, see `lpn.flight.locate.belief.best_answers`.
         doubt: the answers that contradict it.
         surveyed: metres in the map's frame.
         east, north: metres along the axes of the map's UTM zone, answer minus survey; NaN without an answer.
@@ -111,7 +111,7 @@ class Residual:
 
     @property
     def radii(self) -> float:
-        """The distance in radii; NaN without a radius, or where the answer is not of the surveyed point."""
+        """The distance in radii; NaN without a radius, or if the answer is of another point."""
         return self.metres / self.radius if self.answered == self.point and self.radius > 0 else math.nan
 
     @property
@@ -124,12 +124,12 @@ def read_surveyed(file: Path, frame: LocalFrame, crs: str | None = None) -> list
     """Read a table of surveyed positions.
 
     Args:
-        frame: of the map; positions come in its metres.
-        crs: coordinate reference system of the coordinates, such as EPSG:32614, where no column tells it.
+        frame: of the map, for the returned metres.
+        crs: coordinate reference system of the coordinates, such as EPSG:32614, if no column names it.
 
     Raises:
         DataError: if the file cannot be read, or is no such table; the message names the line.
-        InputError: if a CRS is none, does not fit the columns, is told twice, or is needed and missing.
+        InputError: if a CRS is invalid, does not fit the columns, is given twice, or is missing.
     """
     name = printable(file.name)
     decimal_comma, rows = separated(read_text(file, name), name, strict=True)
@@ -149,7 +149,7 @@ def read_surveyed(file: Path, frame: LocalFrame, crs: str | None = None) -> list
             raise DataError(f"{line} has no photo; expected its file name.")
         if point not in ("camera", "ground"):
             raise DataError(f"{line} has the point {printable(point)[:100]!r}; expected camera or ground.")
-        # A geographic CRS has its longitude first here; spreadsheets write a whole number as 32614.0, too.
+        # The frame takes the longitude of a geographic CRS first. Spreadsheets may write EPSG codes as 32614.0.
         keys = _DEGREES[::-1] if degrees else _METRES
         numbers.append([_number(cells[key], key, line, decimal_comma) for key in keys])
         systems.setdefault(cells.get("crs", "").removesuffix(".0"), line)
@@ -168,7 +168,7 @@ def read_surveyed(file: Path, frame: LocalFrame, crs: str | None = None) -> list
 
 
 def _system(told: Mapping[str, str], crs: str | None, degrees: bool, file: str) -> object:
-    """Return the CRS of a table, whose lines tell those of `told`, each with its first line."""
+    """Return the CRS of a table; `told` maps each CRS in its column to its first line."""
     if crs and set(told) != {""}:
         raise InputError(f"{file} tells its CRS in a column; leave --crs out, or take the column away.")
     if len(told) > 1:
@@ -191,7 +191,6 @@ def _system(told: Mapping[str, str], crs: str | None, degrees: bool, file: str) 
 
 
 def _header(names: Sequence[str], file: str) -> dict[str, int]:
-    """Return the column of each known name."""
     given = {name.strip().lower(): i for i, name in reversed(list(enumerate(names)))}
     header = {
         key: next(given[one] for one in known if one in given) for key, known in COLUMNS.items() if {*known} & {*given}
@@ -223,13 +222,13 @@ def _number(text: str, key: str, line: str, decimal_comma: bool) -> float:
 
 
 def match_surveyed(names: Sequence[str], surveyed: Sequence[SurveyedPosition], basemap: Map) -> MatchedSurvey:
-    """Find the frames of surveyed positions by the photos' names, with or without folders and a suffix.
+    """Match surveyed positions with frames by the photos' names, with or without folders and a suffix.
 
     Args:
         names: of the flight's frames, in its order.
 
     Raises:
-        InputError: if no photo of the flight has a surveyed position, a name may be two photos, a photo has two positions of one
+        InputError: if no photo of the flight has a surveyed position, a name fits two photos, a photo has two positions of one
             point, or most positions lie farther off the map than its longer side.
     """
     by_stem: dict[str, list[int]] = {}
@@ -264,7 +263,7 @@ def match_surveyed(names: Sequence[str], surveyed: Sequence[SurveyedPosition], b
 
 
 def compare_surveyed(located: LocatedFlight, matched: MatchedSurvey) -> list[Residual]:
-    """Return the answers that count minus the surveyed positions, in the flight's order."""
+    """Return the best answers minus the surveyed positions, in the flight's order."""
     rows = []
     for i, (frame, best) in enumerate(zip(located.frames, best_answers(located), strict=True)):
         for position in matched.by_frame.get(i, ()):
@@ -280,7 +279,7 @@ def compare_surveyed(located: LocatedFlight, matched: MatchedSurvey) -> list[Res
 
 
 def summarise_surveyed(rows: Sequence[Residual]) -> dict[str, dict[SurveyedPoint, Errors]]:
-    """Return the errors of accepted answers by their stage, and by what was surveyed."""
+    """Return the errors of accepted answers by stage and surveyed point."""
     known: dict[str, dict[SurveyedPoint, list[Residual]]] = {}
     for row in rows:
         if row.counts:
@@ -298,7 +297,7 @@ def summarise_surveyed(rows: Sequence[Residual]) -> dict[str, dict[SurveyedPoint
 
 
 def write_residuals(file: Path, rows: Sequence[Residual], frame: LocalFrame) -> None:
-    """Write residuals as CSV, whole or not at all; positions are in the UTM zone of the map, differences are answer minus survey.
+    """Write residuals as CSV, whole or not at all: positions in the map's UTM zone, and answer minus survey.
 
     Raises:
         OutputError: if the file cannot be written.
@@ -319,10 +318,10 @@ def _rounded(value: float) -> float | None:
 
 
 def _frame_of(path: str, names: Sequence[str], by_stem: Mapping[str, Sequence[int]]) -> int | None:
-    """Return the number of the frame that a table names; None without one.
+    """Return the index of the frame that a table names; None without one.
 
-    The folders of the path with fewer of them must end the other's. Of several frames, the one of the equal path counts, then of
-    the equal name, then of the most folders.
+    The shorter path's folders must be the end of the longer one's. Of several frames, an equal path precedes an equal name, and
+    that precedes the most folders.
     """
     wanted = path_parts(path)
     ranked: list[tuple[tuple[bool, bool, bool, int], int]] = []
@@ -344,7 +343,7 @@ def _frame_of(path: str, names: Sequence[str], by_stem: Mapping[str, Sequence[in
 def _place(
     located: LocatedFrame, answer: StageRecord, point: SurveyedPoint
 ) -> tuple[float, float, float | None, SurveyedPoint]:
-    """Return an answer's place, its radius, and what it is of: the wanted point where the answer tells it."""
+    """Return an answer's place, radius, and point: the wanted point if the answer has it."""
     if point == "ground" and answer.camera and answer.homography is not None:
         x, y = located.middle(answer).tolist()
         return x, y, answer.middle_radius, "ground"
@@ -358,10 +357,10 @@ def _place(
 
 
 def survey_remarks(rows: Sequence[Residual], photos: int) -> list[str]:
-    """Return sentences on photos that do not count, are contradicted, or are not compared with the surveyed point.
+    """Return sentences on photos that do not count, are contradicted, or are compared at another point.
 
     Args:
-        photos: of the flight.
+        photos: number of the flight's photos.
     """
     sentences = []
     if missing := [row.photo for row in rows if not row.counts]:
@@ -387,5 +386,4 @@ def strangers_sentence(matched: MatchedSurvey) -> str:
 
 
 def _listed(names: Iterable[str]) -> str:
-    """Name photos, each once."""
     return printable(first_few(list(dict.fromkeys(names)), _MOST_NAMES))

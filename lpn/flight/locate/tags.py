@@ -1,4 +1,4 @@
-"""The tags of a flight in metres of its map, and the corrections by which a person replaces them."""
+"""The tags of a flight in metres of its map, and a person's corrections, which replace them."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ from lpn.flight.maps import Map
 
 
 def tags_on_map(basemap: Map, flight: Flight) -> tuple[Float64Array, list[str], float | None]:
-    """Return the positions of a flight on the map, sentences about them, and how far away they are.
+    """Return a flight's tags in metres of the map's frame, (N, 2), sentences about them, and their distance if off the map.
 
-    Positions are in metres of the map's frame, (N, 2), NaN where none is of use. If all of them lie far off the map, none is of
-    use, and the third value is the metres from the map's edge to the nearest; else it is None.
+    Unusable tags are NaN. If all tags lie far off the map, none is usable, and the third value is the metres from the map's edge
+    to the nearest one; otherwise it is None.
     """
     total = len(flight.frames)
     tags = basemap.frame.xy(*flight.degrees.T)
     tagged = ~np.isnan(flight.degrees).any(axis=1)
-    if not np.isfinite(tags[tagged]).all():  # one position that the projection cannot place makes all of them NaN
+    if not np.isfinite(tags[tagged]).all():  # one position outside the projection makes all of them NaN
         tags = np.concatenate([basemap.frame.xy([latitude], [longitude]) for latitude, longitude in flight.degrees])
     known = np.isfinite(tags).all(axis=1)
     tags[~known] = np.nan
@@ -45,7 +45,7 @@ def tags_on_map(basemap: Map, flight: Flight) -> tuple[Float64Array, list[str], 
     margin = max(east - west, north - south)
     off = np.maximum(np.maximum([west, south] - tags[known], tags[known] - [east, north]), 0).max(axis=1)
     if (off > margin).all():
-        # Degrees are compared, as the plane stretches what lies far off; beyond its end the map is a point.
+        # Degrees are compared, as the plane stretches large distances; tags outside the projection are compared with one point.
         at = np.where(np.isfinite(tags), np.clip(tags, [west, south], [east, north]), 0.0)[tagged]
         nearest = float(geo.geodesic(flight.degrees[tagged], basemap.frame.degrees(at)).min())
         notes.append(

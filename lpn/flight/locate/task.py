@@ -1,7 +1,7 @@
 """A flight over a map as a task: frames are the queries, windows of the map are the gallery.
 
-Everything that shows a task shows a flight then: rankings, contributions, evidence, outcomes, reports. No picture is described
-again, and a window is cut from the map when its picture is needed.
+All views of a task then work for a flight: rankings, contributions, evidence, outcomes, reports. No picture is described again,
+and windows are cut from the map on demand.
 """
 
 from __future__ import annotations
@@ -32,9 +32,9 @@ from lpn.tasks.task import Task, descriptor_clauses
 
 TASK = "drone-to-satellite"
 _OFF_TAG = "Distance from the photo's GPS tag, or from its correction by hand; tags themselves may be metres off"
-# The column of `stage_columns` with a sentence for each frame.
+# The name of the column of `stage_columns` that has a sentence for each frame.
 REASON = "reason"
-# Verdicts in words, by the stage that counts; a registration that another answer contradicts is no registration.
+# Verdicts in words, by the verdict's stage.
 _VERDICTS = {
     "registration": "registered",
     "sequence": "by its neighbours",
@@ -46,14 +46,12 @@ _VERDICTS = {
 def flight_task(model: Model, model_name: str, located: LocatedFlight, root: Path) -> Task:
     """Return the task of a located flight; query i is frame i, and gallery picture j is window j of the retrieval.
 
-    Scores are those of the retrieval. Where it centred and whitened the descriptors, the task's model does so too
-    (`Model.centred`). Where a frame was described at several headings, the query is the frame at the heading of its best
-    window; its ranking below that window is the one at this heading.
+    Scores are the retrieval's. If it centred and whitened the descriptors, so does the task's model (`Model.centred`). A frame
+    that was described at several headings is a query at the heading of its best window, and its whole ranking is at this heading.
 
-    The true tiles of a frame are the windows that hold the place that it is graded by (`LocatedFlight.photographed`: its tag, or
-    its registration where the tags are late), among those of its own size where its width on the ground is known; windows of
-    other sizes are junk then, as the retrieval does not rank them either. The truth of a frame without such a place, or that
-    cannot be read, is not known.
+    The true tiles of a frame are the windows that hold the place of `LocatedFlight.photographed` (the tag, or the registration if
+    tags are late). If its width on the ground is known, windows of other sizes are junk, as the retrieval does not rank them. The
+    truth of an unreadable frame, or one without such a place, is unknown.
 
     Args:
         model_name: the model's name to display.
@@ -111,7 +109,7 @@ def _query(retrieval: MapRetrieval, i: int, frame: Frame, heading: float, root: 
 
 
 def _gallery(basemap: Map, retrieval: MapRetrieval, root: Path) -> list[Picture]:
-    """Return windows as pictures, named by the metres from the map's origin to their centre, and by their side if it varies."""
+    """Return windows as pictures, named by their centre in metres from the map's origin, and by their side if it varies."""
     first, several = len(retrieval.headings), len(set(retrieval.sizes.tolist())) > 1
     return [
         Picture(
@@ -126,7 +124,7 @@ def _gallery(basemap: Map, retrieval: MapRetrieval, root: Path) -> list[Picture]
 
 
 def _descriptors(retrieval: MapRetrieval, turns: list[int]) -> Float32Array:
-    """Return the descriptor of each frame at its turn, (Q, n, D); 0 for a frame that cannot be read."""
+    """Return the descriptor of each frame at its turn, (Q, n, D); 0 for an unreadable frame."""
     descriptors = np.zeros((len(turns), *retrieval.windows_described.shape[1:]), np.float32)
     for i, turn in enumerate(turns):
         if (described := retrieval.frames_described[i]) is not None:
@@ -170,8 +168,7 @@ def _geometry(located: LocatedFlight, retrieval: MapRetrieval) -> GalleryGeometr
 
 
 def _position(located: LocatedFlight, frame: Frame, place: Float64Array | None, level: float) -> Position | None:
-    """Return a position above the place photographed; its picture is north-up, and as wide as the windows that it is compared
-    with."""
+    """Return a position above the photographed place, for a north-up picture as wide as the compared windows."""
     if place is None:
         return None
     latitude, longitude = (float(value) for value in located.basemap.frame.degrees([place])[0])
@@ -183,7 +180,6 @@ def _position(located: LocatedFlight, frame: Frame, place: Float64Array | None, 
 
 
 def _columns(located: LocatedFlight, retrieval: MapRetrieval, turns: list[int]) -> list[Column]:
-    """Return what is known of each frame, for the table of outcomes."""
     frames = [one.frame for one in located.frames]
     times = located.flight.times
     since = times - np.nanmin(times) if np.isfinite(times).any() else times
@@ -203,9 +199,9 @@ def _columns(located: LocatedFlight, retrieval: MapRetrieval, turns: list[int]) 
 
 
 def stage_columns(located: LocatedFlight) -> list[Column]:
-    """Return what the stages say of each frame: metres from its tag, the registration, the verdict, and the reason for it.
+    """Return columns for each frame: metres from its tag, the registration, the verdict, and its reason.
 
-    A person's correction stands in the tag's place, see `LocatedFrame.truth`.
+    A person's correction replaces the tag, see `LocatedFrame.truth`.
     """
     opinions = beliefs(located.frames, disagreements(located.frames))
     verdicts = [

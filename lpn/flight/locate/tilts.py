@@ -1,4 +1,4 @@
-"""The error of a flight's tilts, estimated from how the camera's places scatter about a smooth track."""
+"""The error of a flight's tilts, estimated from the scatter of the camera's places about a smooth track."""
 
 from __future__ import annotations
 
@@ -8,16 +8,16 @@ import numpy as np
 
 from lpn.core.arrays import Float64Array
 
-# Share of the error told of a tilt that radii keep for what frames have in common.
+# Share of a tilt's default error that radii keep for errors that frames have in common.
 COMMON = 0.5
-# Neighbours whose places are compared with a parabola in time, groups of them at least, and seconds between two at most.
+# Neighbours that are compared with a parabola in time, fewest groups of them, and most seconds between two.
 _NEIGHBOURS = 4
 _LEAST_GROUPS = 12
 _GAP = 30.0
-# The square of a difference counts with at most this multiple of its variance (Huber), and its mean for normal errors.
+# Limit of a squared difference in variances (Huber), and the mean of the limited square for normal errors.
 _CUT = 4.0
 _MEAN = 2 * (1 - math.exp(-_CUT / 2))
-# Degrees to which the estimate is exact.
+# Resolution of the estimate in degrees.
 _EXACT = 0.01
 
 
@@ -26,18 +26,18 @@ def tilt_error(
 ) -> float:
     """Estimate the 1-sigma error of a flight's tilts in degrees, along each axis.
 
-    A drone flies smoothly, so its place is nearly a parabola in time over four neighbouring frames. Their third divided
-    difference is then error alone. Its variance is that of the places, spread^2 + (height tan(tilt))^2, times the squared
-    coefficients. The tilt is Huber's second proposal: the squares over their variances, cut at 4, have the mean of normal
-    errors. An error that the frames of a leg have in common, such as that of a camera mounted askew, is not seen.
+    A drone flies smoothly, so its place is nearly a parabola in time over four neighbouring frames, and their third divided
+    difference is pure error. Its variance is the sum of the squared coefficients times spread^2 + (height tan(tilt))^2. The tilt
+    solves Huber's second proposal: the squares over their variances, limited to 4, have the mean of normal errors. An error that
+    a leg's frames have in common, such as that of a camera mounted askew, stays unseen.
 
     Args:
         times: seconds, ascending, (N,).
         places: of the camera in metres, (N, 2).
         spreads: 1-sigma radii of the places without the tilt's error, (N,) metres.
         heights: above ground in metres, (N,).
-        most: the largest answer in degrees. It is the answer if the places scatter more, as those of a flight that turns between
-            its frames do, and if fewer than 12 groups of four frames less than 30 s apart tell.
+        most: the largest result in degrees. It is returned if the places scatter more, as in a flight that turns between its
+            frames, or if there are fewer than 12 groups of four frames less than 30 s apart.
     """
     squares, shares = [], []
     for i in range(len(times) - _NEIGHBOURS + 1):

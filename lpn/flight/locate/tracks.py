@@ -1,7 +1,7 @@
 """Tracks of a located flight: a point for each answer, and files of them as GeoJSON, KML, or CSV.
 
-A CSV has a column for each property of a GeoJSON's point; docs/locate-a-flight.md tells what they mean.
-A column in which no point has a value is left out, but for the frame, its state, its place, and the reason.
+A CSV has a column for each property of a GeoJSON's point; docs/locate-a-flight.md explains them. Empty columns are left out,
+except for those of `_ALWAYS`.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from lpn.flight.locate.located import (
 from lpn.flight.maps import Map
 
 SUFFIXES = (".geojson", ".kml", ".csv")
-# A time under this value is counted from the start of a video; it is not a UTC epoch.
+# A smaller time counts from the start of a video; it is not a UTC epoch.
 _FIRST_EPOCH = 10**8
 _KML = "http://www.opengis.net/kml/2.2"
 
@@ -46,29 +46,29 @@ class TrackPoint:
         stage: "retrieval", "sequence", "registration", or "by hand" for a person's correction.
         state: "accepted" if the position may be used, "contradicted" if the verdict of all stages doubts it, "refused" if it may
             not be used, "not verified" if the stage cannot tell.
-        doubt: the answers that contradict this one, "tag", stages, or "map": what the map has away from the photo's middle.
+        doubt: the answers that contradict this one: "tag", stages, or "map" for the map away from the photo's middle.
         point: whether the position is the "camera", or the "ground" at the picture's middle.
         latitude, longitude: WGS 84 degrees.
         easting_m, northing_m, projected_crs: metres in a UTM zone.
         radius_on_map_m: 1-sigma radius on this map.
-        radius_on_earth_m: the same with the error of the map's place on earth, where the map tells it.
+        radius_on_earth_m: the same with the error of the map's place on earth, if known.
         radius_confirmed_by_tags: "yes" if the flight's GPS tags lie within three radii of this stage as often as they should,
             "no" if not.
-        checked_beside_middle: "yes" if places beside a registered photo's middle lie where the map has them, "contradicted" if
-            not, "no" if too few were found to tell.
-        misfit_median_m, misfit_max_m: from places away from the photo's middle to where the map has them.
+        checked_beside_middle: "yes" if the map agrees away from a registered photo's middle, "contradicted" if not, "no" if too
+            few places were found to tell.
+        misfit_median_m, misfit_max_m: offsets of places away from the photo's middle on the map.
         metres_from_tag, east_from_tag_m, north_from_tag_m: position minus the tag in the frame's file, the last two along the
             axes of the UTM zone.
-        tag_latitude, tag_longitude: that tag.
-        time_utc: of the frame, where its time is one of day; else `seconds` has it.
+        tag_latitude, tag_longitude: of that tag.
+        time_utc: of the frame if it has a date; else `seconds` has its time.
         heading_deg: of the picture's top, clockwise from north.
         pose_latitude, pose_longitude: of the camera by its pose.
         pose_altitude_m: metres above the datum of the map's elevation.
         pose_height_m: metres above ground.
-        pose_yaw_deg, pose_pitch_deg, pose_roll_deg: a pitch of -90 looks straight down, one below it beyond that.
+        pose_yaw_deg, pose_pitch_deg, pose_roll_deg: a pitch of -90 looks straight down, and a smaller one beyond that.
         pose_fov_deg: horizontal field of view.
         pose_sigma_east_m to pose_sigma_roll_deg: 1-sigma errors of the pose, without the map's own.
-        reason: in one short sentence why it was refused, or on what it rests.
+        reason: grounds of the refusal or acceptance in one short sentence.
         note: further sentences.
     """
 
@@ -115,9 +115,9 @@ class TrackPoint:
     note: str = ""
 
 
-# The columns that each file has.
+# The columns of every file.
 _ALWAYS = ("frame", "stage", "state", "latitude", "longitude", "reason")
-# Digits behind the point, where they are not two.
+# Decimals of columns, where not two.
 _DIGITS = {
     **dict.fromkeys(("latitude", "longitude", "tag_latitude", "tag_longitude", "pose_latitude", "pose_longitude"), 7),
     **dict.fromkeys(("seconds", "pose_sigma_yaw_deg", "pose_sigma_pitch_deg", "pose_sigma_roll_deg"), 3),
@@ -127,7 +127,7 @@ _SIGMAS = ("east_m", "north_m", "up_m", "yaw_deg", "pitch_deg", "roll_deg")
 
 
 def full_track(flight: LocatedFlight) -> list[TrackPoint]:
-    """Return the points of all stages, stage by stage; a correction takes the place of its frame's registration."""
+    """Return the points of all stages, stage by stage; a correction replaces its frame's registration."""
     against = disagreements(flight.frames)
     return [
         _point(flight, located, stage, answer, doubt=doubts(located, [one for one in against if one.frame == i], stage))
@@ -139,7 +139,7 @@ def full_track(flight: LocatedFlight) -> list[TrackPoint]:
 
 
 def best_track(flight: LocatedFlight) -> list[TrackPoint]:
-    """Return one point a frame, that of the answer that counts; state and reason are those of the verdict."""
+    """Return the best answer's point of each frame, with the verdict's state and reason."""
     points = []
     for located, best in zip(flight.frames, best_answers(flight), strict=True):
         told: dict[str, Any] = {}
@@ -212,7 +212,7 @@ def _of_pose(pose: CameraPose | None, basemap: Map) -> dict[str, Any]:
 
 
 def check_suffix(path: Path) -> None:
-    """Raise InputError unless the format of a track is known by its suffix."""
+    """Raise InputError unless a path has one of `SUFFIXES`."""
     check_ending(path, *SUFFIXES)
 
 
@@ -250,7 +250,6 @@ def track_bytes(suffix: str, name: str, points: Sequence[TrackPoint]) -> bytes:
 
 
 def _rounded(point: TrackPoint) -> dict[str, Any]:
-    """Return a point by its columns, with the digits of a file."""
     row = asdict(point)
     for name, value in row.items():
         if isinstance(value, float):
@@ -261,8 +260,8 @@ def _rounded(point: TrackPoint) -> dict[str, Any]:
 def _kml(name: str, points: Sequence[TrackPoint]) -> bytes:
     """Return KML 2.2: a folder per stage with its lines, and a placemark per frame, refused frames included.
 
-    Positions that are not verified are a line of their own, whose name says so. A description is HTML, which viewers run, so that
-    its text is escaped as HTML, too. A name is plain text.
+    Unverified positions have a separate, named line. Viewers render descriptions as HTML, so their text is also escaped as HTML.
+    Names are plain text.
     """
 
     def add(parent: ElementTree.Element, tag: str, text: str | None = None) -> ElementTree.Element:
@@ -303,7 +302,7 @@ def _kml(name: str, points: Sequence[TrackPoint]) -> bytes:
 
 
 def _described(point: TrackPoint) -> str:
-    """Return the reason, the note, which place the position is, and its radii."""
+    """Return the reason, the note, the kind of place, and its radii."""
     told = [point.reason, point.note]
     if point.latitude is not None:
         place = "the camera" if point.point == "camera" else "the middle of the picture on the ground"
@@ -320,7 +319,7 @@ def _remark(state: TrackState) -> str:
 
 
 def _coordinates(point: TrackPoint) -> str:
-    """Return longitude and latitude without an exponent, which the schema of KML does not allow."""
+    """Return longitude and latitude without an exponent, which KML's schema forbids."""
     assert point.longitude is not None
     assert point.latitude is not None
     return ",".join(f"{degrees:.7f}".rstrip("0").rstrip(".") for degrees in (point.longitude, point.latitude))

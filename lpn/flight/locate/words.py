@@ -1,4 +1,4 @@
-"""The words of refusals: a verdict is a state, a code, and numbers, and this table alone says them.
+"""The words of refusals by their codes; no other module has any.
 
 A name in braces is a number of the verdict, with its format.
 """
@@ -51,7 +51,7 @@ _WORDS: Mapping[Code, str] = {
 
 
 class Reason(NamedTuple):
-    """Why an answer is refused.
+    """The reason of a refusal.
 
     Attributes:
         code: of the reason.

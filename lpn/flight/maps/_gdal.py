@@ -1,4 +1,4 @@
-"""The one door to GDAL: rasterio, imported on first use, with few of GDAL's drivers, without network, its cache bounded."""
+"""All access to GDAL: rasterio, imported on first use, with few drivers, no network, and a bounded cache."""
 
 from __future__ import annotations
 
@@ -17,7 +17,8 @@ from xml.sax.saxutils import escape
 from lpn.core.errors import DataError
 from lpn.core.files import first_few, printable
 
-# Formats that surveys hand over. Of these only HFA opens what its contents name, as VRT, WMS, KML, NITF, and netCDF do.
+# Formats that surveys deliver. VRT, WMS, KML, NITF, and netCDF are left out: they open files that their contents name, as HFA
+# does.
 _DRIVERS = [
     *("GTiff", "JPEG", "PNG", "WEBP", "JP2OpenJPEG", "GPKG", "HFA", "BMP", "GIF", "ENVI"),
     *("MBTiles", "AAIGrid", "EHdr", "DTED", "SRTMHGT", "USGSDEM"),
@@ -25,15 +26,14 @@ _DRIVERS = [
 # GDAL opens files of these names beside a raster by any of its drivers, and ignores an .aux of another kind.
 _BESIDE = (".ovr", ".msk", ".aux")
 _TIFF_OR_IMAGINE = re.compile(rb"II[*+]\0|MM\0[*+]|EHFA_HEADER_TAG\0")
-# GDAL takes a file for one of these if such words stand before its first zero, or in its name.
+# GDAL takes a file for a list of other files if one of these words is in its name, or before its first zero byte.
 _NAMES_OTHERS = re.compile(rb"<(VRT|GDAL|WCS|WM[ST]|TileMap|Services|Capabilities)", re.IGNORECASE)
-# Parameters by which PROJ opens files, and a path; bare names lie in PROJ's own folders, and names of CRS have blanks around
-# their slashes.
+# PROJ parameters that open files, and a path in them. A bare name is a file of PROJ's folders; a CRS name has blanks around "/".
 _GRIDS = re.compile(r'grids\s*=(?!@null(?:["\s]|$))|(?:file|model|init)\s*=|PROJ4_GRIDS|PARAMETERFILE', re.IGNORECASE)
 _PATH = re.compile(r"(?<! )[/\\]|[/\\](?! )")
-# The environment takes precedence. The limit is in megabytes; GDAL's own is 5 % of the memory. By the last but one, a database
-# (GeoPackage, MBTiles) has no tables that are other files. The others are a second line of defence: a file that is opened all
-# the same reaches no server, and runs no code.
+# Variables that are set already take precedence. GDAL_CACHEMAX is in megabytes; GDAL's default is 5 % of the memory. The last
+# but one keeps databases (GeoPackage, MBTiles) from opening other files as tables. The others are a second line of defence: a
+# file that passes the checks still reaches no server and runs no code.
 _ENVIRONMENT = {
     "GDAL_CACHEMAX": "192",
     "GDAL_SKIP": "WMS,WCS,WMTS,HTTP,EEDA,EEDAI,PLMOSAIC,DAAS,STACTA,STACIT",
@@ -42,16 +42,16 @@ _ENVIRONMENT = {
     "OGR_SQLITE_STATIC_VIRTUAL_OGR": "NO",
     "PROJ_NETWORK": "OFF",
 }
-# A hyperspectral camera has some hundred bands; a damaged header may say 65,535, which rasterio takes seconds to look at.
+# A hyperspectral camera has some hundred bands. A damaged header may name 65,535, and rasterio takes seconds to list these.
 _MAX_BANDS = 4096
 # Side of the coarsest overview.
 _COARSEST = 512
-# Pixels of an empty file of three bands that overviews were made of in a minute, and the minutes above which a file is refused.
+# Pixels a minute, measured while overviews of an empty file of three bands were built, and the most minutes of work on a file.
 PIXELS_PER_MINUTE, _MOST_MINUTES = 1.3e9, 10
-# `warnings.catch_warnings` changes the filters of all threads.
+# `warnings.catch_warnings` changes the filters of all threads, so one thread at a time uses it.
 _opening = threading.Lock()
 
-# What to do with files by their endings that people give as maps, and with all others.
+# Remedies for files that are no maps, by their endings.
 _REMEDIES = {
     (".mp4", ".mov", ".mkv", ".avi", ".srt"): "make a flight of it with lpn flight",
     (".pth", ".pt", ".ckpt", ".safetensors", ".onnx"): "give a model with --model",
@@ -71,14 +71,14 @@ def rasterio() -> Any:
     import rasterio.vrt
     import rasterio.warp
 
-    # GDAL's messages would add to ours.
+    # GDAL's messages would repeat ours.
     logging.getLogger("rasterio").setLevel(logging.CRITICAL)
     return rasterio
 
 
 @cache
 def failures(*others: type[Exception]) -> tuple[type[Exception], ...]:
-    """Return the classes of rasterio's errors, and others; GDAL's own do not derive from rasterio's public one."""
+    """Return rasterio's error classes, and others; errors of GDAL do not derive from the public class."""
     from rasterio._err import CPLE_BaseError
 
     # Rasterio raises UnicodeDecodeError where GDAL's message quotes a damaged file.
@@ -89,7 +89,7 @@ def open_raster(path: Path) -> Any:
     """Open a raster file of a user for reading.
 
     Raises:
-        DataError: if it is missing, has another format than is read here, or refers to other files.
+        DataError: if it is missing, has a format that is not read here, or refers to other files.
     """
     file, file_name = _checked(path), printable(str(path))
     if file.count > _MAX_BANDS:
@@ -116,7 +116,7 @@ def quietly() -> Iterator[None]:
 
 
 def _checked(path: Path) -> Any:
-    """Open a file by the drivers of the list, after the files beside it that GDAL opens by any driver."""
+    """Open a file by the drivers of the list, after checks of the files beside it that GDAL opens by any driver."""
     library = rasterio()
     file_name = printable(str(path))
     if not path.is_file():
@@ -127,7 +127,7 @@ def _checked(path: Path) -> Any:
             _check_beside(beside)
     with quietly():
         try:
-            # From the root on it is a path, and no address or other name that GDAL knows.
+            # GDAL takes an absolute path for no address or other name.
             file = library.io.DatasetReader(str(path.absolute()), driver=_DRIVERS)
             flaw = _flaw(file, path)
         except failures() as error:
@@ -142,7 +142,7 @@ def _checked(path: Path) -> Any:
 
 
 def _begins(path: Path) -> str:
-    """Return that a file is empty, or its first words, as of a web page or a pointer of Git LFS."""
+    """Say that a file is empty, or quote its first words, such as those of a web page or a Git LFS pointer."""
     try:
         head = " ".join(_head(path)[:60].decode("ascii").split())
     except (OSError, UnicodeDecodeError):
@@ -178,7 +178,7 @@ def _flaw(file: Any, path: Path) -> str | None:
 
 
 def names_a_path(crs: str) -> bool:
-    """Return whether the text of a CRS makes PROJ open a path or an address."""
+    """Tell whether the text of a CRS makes PROJ open a path or an address."""
     return bool(_GRIDS.search(crs) and _PATH.search(crs))
 
 
@@ -197,7 +197,7 @@ def _check_beside(path: Path) -> None:
 
 
 def in_memory(xml: bytes) -> Any:
-    """Return a VRT as a file in memory, which lives as long as what is returned."""
+    """Return a VRT as a file in memory; the file lives as long as the returned object."""
     made = rasterio().MemoryFile(ext=".vrt")
     made.write(xml)
     return made
@@ -210,7 +210,7 @@ def open_vrt(name: str) -> Any:
 
 
 def vrt_name(path: str, driver: str) -> str:
-    """Return the name by which a VRT opens a file by one driver; GDAL itself would try all of them.
+    """Return a name for a file in a VRT that makes GDAL use one driver; GDAL would try all of them.
 
     Raises:
         DataError: if a VRT cannot hold the path.
@@ -240,7 +240,7 @@ def with_overviews(xml: bytes, overviews: Path) -> bytes:
     """Return a VRT with the overviews of another file.
 
     Raises:
-        DataError: if that file is missing, or is none of overviews.
+        DataError: if that file is missing, or holds no overviews.
     """
     if not overviews.is_file():
         raise DataError(f"There is no file {printable(str(overviews))}; write the map again with lpn map.")
@@ -252,7 +252,7 @@ def with_overviews(xml: bytes, overviews: Path) -> bytes:
 
 
 def build_overviews(path: Path, driver: str = "GTiff", method: str = "average") -> None:
-    """Write the overviews of a file that we wrote, by one of rasterio's methods of resampling."""
+    """Write the overviews of a file that we wrote; `method` is one of rasterio's resampling methods."""
     library = rasterio()
     with quietly():
         opened_file = library.open(path, "r+", driver=driver)
@@ -267,7 +267,7 @@ def opened(path: Path) -> Iterator[Any]:
     """Open a raster file, and close it.
 
     Raises:
-        DataError: as `open_raster`, and if GDAL refuses what is done with it.
+        DataError: see `open_raster`; also if GDAL fails while the file is open.
     """
     with open_raster(path) as file:
         try:
@@ -288,7 +288,7 @@ def check_work(file: Any, path: Path) -> None:
 
 
 def damaged(path: Path, error: Exception) -> DataError:
-    """Return the error for a raster file that GDAL opens and then cannot read."""
+    """Return the error for a raster file that GDAL opens but cannot read."""
     return DataError(
         f"{printable(str(path))} is damaged, incomplete, or changed while it was read ({_reason(error, path)}); copy it "
         "again, with the files that it refers to."

@@ -1,4 +1,4 @@
-"""White and black borders of a map, which mean no data where the file does not say so."""
+"""White and black borders of a map: they mean no data where the file marks none."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from lpn.core.arrays import AnyArray, BoolArray
 
 BorderColour = Literal["white", "black"]
 
-# JPEG changes black and white by up to _NOISE, but most pixels of a border by no more than _CORE_NOISE.
+# JPEG changes black and white by up to _NOISE; at least _CORE_SHARE of a border's pixels change by at most _CORE_NOISE.
 _NOISE, _CORE_NOISE, _CORE_SHARE = 16, 2, 0.8
 # Longest side of the overview on which borders and stretches are decided.
 _OVERVIEW = 1024
@@ -24,7 +24,7 @@ def find_borders(values: AnyArray, deep: bool) -> dict[BorderColour, BoolArray]:
 
     Args:
         values: an overview, (bands, height, width).
-        deep: the numbers are not bytes, so that black is 0 and below, and there is no white.
+        deep: True if the numbers are not bytes; black is then 0 and below, and there is no white.
 
     Returns:
         The regions of the colours that have one, (height, width).
@@ -57,7 +57,6 @@ def overview_size(width: int, height: int) -> tuple[int, int]:
 
 
 def _like(values: AnyArray, colour: BorderColour, deep: bool, noise: int) -> BoolArray:
-    """Return which pixels are black or white but for noise, (height, width)."""
     noise = 0 if deep else noise
     like: BoolArray = values.max(0) <= noise if colour == "black" else values.min(0) >= 255 - noise
     return like

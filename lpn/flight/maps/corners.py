@@ -56,7 +56,7 @@ def read_list(path: Path) -> dict[str, Corners]:
 
 
 def corners_of(path: Path) -> tuple[Corners, str] | None:
-    """Return the corners of a picture, and the list beside it or one folder up that has them; None without any."""
+    """Return the corners of a picture, and the list that has them, beside it or one folder up; None without a list."""
     for folder in (path.parent, path.parent / ".."):
         for name in LISTS:
             if (folder / name).is_file() and (corners := read_list(folder / name).get(path.name)):

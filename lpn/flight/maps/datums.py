@@ -1,4 +1,4 @@
-"""Old datums, from which the way to WGS 84 is not exact: what is said of maps on them."""
+"""Old datums, whose transformation to WGS 84 is not exact: notes for maps on them."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from typing import Any
 
 from lpn.core.files import printable
 
-# Old datums by their names in WKT, with the error in metres of EPSG's transformations to WGS 84 that need no grid of the country;
-# 0 where there is none.
+# Old datums by their WKT names, with the error in metres of EPSG's best transformation to WGS 84 without a national grid; 0 if
+# there is none.
 _DATUMS = {
     "North_American_Datum_1927": 20, "Ordnance_Survey_of_Great_Britain_1936": 2, "Deutsches_Hauptdreiecksnetz": 3,
     "System_of_the_Unified_Trigonometrical_Cadastral_Network": 6, "European_Datum_1950": 10, "Pulkovo_1942": 5,
@@ -23,7 +23,7 @@ _MERIDIANS = re.compile("_(Ferro|Paris|Rome)$")
 
 
 def datum_notes(sheets: Iterable[tuple[str, Any]]) -> list[str]:
-    """Return a sentence for each old datum that sheets lie on, from which the way to WGS 84 is not exact.
+    """Return a sentence for each old datum that sheets lie on.
 
     Args:
         sheets: the name and the rasterio CRS of each.
@@ -36,7 +36,7 @@ def datum_notes(sheets: Iterable[tuple[str, Any]]) -> list[str]:
 
 
 def _old_datum(wkt: str) -> tuple[str, int] | None:
-    """Return the datum of a CRS and its error in metres, see `_DATUMS`; None if its way to WGS 84 is as good as exact."""
+    """Return the old datum of a CRS and its error in metres, see `_DATUMS`; None for other datums."""
     found = re.search(r'\bDATUM\["([^"]+)",SPHEROID\["([^"]+)"', wkt)
     if found is None:
         return None

@@ -1,4 +1,4 @@
-"""The elevation model beside a map: a raster of heights, kept in metres at its own resolution, and sampled bilinearly."""
+"""The elevation model of a map: a raster of heights in metres at its own resolution, sampled bilinearly."""
 
 from __future__ import annotations
 
@@ -26,23 +26,23 @@ _SPELLINGS: dict[str, HeightUnit] = {
     **dict.fromkeys(("ft", "foot", "feet", "internationalfoot", "internationalfeet"), "foot"),
     **dict.fromkeys(("usft", "ftus", "ussurveyfoot", "ussurveyfeet", "footus", "surveyfoot", "surveyfeet"), "us-foot"),
 }
-# Heights in metres that the earth's surface has, with what stands on it.
+# The range of heights in metres of the earth's surface and of everything on it.
 _LOWEST, _HIGHEST = -500.0, 9000.0
-# Least share of a map that its elevation must cover, and the share below which a note says what is missing.
+# Least share of a map that its elevation must cover, and the share below which a note tells how much is missing.
 _LEAST, _WHOLE = 0.5, 0.98
-# Points along a side at which the cover is judged, and pixels along a side that are looked at to judge heights.
+# Points along a side at which coverage is tested, and pixels along a side that are read to test heights.
 _PROBES, _LOOK = 64, 512
-# Pixels that are read at once: 64 MB.
+# Most pixels that are read at once: 64 MB.
 _MOST_PIXELS = 1 << 24
 
 
 @dataclass(frozen=True)
 class ElevationFile:
-    """A file of heights that `lpn map` is given.
+    """A file of heights for `lpn map`.
 
     Attributes:
         path: a raster of one band that GDAL reads, with its coordinate reference system.
-        unit: of its heights; None takes the one that the file says.
+        unit: of its heights; None takes the unit that the file names.
     """
 
     path: Path
@@ -54,7 +54,7 @@ class Elevation:
 
     Args:
         path: the file that `write_elevation` wrote.
-        name: of the file that was given.
+        name: of the user's file.
         notes: sentences about how it is read.
 
     Raises:
@@ -70,7 +70,7 @@ class Elevation:
     def heights(self, frame: LocalFrame, xy: Float64Array) -> Float64Array:
         """Return heights in metres above the model's datum, (N,), at metres east and north in a frame, (N, 2).
 
-        They are interpolated between the four nearest pixels, and NaN where one of these is unknown.
+        Heights are interpolated between the four nearest pixels, and NaN where one of these is unknown.
 
         Raises:
             DataError: if the file is damaged.
@@ -78,13 +78,13 @@ class Elevation:
         return _sampled(self.path, cells_of(self._crs, self._matrix, self._size[0], frame, xy) - 0.5, self._size)
 
     def digest(self) -> list[str | int]:
-        """Return what changes with the heights: the file's name, size, and time of change."""
+        """Return the file's name, size, and time of change, which change with the heights."""
         stat = self.path.stat()
         return [self.path.name, stat.st_size, stat.st_mtime_ns]
 
 
 class ElevationSource:
-    """A given file of heights, checked as far as that is possible without the map.
+    """A user's file of heights, checked as far as possible without the map.
 
     Raises:
         DataError: if it cannot be read, holds no heights, has no CRS, or its unit is unknown or implausible.
@@ -106,7 +106,7 @@ class ElevationSource:
             self._check_heights(file)
 
     def cut(self, file: Any, box: tuple[int, int, int, int], size: tuple[int, int] | None = None) -> Float32Array:
-        """Read a rectangle (first column and row, columns and rows) as metres, NaN where there are none."""
+        """Read a rectangle (first column and row, columns and rows) as metres, NaN where unknown."""
         columns, rows = size or box[2:]
         window = _gdal.rasterio().windows.Window(*box)
         values = file.read(1, window=window, out_shape=(rows, columns), masked=True).astype(np.float64)
@@ -114,11 +114,7 @@ class ElevationSource:
         return np.asarray(metres.filled(np.nan), np.float32)
 
     def box(self, frame: LocalFrame, bounds: Bounds) -> tuple[int, int, int, int]:
-        """Return the rectangle of pixels that holds a map's bounds.
-
-        Raises:
-            DataError: if there is none.
-        """
+        """Return the rectangle of pixels that holds a map's bounds."""
         west, south, east, north = bounds
         at = np.linspace(0, 1, 9)
         points = np.stack(np.meshgrid(west + at * (east - west), south + at * (north - south)), axis=-1).reshape(-1, 2)
@@ -186,7 +182,7 @@ class ElevationSource:
 def write_elevation(
     source: ElevationSource, out: Path, frame: LocalFrame, bounds: Bounds, places: Float64Array
 ) -> Elevation:
-    """Write the heights of a map's ground in metres, at the source's resolution and in its CRS, and return them.
+    """Write the heights of a map's ground in metres, at the source's resolution and in its CRS, and open the file.
 
     Args:
         out: the file, a tiled GeoTIFF.
@@ -194,7 +190,7 @@ def write_elevation(
         places: where the map shows ground, (N, 2) metres.
 
     Raises:
-        DataError: if less than half of these places has a height.
+        DataError: if fewer than half of these places have a height.
         OutputError: if the file cannot be written.
     """
     box = source.box(frame, bounds)
@@ -214,7 +210,7 @@ def write_elevation(
             for _, block in written.block_windows(1):
                 rectangle = box[0] + block.col_off, box[1] + block.row_off, block.width, block.height
                 heights = source.cut(file, rectangle)
-                # A value for unknown heights that the file does not declare, on so few pixels that the check above saw none.
+                # The file may mark unknown heights by an undeclared value, on so few pixels that the check above saw none.
                 impossible = (heights < _LOWEST) | (heights > _HIGHEST)
                 undeclared += int(np.count_nonzero(impossible))
                 heights[impossible] = np.nan
@@ -244,7 +240,7 @@ def write_elevation(
 
 
 def _vertical_unit(crs: Any) -> HeightUnit | None:
-    """Return the unit of a compound CRS's heights; None if it has none, or one that is not known."""
+    """Return the unit of a compound CRS's heights; None if it has none, or an unknown one."""
     _, found, vertical = crs.to_wkt().partition("VERT_CS[")
     unit = re.search(r'UNIT\["[^"]*",([0-9.eE+-]+)', vertical) if found else None
     if unit is None:
@@ -254,7 +250,6 @@ def _vertical_unit(crs: Any) -> HeightUnit | None:
 
 
 def _matrix(transform: Any) -> Float64Array:
-    """Return the matrix, (2, 3), from column, row, and 1 to coordinates."""
     return np.array([getattr(transform, name) for name in "abcdef"], np.float64).reshape(2, 3)
 
 
@@ -268,7 +263,7 @@ def _sampled(path: Path, cells: Float64Array, size: tuple[int, int]) -> Float64A
     low = np.floor(cells[inside].min(0)).astype(int)
     high = np.minimum(np.floor(cells[inside].max(0)).astype(int) + 2, size)
     columns, rows = high - low
-    # A spread of points that would need too many pixels is read reduced.
+    # Points that spread over too many pixels are sampled from a reduced picture.
     by = max(1.0, math.sqrt(columns * rows / _MOST_PIXELS))
     shape = max(1, round(rows / by)), max(1, round(columns / by))
     with _gdal.opened(path) as file:
@@ -289,7 +284,7 @@ def _sampled(path: Path, cells: Float64Array, size: tuple[int, int]) -> Float64A
 
 
 def probes(bounds: Bounds) -> Float64Array:
-    """Return points on a grid over bounds, (N, 2) metres, at which the cover of an elevation is judged."""
+    """Return points on a grid over bounds, (N, 2) metres, at which an elevation's coverage is tested."""
     west, south, east, north = bounds
     at = (np.arange(_PROBES) + 0.5) / _PROBES
     grid = np.meshgrid(west + at * (east - west), south + at * (north - south))

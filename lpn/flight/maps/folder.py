@@ -1,13 +1,13 @@
-"""The folder of a map: map.json, the coverage, and copies or overviews of sheets that would be slow to read.
+"""The folder of a map: map.json, the coverage, and copies or overviews of sheets that are slow to read.
 
     map.json            format, frame, and for each sheet its file, CRS, transform, and treatment
     coverage.png        share of each cell that is valid, 0 to 255
     sheets/01.ovr       overviews of a large sheet without any
-    sheets/02.tif       a tiled copy, with overviews, of a large sheet whose file must be read from its beginning
-    sheets/elevation.tif  heights of the map's ground in metres, in the CRS and at the resolution of the file that was given
+    sheets/02.tif       a tiled copy, with overviews, of a large sheet that can only be read from its beginning
+    sheets/elevation.tif  heights of the map's ground in metres, in the CRS and at the resolution of the user's file
 
-Other sheets are read where they are: map.json names them relative to its own folder. The folder is made beside its place, and
-renamed when all is written.
+Other sheets are read in place: map.json names them relative to its own folder. The folder is written under another name beside
+its final place, and renamed at the end.
 """
 
 from __future__ import annotations
@@ -57,13 +57,13 @@ class SheetRecord(msgspec.Struct, frozen=True):
     """A sheet in map.json.
 
     Attributes:
-        name: of the file that was given.
-        file: what is read, relative to the folder where that is possible.
+        name: of the user's file.
+        file: path of the pixels, relative to the folder where possible.
         kind: a raster file, or a folder or database of tiles.
         crs: EPSG code or WKT.
         transform: from column and row to coordinates, row by row.
         width, height: in pixels.
-        treatment: how its bands are shown; None decides it anew.
+        treatment: how its bands are shown; None decides it again.
         notes: sentences about how it is read.
         overviews: the file that holds them, if `file` does not.
     """
@@ -81,7 +81,7 @@ class SheetRecord(msgspec.Struct, frozen=True):
 
 
 class ElevationRecord(msgspec.Struct, frozen=True):
-    """The elevation in map.json: the name of the file that was given, and sentences about how it is read."""
+    """The elevation in map.json: the name of the user's file, and sentences about how it is read."""
 
     name: str
     notes: list[str]
@@ -94,7 +94,7 @@ class MapRecord(msgspec.Struct, frozen=True):
         latitude, longitude: origin of the frame in degrees.
         sheets: at least one.
         elevation: of `sheets/elevation.tif`; None without one.
-        place: what is known about the place beyond its georeference.
+        place: facts about the place beyond its georeference.
         error, surveyed_error, notes: see `Map`.
     """
 
@@ -114,9 +114,9 @@ def open_map(where: str | Path | Sequence[str | Path], options: MapOptions | Non
     """Open a map.
 
     Args:
-        where: a folder of `lpn map`; or what `lpn map` takes: a georeferenced raster, a list of corners, a folder of tiles or
-            of rasters, or several of these, which are sheets of one map.
-        options: what is known about the files beyond what they say.
+        where: a folder of `lpn map`, or its input: a georeferenced raster, a list of corners, a folder of tiles or of
+            rasters, or several of these as sheets of one map.
+        options: facts about the files that they do not state.
 
     Raises:
         DataError: if a file cannot be read, or has no or an impossible georeference.
@@ -149,16 +149,16 @@ def build_map(
     Args:
         paths: see `lpn.flight.maps.open_map`.
         out: the folder, new or empty; it appears when all is written.
-        options: what is known about the files beyond what they say.
+        options: facts about the files that they do not state.
         on_progress: called with a sentence before each long step.
         elevation: heights of the map's ground; they are copied into the folder, in metres.
-        place: what is known about the map's place.
+        place: facts about the map's place.
 
     Raises:
-        DataError: if a file cannot be read, or has no or an impossible georeference, or heights have an unknown or impossible
-            unit, or cover less than half of what the map shows.
+        DataError: if a file cannot be read, its georeference is missing or impossible, the unit of heights is unknown or
+            impossible, or heights cover less than half of the map.
         InputError: if an option or the place is malformed, or does not apply.
-        OutputError: if the folder holds anything, or cannot be written.
+        OutputError: if the folder is not empty, or cannot be written.
     """
     options = options or MapOptions()
     place = None if place is None else checked_place(place)
@@ -192,9 +192,9 @@ def write_own_map(
 
     Args:
         file: a GeoTIFF with transparency in `folder`, which holds nothing else.
-        notes: sentences about how the sheet was made, which commands that read the map print.
+        notes: sentences about how the sheet was made; commands that read the map print them.
         heights: of the map's ground; they are copied into the folder.
-        place: what is known about the map's place; it is checked.
+        place: facts about the map's place; they are checked.
         error: see `Map`.
 
     Raises:
@@ -256,7 +256,7 @@ def _check_unwritten(paths: Sequence[Path]) -> None:
 def _write_whole(
     whole: Map, folder: Path, out: Path, on_progress: Callable[[str], None], heights: ElevationSource | None
 ) -> None:
-    """Write coverage, heights, and map.json of a map into a folder, which will be at `out`, and close the map."""
+    """Write coverage, heights, and map.json into a folder that will be renamed to `out`, and close the map."""
     on_progress("Looking where the map has data.")
     if not whole.coverage().any():
         raise DataError(f"{printable(whole.name)} has no valid pixel; expected a map.")
@@ -305,7 +305,7 @@ def open_folder(folder: Path) -> Map:
 
 
 def checked_error(metres: float) -> float:
-    """Return a surveyed error of a map in metres, see `Map`.
+    """Check a surveyed error of a map in metres, see `Map`, and return it.
 
     Raises:
         InputError: if it is not a number above 0.
@@ -316,7 +316,7 @@ def checked_error(metres: float) -> float:
 
 
 def add_surveyed_error(folder: Path, metres: float) -> Map:
-    """Write the surveyed error of a map into map.json, in place of an earlier one, and open the map.
+    """Replace the surveyed error of a map in map.json, and open the map.
 
     Raises:
         InputError: see `checked_error`.
@@ -373,7 +373,7 @@ def _record(sheet: Sheet, folder: Path, out: Path) -> SheetRecord:
 
 
 def _relative(path: Path, folder: Path, out: Path) -> str:
-    """Return a path relative to the map's folder, which is written as `folder` and will be at `out`."""
+    """Return a path relative to the map's folder, which is now `folder` and will be `out`."""
     whole = path.resolve()
     try:
         base = folder if whole.is_relative_to(folder.resolve()) else out
@@ -402,7 +402,7 @@ def _write(out: Path, record: MapRecord) -> None:
 
 
 def _prepared(file: Path, target: Path, on_progress: Callable[[str], None]) -> tuple[Path | None, Path | None]:
-    """Write a tiled copy of a sheet, or its overviews, if it is slow to read without; return either or None."""
+    """Write a tiled copy of a sheet, or overviews, if it is slow to read; return the copy and the overviews, or None."""
     if is_tile_set(file):
         source, xml, _, _ = open_tiles(file)
         with source.open() as opened:
@@ -414,7 +414,7 @@ def _prepared(file: Path, target: Path, on_progress: Callable[[str], None]) -> t
             tiled = opened.block_shapes[0][1] < width or len(opened.overviews(1)) > 0
             has_overviews = len(opened.overviews(1)) > 0
             paletted = opened.colorinterp[0].name == "palette"
-            # A copy would lose the alpha of a palette, and hide that JPEG changed an alpha band.
+            # A copy would lose a palette's alpha, and hide that JPEG changed an alpha band.
             clear = paletted and any(colour[3] < 255 for colour in opened.colormap(1).values())
             bound = clear or (is_jpeg(opened) and "alpha" in [meaning.name for meaning in opened.colorinterp])
             copied = not tiled and not bound and width * height > _MAX_UNTILED
@@ -445,5 +445,5 @@ def _prepared(file: Path, target: Path, on_progress: Callable[[str], None]) -> t
         return copy, None
     made.unlink()
     written = Path(f"{made}.ovr")
-    # A small one has none.
+    # A small sheet gets no overviews.
     return None, written.replace(target.with_suffix(".ovr")) if written.exists() else None

@@ -34,35 +34,35 @@ class LocalFrame:
         )
 
     def xy(self, latitude: npt.ArrayLike, longitude: npt.ArrayLike) -> Float64Array:
-        """Return metres east and north of the origin, (N, 2), of WGS 84 degrees, (N,) each; NaN where an input is NaN."""
+        """Convert WGS 84 degrees, (N,) each, to metres east and north of the origin, (N, 2); NaN stays NaN."""
         return self._transformed(_degrees_crs(), self.crs, longitude, latitude)
 
     def from_crs(self, crs: Any, coordinates: npt.ArrayLike) -> Float64Array:
-        """Return metres east and north of the origin, (N, 2), of coordinates in a rasterio CRS, (N, 2), easting first."""
+        """Convert coordinates in a rasterio CRS, (N, 2), easting first, to metres east and north of the origin, (N, 2)."""
         points = np.asarray(coordinates, np.float64).reshape(-1, 2)
         return self._transformed(crs, self.crs, points[:, 0], points[:, 1])
 
     def degrees(self, xy: npt.ArrayLike) -> Float64Array:
-        """Return latitude and longitude in WGS 84 degrees, (N, 2), of metres east and north, (N, 2); NaN where one is NaN."""
+        """Convert metres east and north, (N, 2), to latitude and longitude in WGS 84 degrees, (N, 2); NaN stays NaN."""
         points = np.asarray(xy, np.float64).reshape(-1, 2)
         return np.ascontiguousarray(self._transformed(self.crs, _degrees_crs(), points[:, 0], points[:, 1])[:, ::-1])
 
     @cached_property
     def utm_zone(self) -> int:
-        """EPSG code of the UTM zone, on WGS 84, that holds the origin; without the exceptions of Norway and Svalbard."""
+        """EPSG code of the origin's UTM zone on WGS 84; the exceptions of Norway and Svalbard are ignored."""
         zone = min(int((self.longitude + 180) // 6), 59) + 1
         return (32600 if self.latitude >= 0 else 32700) + zone
 
     def utm(self, xy: npt.ArrayLike) -> Float64Array:
-        """Return eastings and northings in `utm_zone`, metres (N, 2), of metres east and north, (N, 2); NaN where one is NaN."""
+        """Convert metres east and north, (N, 2), to eastings and northings in `utm_zone`, (N, 2); NaN stays NaN."""
         points = np.asarray(xy, np.float64).reshape(-1, 2)
         zone = _gdal.rasterio().crs.CRS.from_epsg(self.utm_zone)
         return self._transformed(self.crs, zone, points[:, 0], points[:, 1])
 
     def polynomials(self, bounds: tuple[float, float, float, float]) -> Float64Array:
-        """Return cubic polynomials that stand for `degrees` within bounds, for a reader without a projection library.
+        """Return cubic polynomials that approximate `degrees` within bounds, for a reader without a projection library.
 
-        They are true to 1 mm within 20 km of the origin, and to 1 m within 100 km.
+        Their error is at most 1 mm within 20 km of the origin, and 1 m within 100 km.
 
         Args:
             bounds: west, south, east, north in metres.

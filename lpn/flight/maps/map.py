@@ -33,12 +33,12 @@ OVERVIEW = 2 * _COVERAGE
 _MIN_VALID = 0.5
 # Windows of a block.
 _WINDOWS = 1 << 16
-# Widest map in metres: grid north and scale of one frame would be too far off.
+# Widest map in metres: beyond it, grid north and scale of one frame are too far off.
 _MAX_WIDTH = 400_000.0
 _MAX_PIXELS = 16_384
 # Fewest pixels of a map along its shorter side: fewer show no place.
 _MIN_SIDE = 16
-# Pixels, and the least metres, of the error of a map's places, as tags without ground control leave a map.
+# Default error of a map's places in pixels, and at least in metres: that of a map from tags without ground control.
 _PIXELS, _METRES = 3.0, 1.0
 
 
@@ -52,8 +52,8 @@ class Map:
         sheets: at least one.
         frame: a recorded frame; None takes the middle of the sheets as its origin.
         coverage: a recorded coverage; None computes it at first use.
-        elevation: heights of its ground; None if nothing is known of them.
-        place: what is known about its place; None if nothing is.
+        elevation: heights of its ground; None if unknown.
+        place: facts about its place; None if unknown.
         error, surveyed_error: see the attributes.
         notes: sentences about files that are left out.
 
@@ -63,12 +63,12 @@ class Map:
         frame: the local metric frame of all windows.
         bounds: west, south, east, north in metres of the frame.
         resolution: metres per pixel of the finest sheet.
-        elevation: as given.
-        place: as given; empty for None.
-        error: 1-sigma error of its places in metres along each axis, as far as the map itself tells it; None if it does not.
-        surveyed_error: that error as a person measured it against known positions, above 0; None without. It stands in place of
+        elevation: see the arguments.
+        place: see the arguments; empty for None.
+        error: 1-sigma error of its places in metres along each axis by the map's own data; None if unknown.
+        surveyed_error: the same error, measured by a person against known positions, above 0; None if not measured. It replaces
             all others.
-        own_notes: as given.
+        own_notes: the `notes` of the arguments.
 
     Raises:
         DataError: if the sheets lie more than 400 km apart, or have fewer than 16 pixels along a side.
@@ -115,7 +115,7 @@ class Map:
 
     @property
     def sides(self) -> tuple[float, float]:
-        """Metres of its sides, the upper one and one beside it: of its one sheet, which may be turned, or of its bounds."""
+        """Width and height in metres: of a single sheet, which may be turned, else of the bounds."""
         if len(self.sheets) > 1:
             west, south, east, north = self.bounds
             return east - west, north - south
@@ -124,7 +124,7 @@ class Map:
 
     @property
     def notes(self) -> list[str]:
-        """Sentences about how the sheets and the elevation are read, and about what is odd."""
+        """Sentences about how sheets and elevation are read, and about oddities."""
         notes = [*self.own_notes, *(note for sheet in self.sheets for note in sheet.raster.notes)]
         notes += [sheet.warning for sheet in self.sheets if sheet.warning is not None]
         notes += self._datum_notes
@@ -132,30 +132,29 @@ class Map:
 
     @property
     def default_error(self) -> float:
-        """The 1-sigma error in metres along each axis that its places count with, unless another one is given.
+        """The default 1-sigma error of its places in metres along each axis.
 
-        It is the surveyed error. Without one it is 3 pixels, and at least 1 m, and the error that the map tells of itself is
-        added in quadrature.
+        It is the surveyed error. Without one it is 3 pixels, at least 1 m, with the map's own `error` added in quadrature.
         """
         if self.surveyed_error is not None:
             return self.surveyed_error
         return math.hypot(max(_METRES, _PIXELS * self.resolution), self.error or 0.0)
 
     def total_error(self, given: float | None) -> float:
-        """Return the error that its places count with: `default_error`, unless a person gave one in metres, 1 sigma."""
+        """Return the 1-sigma error of its places in metres: a person's value for this run, else `default_error`."""
         return self.default_error if given is None else given
 
     def place_error(self, given: float | None) -> float:
-        """Return the part of `total_error` that is the error of its place on earth; 0 if the map does not tell it.
+        """Return the part of `total_error` that is the error of its place on earth; 0 if unknown.
 
-        An error that a person gave for one run tells nothing of the map's place, whatever its value.
+        A person's value for one run tells nothing of the place on earth.
         """
         return 0.0 if given is not None else self.surveyed_error or self.error or 0.0
 
     def heights(self, xy: Float64Array) -> Float64Array:
         """Return the heights of the ground in metres above the elevation's datum, (N,), at metres east and north, (N, 2).
 
-        They are NaN where the elevation knows none, and everywhere if the map has no elevation.
+        Unknown heights are NaN.
 
         Raises:
             DataError: if the elevation's file is damaged.
@@ -226,7 +225,7 @@ class Map:
         return sum(len(block) for size in sizes for block in self._centres(size, size * (1 - overlap), _MIN_VALID))
 
     def pyramid_blocks(self, sizes: Sequence[float], overlap: float = 0.5) -> Iterator[list[Window]]:
-        """Yield the windows of `pyramid` in blocks of at most 65,536, so that those of a county need not be in memory."""
+        """Yield the windows of `pyramid` in blocks of at most 65,536, to bound the memory."""
         if not 0 <= overlap < 1:
             raise InputError(f"The overlap {overlap:g} is out of range; expected 0 to below 1.")
         if not len(sizes):
@@ -236,10 +235,10 @@ class Map:
                 yield [Window(x, y, size) for x, y in centres.tolist()]
 
     def valid_shares(self, centres: Float64Array, size: float) -> Float64Array:
-        """Return the share of ground that the map shows in windows, north up, of a size about centres, (N, 2): (N,)."""
+        """Return the share of ground, (N,), that the map shows in north-up windows of a size about centres (N, 2)."""
         coverage = self.coverage()
         cell = self._side / max(coverage.shape)
-        # sums[r, c] is the sum of all cells above row r and left of column c. Two threads may both make it.
+        # sums[r, c] is the sum of all cells above row r and left of column c. Two threads may both compute it.
         if self._sums is None:
             self._sums = np.pad(coverage.astype(np.float64), ((1, 0), (1, 0))).cumsum(0).cumsum(1)
         sums = self._sums
@@ -247,7 +246,7 @@ class Map:
         left, right = ((x - self.bounds[0]) / cell for x in (low[:, 0], high[:, 0]))
         top, bottom = ((self.bounds[3] - y) / cell for y in (high[:, 1], low[:, 1]))
         total = _at(sums, bottom, right) - _at(sums, top, right) - _at(sums, bottom, left) + _at(sums, top, left)
-        # Rounded, as differences of sums are not exactly 0 over ground that the map does not show.
+        # Round: differences of sums are not exactly 0 over ground that the map does not show.
         shares: Float64Array = np.clip(np.round(total / (size / cell) ** 2, 6), 0, 1)
         return shares
 
@@ -266,11 +265,11 @@ class Map:
     def overview(self, pixels: int) -> tuple[UInt8Array, BoolArray]:
         """Return a picture of the whole map, north up, `pixels` along its longer side.
 
-        It reads all pixels of sheets without overviews of their own, so the one of `OVERVIEW` pixels is kept.
+        Sheets without overviews are read whole, so the picture of `OVERVIEW` pixels is cached.
 
         Returns:
-            RGB (rows, columns, 3) from the north-west corner of `bounds` on, and which pixels are valid (rows, columns); the
-            kept ones are read-only.
+            RGB (rows, columns, 3) from the north-west corner of `bounds` on, and the valid pixels (rows, columns); cached arrays
+            are read-only.
         """
         if pixels != OVERVIEW:
             return self.picture(self.bounds, pixels)
@@ -282,16 +281,16 @@ class Map:
             return self._overview
 
     def picture(self, bounds: Bounds, pixels: int) -> tuple[UInt8Array, BoolArray]:
-        """Return a picture of some bounds in metres of the frame, north up, `pixels` along its longer side: as `overview`."""
+        """Return a picture of bounds in metres of the frame, north up, `pixels` along its longer side; see `overview`."""
         west, south, east, north = bounds
         side = max(east - west, north - south)
         columns, rows = (max(1, math.ceil(pixels * length / side - 1e-9)) for length in (east - west, north - south))
         return self._read(Window(west + side / 2, north - side / 2, side), pixels, (0, 0, columns, rows))
 
     def digest(self) -> str:
-        """Return a digest that changes with the pixels or their places: of names, sizes, and times of change of all files.
+        """Return a digest of names, sizes, and times of change of all files, and of their places.
 
-        The folder is not part of it, so that a map may be moved.
+        The folder is not part of the digest, so that a map may be moved.
         """
         facts: list[Any] = [self.frame.latitude, self.frame.longitude]
         for sheet in self.sheets:
@@ -307,7 +306,7 @@ class Map:
         return hashlib.sha256(json.dumps(facts).encode()).hexdigest()
 
     def identity(self) -> str:
-        """Return a digest of the sheets' places, names, and sizes, which a copy of the map has, too."""
+        """Return a digest of the sheets' places, names, and sizes; a copy of the map has the same one."""
         facts: list[Any] = [self.frame.latitude, self.frame.longitude]
         for sheet in self.sheets:
             file = sheet.raster.path
@@ -323,7 +322,7 @@ class Map:
             sheet.raster.close()
 
     def _check_pixels(self) -> None:
-        """Raise DataError if there are too few pixels for a map; narrow strips may be sheets of one."""
+        """Raise DataError if there are too few pixels for a map; some sheets of it may be narrow strips."""
         rasters = [sheet.raster for sheet in self.sheets]
         columns, rows = max(((raster.width, raster.height) for raster in rasters), key=min)
         if len(rasters) > 1 and min(columns, rows) < _MIN_SIDE:
@@ -337,7 +336,6 @@ class Map:
 
     @property
     def _side(self) -> float:
-        """The longer side in metres."""
         return max(self.bounds[2] - self.bounds[0], self.bounds[3] - self.bounds[1])
 
     def _read(self, window: Window, pixels: int, part: tuple[int, int, int, int]) -> tuple[UInt8Array, BoolArray]:
@@ -376,7 +374,6 @@ def metres_off(bounds: Bounds, point: FloatingArray) -> float:
 
 
 def _frame_of(sheets: Sequence[Sheet]) -> LocalFrame:
-    """Return the frame about the middle of sheets."""
     degrees = np.radians(np.concatenate([sheet.outline for sheet in sheets]))
     latitude, longitude = degrees.T
     middle = np.stack(

@@ -1,4 +1,4 @@
-"""Windows of a map named by where they are, so that each can be cut again from its name and the map.
+"""Windows of a map named by their places, so that each can be cut again from its name and the map.
 
 48.0042137,9.0133251,70m            centre in WGS 84 degrees (7 decimals are 1 cm), side in metres, north up
 48.0042137,9.0133251,70m,30deg      the heading that points up, where it is not north
@@ -89,7 +89,7 @@ class WindowCut:
 
 
 def describe_offset(x: float, y: float) -> str:
-    """Return where a point of a map is, for people: "46 m west and 3 m north of the map's middle"; x and y are in metres."""
+    """Describe a point of a map, x and y in metres, as "46 m west and 3 m north of the map's middle"."""
     east, north = round(x), round(y)
     sides = [
         f"{abs(metres):,} m {names[metres > 0]}"
@@ -100,14 +100,14 @@ def describe_offset(x: float, y: float) -> str:
 
 
 def describe_place(window: Window, with_size: bool = True) -> str:
-    """Return where a window is on its map, for people: metres from the map's origin to its centre, and its side."""
+    """Describe a window by the metres from the map's origin to its centre, and its side."""
     east, north = round(window.x), round(window.y)
     place = f"{abs(east)} {'W' if east < 0 else 'E'} {abs(north)} {'S' if north < 0 else 'N'}"
     return f"{place} ({window.size:.0f} m)" if with_size else place
 
 
 def caption_of(window: Window) -> str:
-    """Return where a window is on its map, in short: "46 m W, 0 m N, 37 m wide", from the map's middle to the window's."""
+    """Describe a window by the way from the map's middle to its own, as "46 m W, 0 m N, 37 m wide"."""
     east, north = round(window.x), round(window.y)
     return f"{abs(east):,} m {'W' if east < 0 else 'E'}, {abs(north):,} m {'S' if north < 0 else 'N'}, {window.size:.0f} m wide"
 

@@ -1,8 +1,7 @@
 """A map from a flight's own photos: an orthophoto by pyOrthomosaic (the extra `maps`), in the folder of a map.
 
-Photos are laid side by side as if the ground were a plane. Place, turn, and scale are fitted to the GPS tags, so the map is as
-good as these are together, and no better: an error that all tags share is one of the map. `place_error` is the part that they do
-not share.
+Photos are laid side by side as if the ground were a plane. Place, turn, and scale are fitted to the GPS tags, so an error that
+all tags share is an error of the map. `place_error` estimates the error that they do not share.
 """
 
 from __future__ import annotations
@@ -29,15 +28,15 @@ from lpn.flight.maps.frame import LocalFrame
 from lpn.flight.maps.map import Map
 from lpn.flight.maps.place import MapPlace, checked_place, describe_placing
 
-# Photos that a map needs at least, and the names that a sentence lists.
+# Fewest photos of a map, and most names in a sentence.
 _LEAST, _NAMED = 3, 5
-# Groups of consecutive photos that are left out by turns, and residuals of tags that count: up to so many metres, or multiples of
-# the median, as the library has it.
+# Groups of consecutive photos that are left out in turn, and the largest residual of a tag that counts, in metres or multiples
+# of the median; the library has the same limits.
 _BLOCKS, _FAR, _OUTLIER = 5, 9.0, 4.45
-# A flight turns beyond this angle. Tags of one leg may share this error in metres, which their scatter does not show; the share
-# of the photos above which one leg is nearly all of the flight.
+# The angle in radians that ends a leg; the error in metres that tags of one leg may share unseen; and the share of the photos
+# above which one leg is nearly all of the flight.
 _TURN, _SHARED, _MOST_OF_ONE_LEG = np.pi / 4, 5.0, 2 / 3
-# Lines of the library's log that tell how far it is, by their beginnings, and the sentence for each.
+# Sentences of progress, by the beginnings of the library's log lines.
 _STEPS = {
     "Extracting features": "Step 1 of 3: looking for points to match in {photos} photos.",
     "Matching": "Step 2 of 3: {line}.",
@@ -59,15 +58,15 @@ def build_from_photos(
     Args:
         photos: files with GPS tags in their EXIF, in the order of the flight.
         tags: latitude and longitude of each in degrees, (N, 2); NaN without one.
-        out: the folder, which must not be there; it appears when all is written.
-        on_progress: called with a sentence at each step, which has its number.
-        elevation: heights of the ground, copied into the folder in metres. The photos are laid as on a plane all the same.
-        place: what is known about the place; it is checked before any work.
+        out: the folder, which must not exist; it appears when all is written.
+        on_progress: called with a numbered sentence at each step.
+        elevation: heights of the ground, copied into the folder in metres. The photos are still laid on a plane.
+        place: facts about the place; they are checked before any work.
 
     Raises:
         DataError: if fewer than three photos have GPS tags, or overlap, or the elevation is unusable or of another place.
         InputError: if the elevation's unit is unknown, or the place is malformed.
-        OutputError: if `out` is there already, or cannot be written.
+        OutputError: if `out` exists, or cannot be written.
         MissingPackageError: without the library.
     """
     check_new(out)
@@ -114,7 +113,7 @@ def _check_photos(photos: Sequence[Path], tags: Float64Array) -> None:
 
 
 def _heights(given: ElevationFile, tags: Float64Array) -> ElevationSource:
-    """Open the heights, and refuse those of another place before the long work."""
+    """Open the heights, and refuse heights of another place before the long work."""
     source = ElevationSource(given)
     known = tags[~np.isnan(tags).any(axis=1)]
     frame = LocalFrame(*known.mean(axis=0).tolist())
@@ -208,23 +207,22 @@ def middles_and_tags(
 
 
 def place_error(middles: Float64Array, tags: Float64Array) -> float | None:
-    """Return how far the tags leave the places of a map open: the 1-sigma error in metres along each axis.
+    """Return the 1-sigma error in metres along each axis of a map's places, as far as the tags' scatter tells it.
 
-    A similarity takes the middles to the tags. It is fitted again without each of five groups of consecutive photos, and the
-    places that it gives then scatter (jackknife of blocks; Kuensch, 1989). Blocks keep the errors together that tags next to
-    each other share, such as those of a receiver that lags along a leg.
+    A similarity from the middles to the tags is fitted again without each of five groups of consecutive photos, and the error is
+    the scatter of its places (block jackknife; Kuensch, 1989). Blocks keep errors together that neighbouring tags share, such as
+    those of a receiver that lags along a leg.
 
-    The map may bend besides. Then residuals of photos that lie next to each other are alike although they are of two groups, and
-    the mean of their products is the square of that error. An error that all tags share is not seen. So where more than two
-    thirds of the photos are of one leg, an error under 5 m, which the tags of a leg may share, is not told.
+    The map may also bend. Residuals of neighbouring photos of two groups are then alike, and the mean of their products is the
+    square of that error. An error that all tags share stays unseen. So an error under 5 m, which the tags of one leg may share,
+    is not returned where one leg has more than two thirds of the photos.
 
     Args:
         middles: of the photos on the map in the order of the flight, metres, (N, 2).
-        tags: of the same photos, metres, (N, 2). One far off the others' residuals does not count.
+        tags: of the same photos, metres, (N, 2). Outliers do not count.
 
     Returns:
-        The root mean square over the middles; None with fewer than five tags, where all are of one place, and for one leg
-        as above.
+        The root mean square over the middles; None with fewer than five tags, for tags of one place, and for one leg as above.
     """
     residuals = np.hypot(*(tags - middles).T)
     kept = residuals <= max(_FAR, _OUTLIER * float(np.median(residuals)))
@@ -254,7 +252,7 @@ def place_error(middles: Float64Array, tags: Float64Array) -> float | None:
 
 
 def _limits(used: int, middles: Float64Array, tags: Float64Array, error: float | None) -> str:
-    """Say how far the map can be relied on: the metres from each photo's tag to its middle on the map, and its error."""
+    """State the metres from each photo's tag to its middle on the map, and the map's error."""
     off = np.hypot(*(middles - tags).T)
     open_places = (
         "They are too few, or too nearly of one leg, to tell its error."

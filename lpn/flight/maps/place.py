@@ -21,7 +21,7 @@ _PLACING = "Place and scale are those of the GPS tags"
 
 
 class MapPlace(msgspec.Struct, frozen=True, omit_defaults=True):
-    """A map's place, as the person who made the map told it.
+    """A map's place, as its maker named it.
 
     Attributes:
         name: such as "Dripping Springs, Texas"; "" if it is not known.
@@ -42,7 +42,7 @@ class MapPlace(msgspec.Struct, frozen=True, omit_defaults=True):
 
     @property
     def season(self) -> str:
-        """The season of the map's pictures where no day is known; else ""."""
+        """The season of the map's pictures if no day is known; else ""."""
         return "" if self.day is not None else self.photographed
 
 
@@ -74,7 +74,7 @@ def checked_place(place: MapPlace) -> MapPlace:
 
 
 def describe_placing(median: float, largest: float) -> str:
-    """Say that GPS tags place a map, and how many metres they lie from the middles of its photos."""
+    """State that GPS tags place a map, and how many metres they lie from the middles of its photos."""
     return (
         f"{_PLACING}, which lie {median:.1f} m from the photos' middles on it in the median, {upper_bound(largest)} m at "
         "most."

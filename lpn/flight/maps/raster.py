@@ -1,7 +1,7 @@
-"""One raster as RGB and alpha of 8 bits each, cut by rectangles that may be turned, from any thread.
+"""One raster as RGB and alpha of 8 bits each, cut by turned rectangles from any thread.
 
-The bands of a file become red, green, blue, and alpha by a VRT in memory: its sources stretch numbers, look up a palette, and
-join masks, and a border without data is cut out of its alpha. All maps are read by it alone.
+A VRT in memory turns the bands of a file into red, green, blue, and alpha: its sources stretch numbers, look up a palette, join
+masks, and cut a border without data out of the alpha. Every map is read through it.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ from lpn.flight.maps.vrt import RasterSource, source_xml
 
 # Percentiles of a band that become 0 and 255.
 _PERCENTILES = (2.0, 98.0)
-# Least alpha that is data where JPEG changed it.
+# Least alpha that counts as data where JPEG changed it.
 _LOSSY_OPAQUE = 128
-# An alpha band is odd where more than this share of it is further than that from clear and from opaque.
+# An alpha band is odd if more than the share _VARIED of it lies farther than _CLEAR from both clear and opaque.
 _VARIED, _CLEAR = 0.5, 0.05
 _RGB = ("red", "green", "blue")
 # Colour spaces that are not converted; GDAL converts CMYK, YCbCr, and Lab of most files itself.
@@ -36,12 +36,11 @@ _OTHER_COLOURS = {"hue": "HSL", "cyan": "CMYK", "Y": "YCbCr"}
 
 
 class Treatment(msgspec.Struct, frozen=True):
-    """How the bands of a file become RGB and alpha; decided once, and recorded in map.json.
+    """The conversion of a file's bands to RGB and alpha; decided once, and recorded in map.json.
 
     Attributes:
         bands: numbers, from 1, of the bands shown as red, green, and blue; one number for grey or a palette.
-        alpha: number of the alpha band; 0 is no data, and any value above it is data, as in GDAL's own masks (half of 255 in
-            a JPEG).
+        alpha: number of the alpha band. Values above 0 are data, as in GDAL's masks; in a JPEG, values from half of 255 on.
         stretch: for each of `bands`, the values that become 0 and 255; None for bands of 8 bits.
         border: colours that mean no data where they are connected to the border.
     """
@@ -56,9 +55,9 @@ class Raster:
     """The pixels of a sheet.
 
     Args:
-        source: what GDAL opens.
+        source: the file, tiles, or mask, as GDAL opens it.
         treatment: a recorded treatment; None decides one from the file.
-        bands: numbers, from 1, of the bands to show, one or three; None takes those marked as colours.
+        bands: numbers, from 1, of the bands to show, one or three; None takes the bands marked as colours.
         keep_borders: do not look for white and black borders.
         name: of the file in notes; by default its own.
 
@@ -66,7 +65,7 @@ class Raster:
         path: the file, or the folder of tiles.
         width, height: in pixels.
         notes: sentences about how the file is read.
-        treatment: how its bands become RGB and alpha.
+        treatment: the conversion of its bands to RGB and alpha.
 
     Raises:
         DataError: if it cannot be read, its numbers are complex, or it has no valid pixel.
@@ -121,7 +120,7 @@ class Raster:
                 self.treatment = self._decided(file, f"{bits}-bit" if few else str(dtype), keep_borders)
 
     def cut(self, matrix: Float64Array, size: tuple[int, int], reduction: float) -> tuple[UInt8Array, BoolArray]:
-        """Cut a picture, bilinearly; where the picture is coarser than the raster, pixels are averaged.
+        """Cut a picture bilinearly; average pixels where the picture is coarser than the raster.
 
         Args:
             matrix: (2, 3), from column and row of the picture to those of the raster; 0 is the corner of the first pixel.
@@ -142,7 +141,7 @@ class Raster:
         columns, rows = size
         if (low >= high).any():
             return np.zeros((rows, columns, 3), np.uint8), np.zeros((rows, columns), bool)
-        # Twice the pixels where the raster is finer, so that their mean does not alias.
+        # Where the raster is finer, sample twice the pixels and average, against aliasing.
         finer = 2 if reduction > 1.01 else 1
         read = np.maximum(1, np.ceil((high - low) / max(1.0, reduction / finer))).astype(int)
         library = _gdal.rasterio()
@@ -157,7 +156,7 @@ class Raster:
         return _resampled(picture, valid, np.column_stack([turn, shift]), (columns, rows), finer)
 
     def files(self) -> list[Path]:
-        """Return the files that the pixels are read from: with overviews and masks."""
+        """Return the files that the pixels are read from, overviews and masks included."""
         return self.source.files()
 
     def close(self) -> None:
@@ -171,7 +170,6 @@ class Raster:
 
     @contextmanager
     def _opened(self) -> Iterator[Any]:
-        """Open the source itself."""
         with self.source.open() as file:
             try:
                 yield file
@@ -180,7 +178,7 @@ class Raster:
 
     @contextmanager
     def _handle(self) -> Iterator[Any]:
-        """Lend a handle of the raster as RGB and alpha, which only one thread may use at a time."""
+        """Lend a handle of the raster as RGB and alpha to one thread at a time."""
         try:
             try:
                 handle = self._handles.pop()
@@ -192,7 +190,6 @@ class Raster:
         self._handles.append(handle)
 
     def _treated(self) -> bytes:
-        """Return the VRT of the raster as RGB and alpha."""
         treatment, name, own = self.treatment, self.source.name, (self.width, self.height)
         box, method = (0, 0, *own), "nearest" if self._paletted else "average"
 
@@ -224,7 +221,6 @@ class Raster:
         return vrt.rgba_xml(own, [*([one] for one in (colours if len(colours) == 3 else colours * 3)), alpha])
 
     def _bands(self, file: Any, wanted: Sequence[int] | None) -> Treatment:
-        """Choose the bands to show."""
         names = [meaning.name for meaning in file.colorinterp]
         marked = {name: number for number, name in enumerate(names, 1)}
         alpha = marked.get("alpha")
@@ -252,13 +248,12 @@ class Raster:
         return Treatment(chosen, alpha)
 
     def _decided(self, file: Any, numbers: str, keep_borders: bool) -> Treatment:
-        """Decide stretch and borders on an overview."""
         chosen, deep = self.treatment, self._deep
         values = self._overview(file, chosen.bands)
         with self._handle() as handle:
             valid = self._overview(handle, (4,))[0] > 0
-        # Some programs write an alpha band that is opaque everywhere, or a nodata value that no pixel has, and white where
-        # nothing is known.
+        # Some programs write an alpha band that is opaque everywhere, or a nodata value that no pixel has, and leave unknown
+        # ground white.
         unclear = bool(valid.all()) or (self._lossy and self._nodata)
         look = unclear and not (keep_borders or (deep and self._nodata) or self._paletted)
         borders = find_borders(values, deep) if look else {}
@@ -299,7 +294,7 @@ class Raster:
 
     @cached_property
     def _lossy_opaque(self) -> float:
-        """The least opacity of data in a JPEG: half of the largest one, which is 1 where programs write 0 and 1."""
+        """The least opacity of data in a JPEG: half of the largest one, as some programs write alpha as 0 and 1."""
         assert self.treatment.alpha is not None
         with self._opened() as file:
             return min(_LOSSY_OPAQUE, float(self._overview(file, (self.treatment.alpha,)).max()) / 2 or 1.0)

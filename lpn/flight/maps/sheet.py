@@ -18,16 +18,16 @@ from lpn.flight.maps.window import Window
 
 # West, south, east, and north in metres of a frame.
 Bounds = tuple[float, float, float, float]
-# Where the projection is computed along the sides of a block.
+# Points along the sides of a block at which the projection is computed, as shares of the side.
 _NODES = np.array([0.0, 0.5, 1.0])
 # Points on each side of a sheet's outline.
 _OUTLINE = 21
-# Metres of a pixel that a map may have.
+# Least and most metres of a map's pixel.
 _RESOLUTIONS = (1e-4, 1e4)
-# A sheet with a metric CRS whose coordinates could be degrees is refused if it is smaller than this.
+# A sheet with a metric CRS whose coordinates could be degrees is refused if it has fewer metres than this.
 _DEGREES_AT_MOST = 10.0
-# A corner whose coordinates are both smaller, in units of the CRS or degrees, or whose easting lies outside of those that a zone
-# of UTM has with its neighbours, is hardly where a map is.
+# A corner is hardly on a map if both coordinates are smaller than these, in units of the CRS or degrees, or if its UTM easting
+# lies outside of the zone and its neighbours.
 _ORIGIN, _ORIGIN_DEGREES, _UTM_EASTINGS = 1000.0, 0.01, (100_000.0, 900_000.0)
 
 
@@ -41,7 +41,7 @@ class Sheet:
         matrix: (2, 3), from column and row (0, 0 is the corner of the first pixel) to the coordinates of `crs`.
 
     Raises:
-        DataError: if it lies outside the world or outside what its CRS covers.
+        DataError: if it lies outside the world or outside the area of its CRS.
     """
 
     def __init__(self, name: str, raster: Raster, crs: Any, matrix: Float64Array) -> None:
@@ -84,7 +84,7 @@ class Sheet:
             part: first column and row, columns and rows of the rectangle.
 
         Returns:
-            RGB (rows, columns, 3) and which pixels are valid (rows, columns); None where the sheet has none.
+            RGB (rows, columns, 3) and the valid pixels (rows, columns); None if the sheet has none there.
         """
         left, top, columns, rows = part
         u, v = (grid.ravel() for grid in np.meshgrid(*(_NODES * side for side in (columns, rows))))
@@ -92,23 +92,22 @@ class Sheet:
         cells = cells_of(self.crs, self.matrix, self.raster.width, self.frame, ground)
         if not np.isfinite(cells).all():
             return None
-        # Within a block of a window, a map projection is a plane to a small part of a pixel.
+        # Within a block, a map projection is linear to a small part of a pixel.
         matrix = np.linalg.lstsq(np.stack([u, v, np.ones(len(u))], axis=1), cells, rcond=None)[0].T
         picture, valid = self.raster.cut(matrix, (columns, rows), window.size / pixels / max(self.pixel))
         return (picture, valid) if valid.any() else None
 
     def _ground(self, cells: Float64Array) -> Float64Array:
-        """Return points of the frame, (N, 2), of columns and rows, (N, 2)."""
+        """Convert columns and rows, (N, 2), to points of the frame, (N, 2)."""
         return self.frame.xy(*self._degrees(cells).T)
 
     def _degrees(self, cells: Float64Array) -> Float64Array:
-        """Return latitude and longitude, (N, 2), of columns and rows, (N, 2)."""
+        """Convert columns and rows, (N, 2), to latitude and longitude, (N, 2)."""
         xy = np.column_stack([cells, np.ones(len(cells))]) @ self.matrix.T
         longitude, latitude = _gdal.transform(self.crs, _gdal.rasterio().crs.CRS.from_epsg(4326), xy[:, 0], xy[:, 1])
         return np.stack([latitude, longitude], axis=1)
 
     def _outline(self) -> Float64Array:
-        """Return latitude and longitude along the outline, (N, 2)."""
         side = np.linspace(0, 1, _OUTLINE)
         zero, one = np.zeros(_OUTLINE), np.ones(_OUTLINE)
         around = np.concatenate(
@@ -139,7 +138,7 @@ class Sheet:
         return degrees
 
     def _far_off(self, corners: Float64Array, degrees: Float64Array) -> str | None:
-        """Return a warning if the coordinates are hardly of this CRS: near its origin, or far outside its zone of UTM."""
+        """Return a warning if the coordinates hardly fit this CRS: near its origin, or far outside its UTM zone."""
         near = np.abs(corners).max(axis=1)
         least = int(near.argmin())
         code = self.crs.to_epsg() or 0
@@ -157,7 +156,7 @@ class Sheet:
 
 
 def cells_of(crs: Any, matrix: Float64Array, width: int, frame: LocalFrame, xy: Float64Array) -> Float64Array:
-    """Return columns and rows, (N, 2), of a raster at points of a frame, (N, 2); 0 is the corner of the first pixel.
+    """Convert points of a frame, (N, 2), to a raster's columns and rows, (N, 2); 0 is the corner of the first pixel.
 
     Args:
         crs, matrix: see `Sheet`.

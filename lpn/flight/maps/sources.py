@@ -1,4 +1,4 @@
-"""Files that are a map: how each is recognised, and where its georeference comes from."""
+"""The files of a map: how each is recognised, and the source of its georeference."""
 
 from __future__ import annotations
 
@@ -35,13 +35,13 @@ class NoPlaceError(DataError):
 
 @dataclass(frozen=True)
 class MapOptions:
-    """Facts about a map's files that the files do not say.
+    """Facts about a map's files that they do not state.
 
     Attributes:
-        crs: coordinate reference system, such as EPSG:32632; it takes precedence over that of the files.
+        crs: coordinate reference system, such as EPSG:32632; it takes precedence over the files' own.
         corners: latitude and longitude of the top-left, then of the bottom-right corner of a picture.
         bands: numbers, from 1, of the bands shown as red, green, and blue, or of one shown as grey.
-        keep_borders: white and black borders belong to the picture.
+        keep_borders: True if white and black borders belong to the picture.
     """
 
     crs: str | None = None
@@ -51,13 +51,13 @@ class MapOptions:
 
 
 def files_of(paths: Sequence[Path], options: MapOptions) -> tuple[list[Path], list[str]]:
-    """Return the rasters and tile folders that files and folders stand for, and notes about files that are left out.
+    """Return the rasters and tile folders in files and folders, and notes about files that are left out.
 
-    A list of corners stands for the pictures that it names, another folder for the rasters in it.
+    A list of corners stands for the pictures that it names, and a folder without tiles for its rasters.
 
     Raises:
         DataError: if a file or folder is missing, or holds no map.
-        InputError: if there is none, or an option does not apply to what was found.
+        InputError: if there is no file, or an option does not apply to the files.
     """
     if not paths:
         raise InputError("A map needs at least one file; found none.")
@@ -88,11 +88,11 @@ def open_sheet(
 
     Args:
         treatment: a known treatment of its bands; None decides one.
-        copy: the file that is read in its place, whose pixels are the same.
-        overviews: the file that holds its overviews, if that is another one.
+        copy: a file with the same pixels that is read in its place.
+        overviews: a separate file of its overviews, if there is one.
 
     Raises:
-        DataError: if it cannot be read, or has no georeference, or an impossible one.
+        DataError: if it cannot be read, or its georeference is missing or impossible.
         InputError: if an option is malformed, or does not apply.
     """
     if is_tile_set(path):
@@ -118,7 +118,7 @@ def georeference(path: Path, options: MapOptions) -> tuple[Any, Float64Array]:
 
 
 def _files_in(folder: Path, options: MapOptions, notes: list[str]) -> list[Path]:
-    """Return the rasters of a folder: those of its list of corners, else those that have a place; others are noted."""
+    """Return the rasters of a folder's list of corners, else its georeferenced rasters; note the others."""
     for name in LISTS:
         if (folder / name).is_file():
             return _listed(folder / name)
@@ -154,12 +154,11 @@ def _files_in(folder: Path, options: MapOptions, notes: list[str]) -> list[Path]
 
 
 def _deeper(folder: Path) -> Iterator[Path]:
-    """Yield the GeoTIFFs in the folders of a folder, as survey programs put them."""
+    """Yield the GeoTIFFs in the subfolders where survey programs put them."""
     return itertools.chain(sorted(folder.glob("*orthophoto*/*.tif")), sorted(folder.glob("*/2_mosaic/*.tif")))
 
 
 def _listed(path: Path) -> list[Path]:
-    """Return the pictures that a list of corners names, which lie beside it."""
     files = [path.parent / name for name in read_list(path)]
     missing = [file.name for file in files if not file.is_file()]
     if missing:
@@ -205,7 +204,6 @@ def _crs(text: str, **options: bool) -> Any:
 
 
 def _georeference(path: Path, file: Any, options: MapOptions) -> tuple[Any, Float64Array]:
-    """Return the CRS of a raster and the (2, 3) matrix from its columns and rows to coordinates."""
     if options.corners is not None and options.crs is not None:
         raise InputError("Corners are latitudes and longitudes; give --corners or --crs, not both.")
     matrix = None if options.corners is not None else _matrix(path, file)
@@ -239,7 +237,7 @@ def _georeference(path: Path, file: Any, options: MapOptions) -> tuple[Any, Floa
             "such as EPSG:32632 (UTM) or EPSG:4326 (degrees)."
         )
     if local := re.match(r'LOCAL_CS\[.*AUTHORITY\["EPSG","([0-9]+)"\]\]$', crs.to_wkt()):
-        # Some programs write the name and the code of a CRS, and nothing else of it.
+        # Some programs write only the name and the code of a CRS.
         return parse_crs(local[1]), matrix
     return crs, matrix
 
@@ -271,7 +269,7 @@ def _matrix(path: Path, file: Any) -> Float64Array | None:
 
 
 def _world_file(path: Path) -> Float64Array:
-    """Read a world file: the steps of x and y for a column, those for a row, and the centre of the first pixel."""
+    """Read a world file: the steps of x and y a column and a row, and the centre of the first pixel."""
     try:
         numbers = [float(text.replace(",", ".")) for text in _text(path).split()]
         if len(numbers) != 6 or not np.isfinite(numbers).all():
@@ -283,7 +281,6 @@ def _world_file(path: Path) -> Float64Array:
 
 
 def _projection_file(path: Path) -> Any:
-    """Return the CRS in the .prj file beside a raster; None without one."""
     file = _beside(path, [".prj"])
     if file is None:
         return None
@@ -302,12 +299,11 @@ def _text(path: Path) -> str:
 
 
 def _beside(path: Path, suffixes: Sequence[str]) -> Path | None:
-    """Return the file beside another one with its stem and one of these suffixes, case ignored."""
+    """Return the file beside another with the same stem and one of these suffixes, case ignored."""
     return next(iter(_gdal.named(path.parent, [(path.stem + suffix).lower() for suffix in suffixes])), None)
 
 
 def _from_corners(corners: Sequence[float], width: int, height: int, what: str) -> tuple[Any, Float64Array]:
-    """Return CRS and matrix of a picture by latitude and longitude of its top-left and bottom-right corner."""
     top, left, bottom, right = corners
     on_earth = all(map(np.isfinite, corners)) and max(abs(top), abs(bottom)) <= 90 and max(abs(left), abs(right)) <= 180
     east = right + 360 if left > right + 180 else right  # across the antimeridian

@@ -24,16 +24,16 @@ from lpn.flight.maps.vrt import RasterSource, source_xml
 
 # Half the side of the square that Web Mercator (EPSG:3857) shows, in its own metres.
 _HALF = math.pi * 6_378_137.0
-# Files and folders that are looked through for a first tile, and the most pixels along a side of the raster.
+# Most files and folders that are searched for a first tile, and most pixels along a side of the raster.
 _MAX_ENTRIES, _MAX_PIXELS = 20_000, 1 << 30
 _VECTOR = (".pbf", ".mvt")
 _TILE = re.compile(
     r"(?P<z>[12]?\d|30)/(?P<x>\d{1,9})/(?P<y>\d{1,9})(?:@2x)?(?:\.(?:png|jpe?g|webp|gif|bmp|pbf|mvt))?(?:\.tile)?",
     re.IGNORECASE | re.ASCII,
 )
-# Pillow's formats, which are the names of GDAL's drivers, too. Pillow would run Ghostscript for a tile in PostScript.
+# Formats by their names in Pillow and GDAL alike. The list keeps Pillow from running Ghostscript for a tile in PostScript.
 _FORMATS = ("PNG", "JPEG", "WEBP", "GIF", "BMP")
-# GDAL opens files of these ends beside a tile; each is checked by `_gdal`.
+# GDAL opens files with these endings beside a tile; `_gdal` checks each.
 _BESIDE = (".ovr", ".msk", ".aux", ".aux.xml")
 # gdal2tiles writes this file beside tiles that count rows from the south (TMS).
 _TMS = "tilemapresource.xml"
@@ -48,7 +48,7 @@ def is_tile_set(path: Path) -> bool:
 
 
 def tiles_near(folder: Path) -> Path | None:
-    """Return the folder of tiles that lies in a folder, or that a folder lies in; None if there is none."""
+    """Return the folder of tiles inside or around a folder; None if there is none."""
     if folder.name.isdecimal() and is_tile_set(folder.absolute().parent):
         return folder.absolute().parent
     inside = [path for path in sorted(folder.iterdir()) if path.is_dir()][:50]
@@ -59,13 +59,13 @@ def open_tiles(folder: Path, overviews: Path | None = None) -> tuple[RasterSourc
     """Return the deepest zoom of a folder of tiles as a source of RGB and alpha; missing tiles have no data.
 
     Args:
-        overviews: the file that holds its overviews, if there is one.
+        overviews: a separate file of its overviews, if there is one.
 
     Returns:
         The source, its VRT, its CRS, and the matrix, (2, 3), from column and row to coordinates.
 
     Raises:
-        DataError: if it holds no tiles, or they are no pictures in Web Mercator.
+        DataError: if it holds no tiles, or the tiles are no pictures in Web Mercator.
     """
     from_south, notes = _declared(folder)
     zooms: dict[int, dict[tuple[int, int], Path]] = {}
@@ -73,7 +73,7 @@ def open_tiles(folder: Path, overviews: Path | None = None) -> tuple[RasterSourc
         if match := _TILE.fullmatch(name):
             zoom, x, y = int(match["z"]), int(match["x"]), int(match["y"])
             place = x, (1 << zoom) - 1 - y if from_south else y
-            # Where a tile is there twice, {y}@2x.png comes before {y}.png.
+            # {y}@2x.png takes precedence over {y}.png.
             if place not in (tiles := zooms.setdefault(zoom, {})) or "@2x" in file.name:
                 tiles[place] = file
     if not zooms:
@@ -124,7 +124,7 @@ def open_tiles(folder: Path, overviews: Path | None = None) -> tuple[RasterSourc
 def _pictures(
     folder: Path, tiles: dict[tuple[int, int], Path]
 ) -> tuple[dict[tuple[int, int], tuple[Path, int, str, str]], bool]:
-    """Return each tile's file, side, mode, and GDAL's driver, without those that are empty or text, and whether one is text."""
+    """Return file, side, mode, and GDAL driver of each tile that is not empty or text, and whether some tile is text."""
     beside = {name.lower() for name, _ in _walk(folder) if name.lower().endswith(_BESIDE)}
     pictures, broken = {}, False
     for place, file in tiles.items():
@@ -169,11 +169,7 @@ def _sources(mode: str) -> list[tuple[int, str]]:
 
 
 def _declared(folder: Path) -> tuple[bool, list[str]]:
-    """Return whether rows count from the south, by tilemapresource.xml or a TileJSON beside the tiles, and notes about that.
-
-    Raises:
-        DataError: if the tiles are in another projection.
-    """
+    """Tell by tilemapresource.xml or a TileJSON whether rows count from the south, and return notes about it."""
     texts: list[str] = []
     scheme: str | None = None
     if (folder / _TMS).is_file():
@@ -201,7 +197,7 @@ def _declared(folder: Path) -> tuple[bool, list[str]]:
 
 
 def _walk(folder: Path) -> Iterator[tuple[str, Path]]:
-    """Walk through the files of a folder in order: their paths within it, and they themselves."""
+    """Yield the files of a folder in order, each after its path within the folder."""
     for root, folders, names in os.walk(folder):
         folders.sort()
         inside = Path(root)

@@ -1,4 +1,4 @@
-"""Virtual rasters (VRT) in memory: what GDAL opens for a file, a folder of tiles, or a mask, and the bands that are made of it.
+"""Virtual rasters (VRT) in memory: a file, a folder of tiles, or a mask as a source of RGB and alpha.
 
 A VRT names its sources by `vrt://FILE?if=DRIVER`, so that GDAL opens each by the driver that the checks of `_gdal` chose.
 """
@@ -25,12 +25,12 @@ class RasterSource:
 
     Attributes:
         path: the file, or the folder of tiles.
-        name: by which a VRT names it.
-        open: opens it by itself.
+        name: its name in a VRT.
+        open: opens it alone.
         files: returns the files that it is read from.
         notes: sentences about how it is read.
-        overviews: the file that holds its overviews, if that is another one.
-        memory: holds what `name` is a file of, if that is in memory.
+        overviews: a separate file of its overviews, if there is one.
+        memory: keeps the in-memory file that `name` refers to alive, if there is one.
     """
 
     path: Path
@@ -43,10 +43,10 @@ class RasterSource:
 
     @classmethod
     def of_file(cls, path: Path, overviews: Path | None = None) -> RasterSource:
-        """Return the source of a user's raster file; its overviews may lie in another file.
+        """Return the source of a user's raster file.
 
         Raises:
-            DataError: as `_gdal.open_raster`.
+            DataError: see `_gdal.open_raster`.
         """
 
         def files() -> list[Path]:
@@ -85,9 +85,9 @@ def source_xml(
         name: of the source, see `RasterSource`.
         band: its number, from 1.
         size: columns and rows of the source.
-        box: where it lies in the band: first column and row, columns and rows.
+        box: its rectangle in the band: first column and row, columns and rows.
         inner: further elements, see `OPAQUE`, `stretched`, `palette`.
-        resampling: how it is reduced.
+        resampling: GDAL's method of reduction.
     """
     return (
         f'<ComplexSource resampling="{resampling}"><SourceFilename relativeToVRT="0" shared="0">{escape(name)}</SourceFilename>'

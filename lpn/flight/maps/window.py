@@ -1,4 +1,4 @@
-"""A window of a map: a square on the ground, and the pixels of the picture that is cut from it."""
+"""A window of a map: a square on the ground, and the pixels of its picture."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from lpn.core.errors import InputError
 from lpn.core.homography import corner_pixels
 
 _MAX_WINDOWS = 10**8
-# No further row of windows is laid for so small a share of a step: sheets lie askew in the frame by some pixels.
+# A remainder below this share of a step gets no further row of windows: sheets lie askew in the frame by some pixels.
 _SLACK = 0.01
 
 
@@ -46,7 +46,7 @@ class Window:
         return self.to_ground(corner_pixels(1, 1), 1)
 
     def to_ground(self, points: npt.ArrayLike, pixels: int) -> Float64Array:
-        """Return metres east and north, (N, 2), of points in the picture of `pixels` a side.
+        """Convert points of the picture, `pixels` a side, to metres east and north, (N, 2).
 
         Args:
             points: (N, 2) column and row; whole numbers are the centres of pixels, as in OpenCV.
@@ -58,7 +58,7 @@ class Window:
         return np.stack([self.x + right * cosine + up * sine, self.y - right * sine + up * cosine], axis=1)
 
     def to_pixels(self, xy: npt.ArrayLike, pixels: int) -> Float64Array:
-        """Return column and row, (N, 2), of points on the ground, (N, 2); the inverse of `to_ground`."""
+        """Convert points on the ground, (N, 2), to column and row, (N, 2); the inverse of `to_ground`."""
         points = np.asarray(xy, np.float64).reshape(-1, 2)
         metres = self.size / pixels
         east, north = points[:, 0] - self.x, points[:, 1] - self.y
@@ -78,7 +78,7 @@ def grid(bounds: Sequence[float], size: float, step: float) -> Float64Array:
         step: metres from one centre to the next.
 
     Raises:
-        InputError: if size or step is not above 0, or there would be more than 10^8 windows.
+        InputError: if size or step is not above 0, or more than 10^8 windows result.
     """
     if not (0 < size < math.inf and 0 < step < math.inf):
         raise InputError(

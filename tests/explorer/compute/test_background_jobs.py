@@ -88,7 +88,7 @@ def test_a_failed_job_has_one_sentence_and_starts_again_once_forgotten() -> None
 
 def test_another_process_returns_its_result_or_error_or_is_killed() -> None:
     assert run_in_process(lambda *_: None, math.factorial, 5) == 120
-    # A terminal sends Ctrl-C to the other process, too, which must ignore it.
+    # A terminal also sends Ctrl-C to the worker process, which must ignore it.
     assert signal.SIGINT in run_in_process(lambda *_: None, signal.pthread_sigmask, signal.SIG_BLOCK, [])
     with pytest.raises(InputError, match="no/word"):
         run_in_process(lambda *_: None, notes.parse_tags, "no/word")

@@ -73,7 +73,7 @@ class ManualModel(Model):
         self._released.release(passes)
 
     def heads(self, view: View) -> Heads:
-        """Count the calls."""
+        """Return empty heads, and count the calls."""
         self.check_view(view)
         self.read += 1
         return Heads(*(np.zeros(1, np.float32),) * 3)
@@ -112,7 +112,7 @@ class Client(threading.Thread):
 
 @pytest.fixture
 def network() -> Iterator[ManualModel]:
-    """A network that computes what it still holds when the test ends, so that no thread waits for ever."""
+    """A network that computes all waiting requests when the test ends, so that no thread waits for ever."""
     made = ManualModel()
     yield made
     made.release(MAX_QUEUED)
@@ -130,7 +130,7 @@ def occupy(network: ManualModel, queue: InferenceScheduler, mark: int = 99) -> C
 
 
 def queue_up(queue: InferenceScheduler, *clients: Callable[[], Client]) -> list[Client]:
-    """Start clients one after the other."""
+    """Start clients in succession."""
     begun = []
     for one in clients:
         before = n_queued(queue)
@@ -233,7 +233,7 @@ class Clock:
 
 
 class RoundRobin:
-    """Clients that make the next request as soon as they have an answer.
+    """Clients that make their next request right after an answer.
 
     The first `interactive` ones are interactive, the others do background work.
     """
@@ -275,7 +275,7 @@ def test_no_client_is_served_twice_while_another_waits(network: ManualModel) -> 
     turns = [mark for marks in passes for mark in marks]
     for mark in range(7):
         places = [place for place, of in enumerate(turns) if of == mark]
-        # Clients of one batch make their next requests in any order, so one of them may always be the later one.
+        # Clients of one batch make their next requests in any order, so one client may always come last.
         assert np.diff(places).max() <= 7 + 1
         assert len(places) >= len(turns) // (7 + 1)
 
@@ -372,7 +372,7 @@ def test_an_idle_thread_ends_and_the_next_request_starts_another(
 
 
 class DraggingBrowser(threading.Thread):
-    """A browser with one answer of two requests: a cancellable one of its state, and one that others may share."""
+    """A browser whose answer takes two requests: a cancellable one of its state, and a shared one."""
 
     def __init__(self, network: ManualModel, queue: InferenceScheduler, mark: int) -> None:
         super().__init__(daemon=True)
@@ -432,7 +432,7 @@ def test_a_superseded_request_is_replaced_by_the_newest_in_the_same_place(networ
     network.began()
     wait_until(lambda: third.begun == 2 and n_queued(queue) == 2)
     clock.now += MIN_WAIT
-    for browser in clients:  # no second cancellation: they would never see an answer
+    for browser in clients:  # there is no second cancellation, against starvation
         browser.move(7)
     network.release(20)
     for browser in clients:

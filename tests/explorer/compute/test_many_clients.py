@@ -275,7 +275,7 @@ def test_tabs_that_leave_at_any_time_leave_nothing_behind(app: App) -> None:
         leave_before_the_first_message,
         leave_with_a_scene,
     )
-    for way in ways:  # creates what stays for the process: threads of pools, files of shared libraries
+    for way in ways:  # creates resources that stay: threads of pools, files of shared libraries
         way(app)
     wait_until(lambda: not app._channel.sessions)
     wait_until(lambda: not held()["ScreenSession"], held)
@@ -326,7 +326,7 @@ def test_a_page_that_never_reads_is_let_go_while_others_are_answered(app: App, m
         deaf.socket.recv_messages.pause()  # as a page that is stopped
 
         def gone() -> bool:
-            with suppress(OSError):  # past the client, which would wait for what it does not read
+            with suppress(OSError):  # past the client, which would wait for data that it does not read
                 for query in range(9):
                     frame = Frame(Opcode.TEXT, json.dumps({"set": {"query": query}}).encode())
                     own.send(frame.serialize(mask=True), socket.MSG_DONTWAIT)

@@ -34,7 +34,7 @@ class PanelTab(Tab):
         return self.last
 
     def photo(self, frame: int) -> dict[str, Any]:
-        """Return what is drawn of a frame once it has come."""
+        """Wait for the drawing of a frame, and return it."""
         photo: dict[str, Any] = self.until(lambda last: last.get("photo", {}).get("frame") == frame)["photo"]
         return photo
 

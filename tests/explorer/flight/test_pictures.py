@@ -118,7 +118,7 @@ def test_a_photo_and_the_ground_there_are_the_same_scene(flight: LocatedFlight, 
 
 
 def test_a_photo_is_laid_over_the_map_without_the_distortion_of_its_lens(flight: LocatedFlight, tmp_path: Path) -> None:
-    """A vertical edge near the border is bent by the lens. Photo, photo beside the map, and homography are those of a pinhole."""
+    """A vertical edge near the border is bent by the lens. Photo, photo beside the map, and homography are of a pinhole."""
     lens = Lens(0.6, 0.6, 0.0, 0.0, k1=-0.1)
     straight = np.zeros((600, 800, 3), np.uint8)
     straight[:, 160:] = 255

@@ -1,4 +1,4 @@
-"""The page and its channel, as a browser and as somebody else reaches them."""
+"""The page and its channel, for a browser and for other clients."""
 
 from __future__ import annotations
 
@@ -219,7 +219,7 @@ def test_an_angle_of_the_curve_needs_no_further_pass_in_any_tab(
 
 
 def send_file(tab: Tab, name: str, content: bytes, first: bool = True) -> int:
-    """Send a file as the page does, and return how many the server has taken or left out once this one is among them."""
+    """Send a file as the page does, wait for the server to take it or leave it out, and return the number of such files."""
     before = tab.until(lambda last: "yours" in last)["yours"]["taken"]
     tab.act("upload", name=name, size=len(content), first=first)
     for start in range(0, len(content), 5000):
@@ -303,7 +303,7 @@ def test_the_server_holds_a_bounded_number_of_bytes_of_own_photos(
 
 
 class _Checked:
-    """A map's jobs: each is the one that a test gives."""
+    """A map's jobs, each of them the test's."""
 
     def __init__(self, job: Any) -> None:
         self.job, self.shown = job, True
@@ -460,7 +460,7 @@ def test_a_click_in_the_scene_is_told_from_a_hover(monkeypatch: pytest.MonkeyPat
 
 
 class _Slow:
-    """A job that goes on until a test ends it."""
+    """A job that runs until a test ends it."""
 
     def __init__(self) -> None:
         self.begun, self._end = threading.Event(), threading.Event()

@@ -1,4 +1,4 @@
-"""The laboratory: what its choices select, what its charts and its map count, and its notes."""
+"""The laboratory: the selections of its choices, the counts of its charts and map, and its notes."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ def told(tab: Tab, kind: str, /, **values: object) -> dict[str, Any]:
 
 
 def fetched(app: App, address: str) -> bytes:
-    """Return what the page gets at an address relative to it."""
+    """Return the response to the page at a relative address."""
     with urlopen(f"http://127.0.0.1:{app.server.get_port()}/{address}", timeout=TIMEOUT) as answer:
         content: bytes = answer.read()
     return content

@@ -1,4 +1,4 @@
-"""The scene draws the result: its nodes, and what the pointer hits."""
+"""The scene draws the result: its nodes, and hits of the pointer."""
 
 from __future__ import annotations
 

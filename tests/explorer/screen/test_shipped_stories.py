@@ -45,7 +45,7 @@ def adds(wrong: Match, part: int) -> str:
 
 
 def costs_most(shown: Answer, part: int) -> float:
-    """Return what a part costs the true tile against the answer, and check that no other costs it more."""
+    """Return a part's gain of the answer over the true tile, and check that no part's is larger."""
     cost = positive(shown).contributions - shown.matches[0].contributions
     assert cost.argmax() == part
     return -float(cost[part])
@@ -65,7 +65,7 @@ def decides(shown: Answer, ring: int) -> list[str]:
     return prefer(shown, (3, 4), (1, 2))
 
 
-# For each step: the first or compared tile, whether the true tile is first, and what the caption must say by the analysis.
+# For each step: the first or compared tile, whether the true tile is first, and the words that the caption must have.
 FACTS: dict[str, list[tuple[str, bool, Callable[[Answer], list[str]]]]] = {
     "A first look": [
         ("0394", True, lambda a: [f"with {len(a.task.gallery)} satellite tiles"]),

@@ -160,7 +160,7 @@ def test_commands_save_reports_of_what_is_shown(app: App, tab: Tab, workspace: W
     assert name == "0005.html"
     assert result["headline"]["reason"].rstrip(".") in page
     del tab.last["download"]
-    tab.send({"set": {"find": "report"}})  # what a person types to find the command
+    tab.send({"set": {"find": "report"}})  # the words by which a person finds the command
     tab.act("report.worst")
     name, page = downloaded(app, tab)
     ranking = workspace.rankings["drone-to-satellite"]

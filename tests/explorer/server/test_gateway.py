@@ -49,7 +49,7 @@ def picture(size: int = 48) -> bytes:
 
 @pytest.fixture(scope="module")
 def app(tmp_path_factory: pytest.TempPathFactory, model_file: Path) -> Iterator[App]:
-    """The app on synthetic places, in this process. All queries are ranked, which would draw a page anew."""
+    """The app on synthetic places, in this process, after the ranking of all queries, which would redraw a page."""
     folder = tmp_path_factory.mktemp("gateway")
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("LPN_CACHE", str(folder / "cache"))
@@ -167,7 +167,7 @@ def raw(app: App, data: bytes) -> bytes:
 
 
 def test_proxies_that_ask_by_http_1_0_or_whether_the_server_is_up_are_answered(locked: App) -> None:
-    """nginx asks by HTTP/1.0 unless it is told otherwise, HAProxy checks by OPTIONS without a host; both had no answer."""
+    """By default nginx uses HTTP/1.0, and HAProxy checks by OPTIONS without a host; neither got an answer."""
     assert raw(locked, b"OPTIONS / HTTP/1.0\r\n\r\n") == b"HTTP/1.1 204 No Content"
     assert raw(locked, b"GET / HTTP/1.0\r\nHost: localhost\r\n\r\n") == b"HTTP/1.1 401 Unauthorized"
     locked.authenticator.token = None
@@ -356,7 +356,7 @@ def test_an_unsupported_viser_is_refused(app: App, monkeypatch: pytest.MonkeyPat
         App(app_workspace(app), "127.0.0.1", 0)
 
 
-# Hostile tabs and scenes, and another tab that must not be affected.
+# Hostile tabs and scenes, beside a tab that must not be affected.
 
 
 @pytest.fixture
@@ -390,7 +390,7 @@ def hostile(app: App, witness: ScreenTab) -> Iterator[ScreenTab]:  # noqa: ARG00
 
 
 def works(tab: ScreenTab, angle: float = 45) -> None:
-    """Check that the tab still gets results, of the photo that it had."""
+    """Check that the tab still gets results of its photo."""
     assert tab.turn(angle)["state"]["query"] == 2
 
 
@@ -454,7 +454,7 @@ def test_no_page_can_open_a_public_tunnel(app: App, monkeypatch: pytest.MonkeyPa
 
 
 def camera_of(app: App, fov: float) -> bool:
-    """Return whether a client of viser has a camera of a field of view, after one was sent."""
+    """Return whether a client of viser has a camera of a field of view."""
     return any(abs(client.camera.fov - fov) < 1e-6 for client in app.server.get_clients().values())
 
 

@@ -51,7 +51,7 @@ def client(server: viser.ViserServer) -> Iterator[viser.ClientHandle]:
         yield connected[0]
 
 
-# Each private attribute, and what must hold for it.
+# Each private attribute, and a condition that it must fulfil.
 CONTRACT: dict[str, Callable[[viser.ViserServer, viser.ClientHandle], bool]] = {
     **{
         f"viser._messages.{kind}": lambda *_, kind=kind: viser_compat.message_fields(kind) == FIELDS[kind]

@@ -56,7 +56,7 @@ def test_answers_of_a_like_gap_are_counted() -> None:
     assert answer_context.answers_alike(ranking, -1) == AlikeAnswers(100, 0), "no surer than the least of them"
     assert answer_context.answers_alike(ranking, 999.1) is None, "nothing was as far ahead"
     assert answer_context.answers_alike(ranking, 499.5) == AlikeAnswers(100, 50)
-    # The query that was asked tells nothing of itself, and neither does one of unknown truth.
+    # The query itself does not count, and neither does a query of unknown truth.
     assert answer_context.answers_alike(ranking, 900.1, besides=900) == AlikeAnswers(99, 99)
     known = np.arange(1000) % 4 != 0
     assert answer_context.answers_alike(ranking, 901.3, known) == AlikeAnswers(75, 75)

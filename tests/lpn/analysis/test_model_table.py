@@ -111,7 +111,7 @@ def test_runs_of_one_method_are_a_group_with_mean_and_deviation() -> None:
             assert estimate.value == pytest.approx(statistics.mean(of_group))
             assert estimate.sd == pytest.approx(statistics.stdev(of_group))
         assert found.figures[2][figure].sd is None
-        # The interval is that of the mean of the runs over places: it does not cover the seeds.
+        # The interval of the runs' mean is over places: it does not cover the seeds.
         means = [np.mean([(one.first == 0) if figure == "R@1" else one.precision for one in of], 0) for of in
                  (runs[:3], runs[3:])]  # fmt: skip
         (interval,) = intervals(means[0][None], runs[0].labels, 2, 30)

@@ -111,7 +111,7 @@ def test_a_query_of_a_source_is_explained_by_its_name_beside_its_top_match(
     place = task.queries.index(query)
     scores = task.search(place).scores
     assert [first["score"], second["score"]] == pytest.approx(scores[top[:2]].tolist(), abs=1e-4)
-    # The answer is the library's: the source knows the ranks and what is right.
+    # The answer is the library's: the source knows the ranks and the truth.
     answer = QueryAnalyser(task.model, partial(describe_tile, model=task.model)).analyse(task, QueryRequest(place), 5)
     named, expected = first | {"query": "0009"}, answer.to_dict()
     for key in ("query", "task", "verdict", "compared", "nearest"):

@@ -323,7 +323,7 @@ def cluster() -> Iterator[str]:
                 time.sleep(0.05)
             yield f"127.0.0.1:{port}"
         finally:
-            head.kill()  # what it started ends with it
+            head.kill()  # its children end with it
             head.wait()
 
 

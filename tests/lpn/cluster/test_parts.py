@@ -44,7 +44,7 @@ class KilledError(Exception):
 
 
 class OneProcess:
-    """The functions of Ray Data that the driver uses, run in this process one after the other.
+    """The functions of Ray Data that the driver uses, run in succession in this process.
 
     Args:
         before: told how many parts were begun, before each.
@@ -106,7 +106,7 @@ class Place:
             return driver._run(place, place, list(items), KIND, {}, "m.onnx", None, 1, 1, size, say, worker)  # type: ignore[arg-type]
 
     def killed(self, items: Sequence[PartItem], after: int) -> None:
-        """A run whose driver is killed after so many parts."""
+        """A run whose driver is killed after a number of parts."""
 
         def before(begun: int) -> None:
             if begun == after:

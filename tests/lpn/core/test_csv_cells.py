@@ -50,7 +50,7 @@ def test_any_text_is_read_back() -> None:
     assert list(csv.reader(io.StringIO(data.decode(), newline=""))) == [list(map(escape_formula, row)) for row in rows]
     read = [[unescape(cell) for cell in values] for _, values in delimited("a,b,c,d\n" + data.decode()).rows][1:]
     assert read == [row for row in rows if any(map(str.strip, row))]
-    # A table for others holds what a terminal would not obey, see `printable`.
+    # A table for other programs has no characters that control a terminal, see `printable`.
     shown = [[printable(cell, "\n\t") for cell in row] for row in rows]
     assert csv_bytes(rows) == csv_bytes(shown, own=True)
     assert not {"\r", "\x0b", "\u2028", "\0"} & set(csv_bytes(rows).decode())

@@ -1,4 +1,4 @@
-"""The cache that keeps what came first."""
+"""The cache that keeps the first entries."""
 
 from __future__ import annotations
 

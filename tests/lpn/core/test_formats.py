@@ -1,4 +1,4 @@
-"""Each kind of file says what it is: one that a later version wrote is not taken for damaged, and not replaced."""
+"""Each kind of file names its format: a file of a later version is neither called damaged nor replaced."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The handle of a served page: what a notebook shows, and how it ends."""
+"""The handle of a served page: its display in a notebook, and its end."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Ctrl-C and SIGTERM: what is being written is finished, and one sentence says how to go on."""
+"""Ctrl-C and SIGTERM: writes are finished, and one sentence tells how to resume."""
 
 from __future__ import annotations
 

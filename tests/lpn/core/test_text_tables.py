@@ -1,4 +1,4 @@
-"""Tables of text: what each form escapes, and as many columns in each row."""
+"""Tables of text: each form's escapes, and equal numbers of columns in all rows."""
 
 from __future__ import annotations
 

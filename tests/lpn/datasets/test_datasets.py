@@ -69,7 +69,7 @@ def test_a_folder_without_a_task_says_what_it_lacks(tmp_path: Path) -> None:
 def test_a_folder_of_the_test_split_may_be_a_text_with_the_name_of_another(data: Path, tmp_path: Path) -> None:
     root = shutil.copytree(data, tmp_path / "places")
     shutil.rmtree(root / "test" / "gallery_drone")
-    (root / "test" / "gallery_drone").write_text("query_drone\n")  # what Git leaves of a link on Windows
+    (root / "test" / "gallery_drone").write_text("query_drone\n")  # Git's stand-in for a link on Windows
     dataset = open_dataset(root)
     assert dataset.tasks() == ["drone-to-satellite", "satellite-to-drone"]
     assert dataset.gallery("drone") == dataset.queries("drone")

@@ -95,7 +95,7 @@ def test_text_of_any_editor_is_decoded(encoding: str, lines: str) -> None:
 
 
 Change = Callable[[str], str]
-# What other systems make of a list's path; a place in it that is no path stays as it is.
+# Spellings of a list's path on other systems; a place in it that is no path is unchanged.
 CHANGES: dict[str, Change] = {
     "backslashes": lambda path: path.replace("/", "\\"),
     "a dot first": lambda path: f"./{path}",

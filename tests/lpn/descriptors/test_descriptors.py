@@ -53,7 +53,7 @@ def _killed_after(steps: Iterator[int], original: Callable[..., None]) -> Callab
 
 
 class Counting:
-    """Counts what a model computes, and can be killed in the middle."""
+    """A model that counts its computations, and can be killed in the middle."""
 
     def __init__(self, model: Model, monkeypatch: pytest.MonkeyPatch, die_after: int | None = None) -> None:
         self.described, self.die_after = 0, die_after

@@ -70,7 +70,7 @@ def test_others_are_computed_one_at_a_time_while_pictures_are_prepared(
 
     def prepare(i: int) -> Float32Array:
         until = time.monotonic() + 120
-        # The second batch is the other thread's: it is prepared once the first is being computed.
+        # The second thread prepares the second batch while the first is computed.
         while i >= model.batch and not preparing.is_set() and time.monotonic() < until:
             if inside.locked():
                 preparing.set()

@@ -1,4 +1,4 @@
-"""`lpn doctor` without a folder: what it says of a machine with a fault in it."""
+"""`lpn doctor` without a folder: its report on a machine with a fault."""
 
 from __future__ import annotations
 

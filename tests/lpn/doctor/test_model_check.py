@@ -1,4 +1,4 @@
-"""lpn doctor --model: the level, its proof on pictures, and what breaks it."""
+"""lpn doctor --model: the level, its proof on pictures, and counter-examples."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Tests of the charts: what they show is to scale, adds up, and escapes what it is given."""
+"""Tests of the charts: they are to scale, add up, and escape their texts."""
 
 from __future__ import annotations
 

@@ -88,7 +88,7 @@ def test_by_default_the_truth_chooses_the_tiles(answer: lpn.Answer) -> None:
     relevant[answer.ranking.order[4]] = True
     known = replace(answer, ranking=replace(answer.ranking, relevant=relevant))
     assert [row.title for row in known.paper_figure().rows[1:]] == [("True tile", "rank 5"), ("Wrong tile", "rank 1")]
-    told = known.paper_figure(true=1, wrong=5).rows[1:]  # a known truth stands above what is asked for
+    told = known.paper_figure(true=1, wrong=5).rows[1:]  # a known truth overrides the requested one
     assert [row.title for row in told] == [("Wrong tile", "rank 1"), ("True tile", "rank 5")]
     assert [row.title for row in answer.paper_figure().rows[1:]] == [("Tile", "rank 1"), ("Tile", "rank 2")]
     rows = answer.paper_figure(wrong=1).rows[1:]

@@ -28,7 +28,7 @@ FLIGHT = ("tag", "retrieval", "sequence", "registration", "contradicted", "right
 
 
 def delta_e(one: theme.Colour, other: theme.Colour, vision: str) -> float:
-    """Return the distance of two colours in CIELAB (CIE76), in which 2.3 can just be told apart side by side."""
+    """Return the distance of two colours in CIELAB (CIE76), where 2.3 is just noticeable."""
     return float(np.linalg.norm(_lab(one, vision) - _lab(other, vision)))
 
 

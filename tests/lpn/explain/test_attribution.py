@@ -111,7 +111,7 @@ def test_cells_and_constants_add_up_to_each_cosine_on_both_sides(name: str) -> N
         found.score, abs=1e-5
     )
     if model.spec.pooling == "average":
-        # The constants are told from the cells, not made up for what is missing.
+        # The constants are computed apart from the cells, not as the remainder of the sum.
         assert np.abs(found.query.constants).max() > 1e-3
 
 

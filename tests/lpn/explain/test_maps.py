@@ -1,4 +1,4 @@
-"""Covering parts of pictures, and that evidence points at what matters."""
+"""Occlusion of parts of pictures, and evidence on the cells that matter."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def test_a_square_s_loss_is_what_its_blurring_costs(model_file: Path) -> None:
     gone = np.zeros((3, 4), bool)
     gone[1, 2] = True
     spoilt = occlusion.mixed(shaped, occlusion.blur(shaped), gone)
-    # The middle of the square is blurred, the other end of the picture as it was.
+    # The middle of the square is blurred, the far end of the picture unchanged.
     np.testing.assert_array_equal(spoilt[:5], shaped[:5])
     np.testing.assert_allclose(spoilt[32, 40], occlusion.blur(shaped)[32, 40], atol=2)
     cosines = [

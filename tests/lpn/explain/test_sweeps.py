@@ -173,7 +173,7 @@ def test_a_profile_tells_the_best_change_and_what_it_gains() -> None:
 
 
 def test_a_tile_turned_as_a_drone_of_some_heading_sees_it_has_that_heading(model: Model, tiles: Float32Array) -> None:
-    # Flying east, what lies east is at the top: the north-up tile is turned counter-clockwise by its heading.
+    # Flying east, the east is at the top: the north-up tile is turned counter-clockwise by the heading.
     seen = images.rotate(small_worlds.place(3), 90)
     labels = np.arange(6)
     turned = changes_over("rotation", 90)

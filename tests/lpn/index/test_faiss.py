@@ -88,7 +88,7 @@ def test_replaced_tiles_that_have_codes_are_not_found(
     made: Path, tiles: Tiles, queries: Any, searched: list[tuple[bool, int]], tmp_path: Path
 ) -> None:
     folder = Path(shutil.copytree(made, tmp_path / "index"))
-    # The first hundred are what the queries are near to; they come back elsewhere, with vectors of others.
+    # The queries are near to the first hundred, which are added again elsewhere with other vectors.
     now = replace(tiles, descriptors=tiles.descriptors.copy(), positions=tiles.positions.copy())
     now.descriptors[:100], now.positions[:100] = tiles.descriptors[5000:5100], (50, 60)
     with opened(folder) as index:
@@ -129,7 +129,7 @@ def test_more_lists_are_looked_through_until_a_box_has_given_enough(
         assert (found.positions[:, 0] == 45).all()
         lists = [nprobe for _, nprobe in searched]
         assert lists[:3] == [1, 2, 4]
-        # Whatever is asked for, up to all that the box leaves.
+        # Any number of results, up to all tiles in the box.
         everything = index.search(query, None, COUNT // 2 - 1500, north)
         assert len(set(everything.ids)) == COUNT // 2 - 1500
 

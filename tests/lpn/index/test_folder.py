@@ -1,4 +1,4 @@
-"""An index as a folder: what it deletes, which files it opens, what it says of those it cannot read."""
+"""An index as a folder: the files that it deletes and opens, and messages about unreadable ones."""
 
 from __future__ import annotations
 

@@ -57,7 +57,7 @@ class Tiles:
 
     @classmethod
     def draw(cls, count: int, seed: int = 0, spread: float = 0.5, kind: DescriptorKind = KIND) -> Tiles:
-        """Descriptors about a few centres, as those of real tiles are; a tenth of them without a position."""
+        """Draw descriptors about a few centres, like real tiles'; a tenth have no position."""
         rng = np.random.default_rng(seed)
         shape = (kind.n_parts, kind.embedding)
         centres = rng.standard_normal((max(1, count // 20), *shape))
@@ -94,7 +94,7 @@ class Tiles:
         rows = np.array([self.names.index(name) for name in found.ids], np.int64)
         assert len(found) == len(order) == len(set(found.ids))
         assert set(rows) <= set(inside)
-        # Names may differ only where scores do not, but for the last digits of float64.
+        # Names may differ only where scores are equal to the last digits of float64.
         np.testing.assert_allclose(found.scores, scores[order], rtol=0, atol=1e-12)
         np.testing.assert_allclose(scores[rows], scores[order], rtol=0, atol=1e-12)
         np.testing.assert_array_equal(found.vectors, self.descriptors[rows])
@@ -102,7 +102,7 @@ class Tiles:
 
 
 def _faiss(path: Path, kind: DescriptorKind = KIND) -> Index:
-    """An index of faiss, which looks through all lists, and learns codes early."""
+    """An index of faiss that searches all lists, and learns codes early."""
     pytest.importorskip("faiss", reason="faiss is not installed (the extra search)")
     index = FaissIndex.create(path, kind)
     index.nprobe, index.depth, index.plain = 10_000, 50, 4096
@@ -114,7 +114,7 @@ MAKERS: dict[str, Callable[[Path], Index]] = {"exact": lambda path: ExactIndex.c
 
 @pytest.fixture(params=[*MAKERS])
 def make(request: pytest.FixtureRequest, tmp_path: Path) -> Callable[[], Index]:
-    """An engine's empty index, or the same one once more; Milvus's is in test_milvus.py."""
+    """Return a function that opens an engine's index, empty at first; Milvus's is in test_milvus.py."""
     return lambda: MAKERS[request.param](tmp_path / "index")
 
 
@@ -144,7 +144,7 @@ def test_every_index_keeps_what_it_was_given(make: Callable[[], Index]) -> None:
         assert index.kind == KIND
         assert index.holds([*tiles.names, "none"]).tolist() == [True] * 120 + [False]
         tiles.check(index.search(query, None, 1000), query, None, 1000, None)
-        # Half of them once more, with other vectors and places: replaced, and none is there twice.
+        # Half of them are added again with other vectors and places: they are replaced, not repeated.
         other = Tiles.draw(120, seed=5)
         tiles.descriptors[30:90], tiles.positions[30:90] = other.descriptors[30:90], other.positions[30:90]
         index.add(tiles.names[30:90], tiles.descriptors[30:90], tiles.positions[30:90])
@@ -212,7 +212,7 @@ def test_every_index_refuses_what_it_cannot_keep(make: Callable[[], Index]) -> N
 def test_an_exact_index_orders_tiles_as_a_scan_in_float64_does(tmp_path: Path, spread: float) -> None:
     kind = DescriptorKind("f", 4, 64)
     tiles = Tiles.draw(1500, spread=spread, kind=kind)
-    # Equal tiles tie exactly, and keep the order of insertion; others differ from them in one last bit.
+    # Equal tiles tie exactly, and keep the order of insertion; others differ in the last bit.
     tiles.descriptors[700:710] = tiles.descriptors[5]
     tiles.descriptors[800:810] = np.nextafter(tiles.descriptors[5], np.float32(1))
     with ExactIndex.create(tmp_path / "a", kind) as whole, ExactIndex.create(tmp_path / "b", kind) as parted:
@@ -266,7 +266,7 @@ def test_replaced_tiles_are_cleared_away(tmp_path: Path) -> None:
         for start in range(0, 400, 40):
             index.add(tiles.names[start : start + 40], tiles.descriptors[start : start + 40])
         held = json.loads((tmp_path / "index" / "index.json").read_text())["parts"]
-        assert sum(entry["rows"] for entry in held) == 400  # the part of which each tile was replaced is gone
+        assert sum(entry["rows"] for entry in held) == 400  # a part whose tiles are all replaced is deleted
         assert len(list((tmp_path / "index").iterdir())) == 11
         assert index.count() == 400
 
@@ -307,7 +307,7 @@ def test_an_add_killed_at_any_step_leaves_the_index_as_it_was(
             steps += 1
             with MAKERS[engine](tmp_path / "index") as again:
                 after = again.search(query, None, 100)
-                if "new" in after.ids:  # the manifest was there already: then all of it is
+                if "new" in after.ids:  # if the manifest was written, all tiles are there
                     assert len(after) == 61
                     rows = [after.ids.index(name) for name in tiles.names[20:30]]
                     np.testing.assert_array_equal(after.vectors[rows], changed[:10])
@@ -335,7 +335,7 @@ def test_an_index_that_is_open_sees_what_another_adds(tmp_path: Path) -> None:
 
 
 def test_a_reader_finds_what_another_learns_while_it_searches(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The codes, which are opened at the first search, are gone between the manifest and that."""
+    """The codes are opened at the first search, and deleted between the read of the manifest and this search."""
     kind = DescriptorKind("f", 4, 9)  # codes of a byte for each number
     tiles, adder = Tiles.draw(9400, kind=kind), _faiss(tmp_path / "index", kind)
     adder.add(tiles.names[:4600], tiles.descriptors[:4600], tiles.positions[:4600])

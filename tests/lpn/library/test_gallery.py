@@ -1,4 +1,4 @@
-"""A folder as a gallery: matches, figures, and tables of its answers, and what is refused."""
+"""A folder as a gallery: matches, figures, and tables of its answers, and refusals."""
 
 from __future__ import annotations
 

@@ -169,7 +169,7 @@ def test_branches_by_role_follow_the_task() -> None:
     np.testing.assert_array_equal(forth.run(image, "drone").parts, as_query)
     np.testing.assert_array_equal(back.run(image, "drone").parts, as_gallery)
     np.testing.assert_array_equal(back.run(image, "satellite").parts, as_query)
-    # Descriptors of the two tasks are not comparable, nor may one take the other's from the cache.
+    # Descriptors of the two tasks are not comparable, and have separate entries in the cache.
     assert forth.fingerprint == model.fingerprint != back.fingerprint
     with pytest.raises(InputError, match="both of one view, drone"):
         model.for_task("drone", "drone")

@@ -59,7 +59,7 @@ class _Net(nn.Module):
 
 
 def saved(values: Callable[[State], object], name: str = "net_119.pth", **how: Any) -> Callable[[Path, State], Path]:
-    """Write what torch.save makes of some values around the weights."""
+    """Write weights and further values by torch.save."""
 
     def make(folder: Path, state: State) -> Path:
         torch.save(values(state), folder / name, **how)

@@ -52,7 +52,7 @@ def test_a_file_of_another_kind_is_named(case: str, tmp_path: Path) -> None:
         lpn.load(tmp_path / "net_119.pth")
     assert str(caught.value).startswith(f"net_119.pth {sentence}")
     assert "\n" not in str(caught.value)
-    # The sentence is the same under the other endings.
+    # Other endings give the same sentence.
     for ending in (".onnx", ".safetensors", ".bin"):
         (tmp_path / f"net_119{ending}").write_bytes(data)
         with pytest.raises(ModelFileError) as caught:

@@ -1,4 +1,4 @@
-"""ONNX files that return tokens, pooled by name, and what ONNX Runtime refuses in the words of a person."""
+"""ONNX files that return tokens, pooled by name, and ONNX Runtime's refusals in plain words."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The choice of what computes a network. There is no GPU here: ONNX Runtime's list of providers is a stub, its CPU is real."""
+"""The choice of a network's provider. There is no GPU here: ONNX Runtime's list of providers is a stub, its CPU is real."""
 
 from __future__ import annotations
 

@@ -279,7 +279,7 @@ def test_weights_that_are_not_numbers_are_found(tmp_path: Path) -> None:
     assert lpn.load(tmp_path / "net_last.pth").n_parts == 4
 
 
-# Lines that an opts.yaml of released code, or of people who copied it, holds beside what is used.
+# Unused lines in an opts.yaml of released code, or of copies of it.
 UNUSED_OPTIONS = {
     "a tuple": "gpu_ids: !!python/tuple [0, 1]",
     "an object": "opt: !!python/object:argparse.Namespace {lr: 0.1}",

@@ -1,4 +1,4 @@
-"""Networks of timm as the backbone of an LPN: their maps, weights, checkpoints, and what is refused."""
+"""Networks of timm as the backbone of an LPN: their maps, weights, checkpoints, and refusals."""
 
 from __future__ import annotations
 

@@ -49,7 +49,7 @@ def places(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(autouse=True)
 def _shallow(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Train networks of few layers: the tables say what was trained and measured, which depth does not change."""
+    """Train networks of few layers: depth does not change what the tables name."""
     make_resnets_shallow(monkeypatch, first=2)
 
 
@@ -92,7 +92,7 @@ def test_at_the_paper_s_scale_the_recipes_are_the_paper_s() -> None:
     assert (recipes["lpn"].backbone, recipes["lpn"].n_parts, recipes["lpn"].google) == ("resnet50", 4, True)
     assert not recipes["lpn-without-google"].google
     assert (recipes["lpn-512-pixels"].size, recipes["lpn-8-parts"].n_parts) == (512, 8)
-    # Table II has the LPN of the text and that of the released run, each by its own recipe.
+    # Table II has the LPN of the text and the LPN of the released run, each by its own recipe.
     assert recipes["panorama-lpn-sequential"] == RECIPES["cvusa-paper"]
     assert recipes["panorama-lpn"] == RECIPES["cvusa-released"]
     assert (recipes["panorama-safa-lpn"].pooling, recipes["panorama-safa-lpn"].optimizer) == ("safa", "adam")
@@ -197,7 +197,7 @@ def test_other_pictures_or_another_start_are_noticed(places: Path, tmp_path: Pat
     shutil.copytree(places, tmp_path / "places")
     for name in ("query", "gallery"):
         shutil.rmtree(tmp_path / "places" / "test" / f"{name}_drone" / "0010")
-    # The same training pictures, and fewer to test with, under the same folder name: measured again.
+    # The same training pictures with fewer test pictures, under the same folder name, are measured again.
     reproduction(tmp_path / "places", tmp_path / "out").run(["table5"])
     assert (tmp_path / "out" / "table5.csv").read_text() != before
     shutil.rmtree(tmp_path / "places" / "train" / "drone" / "0004")
@@ -309,7 +309,7 @@ def test_what_cannot_be_made_is_said_before_anything_is_trained(places: Path, mo
         ({"models": {"nobody": model}}, ["table1"], "--model names 'nobody'"),
         ({"models": {"lpn": tmp_path / "typo.onnx"}}, ["figure5", "table4"], "no model file"),
         ({"models": {"lpn": model}, "data": [str(landmarks(tmp_path))]}, ["table6"], "needs the view street"),
-        # A view that a row wants and a network would be trained without, and a batch that would never be full.
+        # A view of a row that is missing in training, and a batch that would never be full.
         (
             {"data": [str(places), str(landmarks(tmp_path))]},
             ["table6"],
@@ -321,7 +321,7 @@ def test_what_cannot_be_made_is_said_before_anything_is_trained(places: Path, mo
             "cannot be trained on three. There are 3 places and a batch of 4; set --batch to at most 3",
         ),
         ({"models": {"lpn": two_views(tmp_path)}}, ["figure7"], "needs the view drone"),
-        # A network that is not what it would be called, and one that nothing would be measured on.
+        # A network under a wrong name, and a network without any measurement.
         ({"models": {"lpn-2-parts": model}}, ["figure5"], "has n_parts 4, and lpn-2-parts needs n_parts 2"),
         (
             {"models": {"lpn": start}, "changes": {}},
@@ -476,7 +476,7 @@ def test_the_released_protocol_is_a_table_s_own(places: Path, model_file: Path, 
         assert other not in text
     # Both are kept side by side.
     assert len(read_measurements(out / "measured.json").figures) == 2 * 5
-    # The metric losses of the same budget, with what makes them the released ones.
+    # The metric losses of the same budget, with the settings of the released ones.
     recipe = scale.recipe(find("table1", scale).trainings[1], 0)
     assert (recipe.positives, recipe.pool, recipe.alpha, recipe.street, recipe.google) == (4, 96, 1.0, False, False)
     assert (recipe.metric, recipe.epochs, recipe.backbone) == ("contrastive", 1, "resnet18")
@@ -696,7 +696,7 @@ def test_the_command_collects_repeated_flags_and_wants_to_know_what(
     assert (seen[0].data, seen[0].seeds, seen[0].scale.name) == ((str(places), "b"), (0, 1), "paper")
     assert seen[0].models == {"lpn": Path("x.onnx"), "instance": Path("y.onnx")}
     assert seen[0].scale.changes == {"batch": 8}
-    # A flag that one recipe excludes fits others; each training's own recipe decides.
+    # A flag that one recipe excludes may fit others, so each training's recipe decides.
     flags = ["--recipe", "released", "--lr", "0.01", "--no-joint-views", "--label-smoothing=0", "--infonce", "1"]
     assert main(["reproduce", "table1", *data, *flags]) == 0
     assert seen[1].scale.changes == {"lr": 0.01, "joint_views": False, "label_smoothing": 0.0, "infonce": 1.0}

@@ -1,4 +1,4 @@
-"""Calibration without labels: zooms, means, what they do to descriptors, and what is refused."""
+"""Calibration without labels: zooms, means, their effect on descriptors, and refusals."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ from tools.fixtures import small_worlds
 
 TASK = "drone-to-satellite"
 PLACES = 24
-# Steps by which the ground of a drone picture is wider than that of its tile: most by two, every fourth by three.
+# Zoom steps from a tile's ground to its drone picture's: two for most, three for every fourth.
 WIDER = [3 if i % 4 == 0 else 2 for i in range(PLACES)]
 
 

@@ -1,4 +1,4 @@
-"""CSLS against its definition, and what it does to a tile that is near to all queries."""
+"""CSLS against its definition, and its effect on a tile that is near to all queries."""
 
 import numpy as np
 import pytest

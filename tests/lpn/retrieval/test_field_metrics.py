@@ -18,7 +18,7 @@ from tools.fixtures import seeded
 
 @pytest.fixture(scope="module")
 def golden() -> dict[str, Any]:
-    """Scores, labels, and positions, with what the released codes made of them."""
+    """Scores, labels, and positions, with the released codes' results."""
     return dict(json.loads((seeded.DATA / "metrics_field.json").read_text()))
 
 

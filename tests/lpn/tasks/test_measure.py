@@ -161,7 +161,7 @@ def test_one_branch_can_describe_both_sides(data: Path, tmp_path: Path) -> None:
 
 
 class Landmarks(University):
-    """The drawn places as landmarks: a query is a part of a picture, and lists say what is true and what is junk."""
+    """The drawn places as landmarks: a query is a part of a picture, and lists name true and junk pictures."""
 
     def tasks(self) -> list[str]:
         return ["street-to-street"]
@@ -226,7 +226,7 @@ def test_distractors_make_a_second_gallery_that_is_named(
 
 
 def read_drawn(model: Model, pictures: Sequence[Picture], view: str, change: Change) -> Float32Array:
-    """Descriptors drawn by the picture's path, near those of its place."""
+    """Descriptors drawn by the picture's path, near its place's."""
     del view, change
     rows = []
     for picture in pictures:

@@ -132,7 +132,7 @@ def test_the_hardest_of_a_satellite_s_own_pictures_and_of_a_pool() -> None:
     positive, negative = hardest_scores(tiles, drones, places, pool)
     for i in range(b):
         own = [float(tiles[i] @ drones[i, j]) for j in range(k)]
-        # Two satellites show place 3, and neither is the other's negative.
+        # Two satellites show place 3, and they are no negatives of each other.
         wrong = [float(tiles[i] @ drones[n // k, n % k]) for n in pool.tolist() if places[n // k] != places[i]]
         assert float(positive[i]) == pytest.approx(min(own))
         assert float(negative[i]) == pytest.approx(max(wrong))

@@ -1,4 +1,4 @@
-"""Clocks that differ by a constant offset: told where the files tell it, and refused where they do not."""
+"""Clocks that differ by a constant offset: estimated where the files determine it, and refused elsewhere."""
 
 from __future__ import annotations
 

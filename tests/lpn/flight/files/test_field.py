@@ -1,4 +1,4 @@
-"""Text telemetry as people bring it: what is right of each file, and where that is documented. Numbers are invented."""
+"""Text telemetry from the field: the right values of each file, and their documentation. Numbers are invented."""
 
 from __future__ import annotations
 

@@ -18,7 +18,7 @@ NOT_TOLD = "so none of them has its values; write their folders in it."
     [
         ("log.csv", "file,lat,lon\nD:\\DCIM\\101MEDIA\\DJI_0001.JPG,47.2,8\nD:\\DCIM\\100MEDIA\\DJI_0001.JPG,47.1,8\n",
          (47.1, 47.2), ""),
-        # A row of one folder tells nothing of the photo in the other one.
+        # A row of one folder does not match a photo in another.
         ("log.csv", "file,lat,lon\n100MEDIA/DJI_0001.JPG,47.1,8\n", (47.1, None), ""),
         ("log.csv", "file,lat,lon\nDJI_0001.JPG,47.1,8\nDJI_0002.JPG,47.3,8\n", (None, None), NOT_TOLD),
         ("log.csv", "file,lat,lon\nDJI_0001,47.1,8\n", (None, None), NOT_TOLD),

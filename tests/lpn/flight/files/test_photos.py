@@ -1,4 +1,4 @@
-"""Photos as cameras of drones write them, and what must not be believed in them."""
+"""Photos as cameras of drones write them, and values in them that must not be believed."""
 
 from __future__ import annotations
 

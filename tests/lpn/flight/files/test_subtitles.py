@@ -1,4 +1,4 @@
-"""Every dialect of subtitles, in a few lines each, and what cannot be known from them."""
+"""Every dialect of subtitles, in a few lines each, and values that they leave unknown."""
 
 from __future__ import annotations
 

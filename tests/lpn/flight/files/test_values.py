@@ -1,4 +1,4 @@
-"""Numbers, angles, and times as programs write them, and what is none."""
+"""Numbers, angles, and times as programs write them, and texts that are none."""
 
 from __future__ import annotations
 

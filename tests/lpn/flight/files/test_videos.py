@@ -1,4 +1,4 @@
-"""Frames of a small video: which are chosen, and what the subtitles beside or inside it tell about them."""
+"""The chosen frames of a small video, and their telemetry from subtitles beside or inside it."""
 
 from __future__ import annotations
 

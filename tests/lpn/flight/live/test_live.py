@@ -1,4 +1,4 @@
-"""A drawn flight that goes on over a drawn map, and a simulated vehicle over loopback MAVLink."""
+"""A drawn flight in progress over a drawn map, and a simulated vehicle over loopback MAVLink."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ def free_port(kind: int = socket.SOCK_DGRAM) -> int:
 
 
 class StepByStep(LiveSource):
-    """Gives each frame once the one before was taken."""
+    """A source that gives each frame after the last one was taken."""
 
     def __init__(self, frames: list[Frame], say: Say) -> None:
         super().__init__(say)
@@ -136,10 +136,10 @@ def test_a_newer_picture_replaces_the_one_that_waits() -> None:
 
 @pytest.fixture
 def laid(monkeypatch: pytest.MonkeyPatch) -> dict[str, tuple[float, ...] | None]:
-    """Registrations of frames by name, in place of matched features: place and turn, None where they are refused."""
+    """Registrations of frames by name, which replace matching: place and turn, or None for a refusal."""
     places: dict[str, tuple[float, ...] | None] = {f"{i}.png": (*place, 0.0) for i, place in enumerate(PLACES)}
 
-    width = 50.0  # neighbours are 0.3 of it apart, and so are views of their own
+    width = 50.0  # neighbours are 0.3 of it apart, so they are separate views
 
     def register(search: PhotoSearch) -> StageRecord:
         if (place := places.get(search.located.frame.name)) is None:
@@ -215,7 +215,7 @@ def test_places_that_the_map_contradicts_prove_nothing_and_lead_no_later_frame(
     answers = [live_answer(one) for one in located]
     assert [one.state for one in answers] == ["contradicted"] * 6 + ["refused"] * 2
     assert all(one.doubt == ("map",) for one in answers[:6])
-    # They lie elsewhere, and are turned otherwise, than any that counts: the next one is not judged by them.
+    # They differ in place and turn from all accepted ones, and do not affect the next one.
     monkeypatch.setattr(lpn.flight.live.locator, "compared", lambda _, answer, __: answer)
     laid["there"] = (80.0, -80.0, 40.0)
     there = replace(frames[-1], name="there", time=10.5)
@@ -307,7 +307,7 @@ def test_a_registration_that_the_drone_can_hardly_reach_is_refused_until_others_
     assert said == []
 
 
-# Registrations before those that are turned otherwise.
+# Number of registrations before the turned ones.
 ON_MAP = 6
 
 
@@ -486,7 +486,7 @@ def test_a_link_gives_frames_heading_height_and_position_and_says_what_is_odd(fl
         assert link.value(arrived(frame)).age is None
 
         def in_time() -> Any:
-            vehicle.tell(frame)  # again: a position counts for 2 s, which pass quickly on a busy machine
+            vehicle.tell(frame)  # repeated, because a position holds for only 2 s
             value = link.value(arrived(frame))
             return value.frame.latitude and value
 
@@ -574,12 +574,12 @@ def test_the_command_locates_what_a_vehicle_sends(
     photos.mkdir()
     vehicle, started, start = SimulatedVehicle(flight, photos, port), threading.Event(), LiveSource.start
     monkeypatch.setattr(LiveSource, "start", lambda source: (start(source), started.set()))
-    skipped = [0.0]  # seconds that the clock of the run jumps, so that it waits long only after the last frame
+    skipped = [0.0]  # seconds by which the run's clock jumps, so that only the wait after the last frame is long
     clock = SimpleNamespace(time=time.time, monotonic=lambda: time.monotonic() + skipped[0])
     monkeypatch.setattr(lpn.flight.live.run, "time", clock)
 
     def answered(frame: Frame, lines: int) -> bool:
-        vehicle.tell(frame)  # again: a busy machine may find the photo seconds later
+        vehicle.tell(frame)  # repeated, because a busy machine may find the photo seconds later
         return out.read_text().count("\n") >= lines
 
     def fly() -> None:

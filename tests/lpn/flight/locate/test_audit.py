@@ -57,7 +57,7 @@ def test_tags_without_lag_are_said_to_have_none() -> None:
 
 
 def test_a_constant_offset_that_explains_the_differences_makes_no_lag() -> None:
-    """The lag of half a second is certain, but it explains little of what remains without the offset of 15 m."""
+    """The lag of half a second is certain, but it explains little beyond the offset of 15 m."""
     times = np.arange(0, 600, 3.0)
     noise = np.random.default_rng(3).normal(0, 4, (200, 2))
     found = audit_tags(times, _flown(times - 0.5) + np.array([12.0, -9.0]) + noise, _flown(times))

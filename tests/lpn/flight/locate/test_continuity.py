@@ -120,13 +120,13 @@ TURNS = np.array([-1.7, -2.5, 178.0, -1.0, -1.9, -1.6, -2.1, -181.0] * 2 + [6.7,
 def test_a_few_registrations_that_are_turned_unlike_the_others_are_found_out() -> None:
     assert other_turns(TURNS).keys() == {16, 17, 18, 19, 20}
     assert other_turns(TURNS)[18] == pytest.approx(9.5, abs=0.3)
-    # Half turns are no ground for a refusal, and are told in one: most of the others stand upright.
+    # A half turn is no ground for a refusal, but is named in one: most of the others stand upright.
     assert other_turns(np.append(TURNS, 188.0))[21] == pytest.approx(170, abs=0.3)
     assert other_turns(np.append(TURNS + 180.0, 188.0))[21] == pytest.approx(10, abs=0.3)
     # They may be the first frames, headings may be wrong by anything that is constant, and none are half turns.
     for wrong in (88.0, 90.0, 179.0, -91.0):
         assert other_turns(TURNS[::-1] + wrong).keys() == {0, 1, 2, 3, 4}
-    # One that is turned the other way does not hide them.
+    # A registration turned the opposite way does not hide them.
     assert other_turns(np.append(TURNS, -7.1)).keys() == {16, 17, 18, 19, 20, 21}
     # Headings that vary allow more than 5 degrees.
     assert other_turns(np.append(TURNS[:16], 5.0)).keys() == {16}

@@ -54,7 +54,7 @@ def model() -> Model:
 def filled(
     where: Path, town: Map, sizes: Sequence[float], overlap: float = 0.5, turns: int = 1, stop: int = 10**6
 ) -> str:
-    """Fill an index, and stop after some windows where that is told."""
+    """Fill an index; if a number is given, stop after so many windows."""
     describe = window_describer(model(), town)
 
     def described(windows: Sequence[Window]) -> Float32Array:

@@ -59,13 +59,13 @@ def followed(frames: list[LocatedFrame]) -> list[LocatedFrame]:
 
 
 def off(metres: float, agreeing: int) -> list[LocatedFrame]:
-    """Scattered places, of whose tags some lie so many metres off and the others 200."""
+    """Scattered places with tags `metres` off for some, and 200 m for the others."""
     tags = {i: (x, y + (metres if k < agreeing else 200.0)) for k, (i, (x, y)) in enumerate(SCATTERED.items())}
     return tagged(flight(SCATTERED), tags)
 
 
 def apart(metres: float) -> list[LocatedFrame]:
-    """Two registered photos of 20 that lie so many metres apart, with tags."""
+    """Two registered photos of 20, `metres` apart, with tags."""
     return tagged(flight({3: (0.0, 0.0), 8: (metres, 0.0)}), {3: (0.0, 10.0), 8: (metres, 10.0)})
 
 
@@ -84,7 +84,7 @@ PAIRS = {2 * i + more: (x + more, y) for i, (x, y) in NEAR.items() for more in (
         (flight({i: (90.0 * i - 400, 400.0 * (i % 2)) for i in range(10)}), None, None, 10),
         (flight({i: (90.0 * i - 400, 0.0) for i in range(4)}, 5), None, None, 4),
         (flight({i: (90.0 * i - 400, 0.0) for i in range(3)}, 5), None, None, 0),
-        # Neighbours overlap, but a drone that hovers over what fits by chance shows one view, or the same things.
+        # Neighbours overlap, but a drone that hovers over a chance fit has one view, or views of common objects.
         (flight(TRACK), None, None, 5),
         (flight({i: (14.0 * (i % 2), 0.0) for i in range(20)}), None, None, 0),
         (flight({i: (16.0 * (i % 2), 0.0) for i in range(20)}), None, None, 0),
@@ -97,7 +97,7 @@ PAIRS = {2 * i + more: (x + more, y) for i, (x, y) in NEAR.items() for more in (
         (tagged(flight({0: (0.0, 0.0)}, 1), {0: (3.0, 4.0)}), None, None, 1),
         (tagged(flight({0: (0.0, 0.0)}, 1), {0: (3.0, 4.0)}), 15.0, None, 0),
         (tagged(flight({0: (0.0, 0.0)}, 1), {0: (300.0, 4.0)}), None, None, 0),
-        # Tags that the search used prove what chance does not: each agrees by chance in every second draw within 15 m.
+        # Tags that the search used prove little: each agrees by chance in every second draw within 15 m.
         (tagged(flight(NEAR), FORGED, False), None, None, 5),
         (tagged(flight(NEAR), FORGED, False), 100.0, None, 5),
         (tagged(flight(NEAR), FORGED, False), 15.0, None, 0),

@@ -20,7 +20,7 @@ from lpn.flight.maps import Map, Window, open_map
 from tests.lpn.flight.locate.scenery import ground_to_photo, land, photo_of, write_map
 
 SIZE = (320, 240)
-# A file that tells height and field of view, so that one width of 70 m is tried; its size is that of the camera's picture.
+# A file with height and field of view, so that one width of 70 m is tried; its size is the camera's.
 FLOWN = Frame("own.jpg", Path("own.jpg"), 4000, 3000, height_above_ground=35.0, fov=90.0)
 
 

@@ -86,7 +86,7 @@ def photos(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     files = []
     for i, (place, heading) in enumerate(zip(PLACES, HEADINGS, strict=True)):
         picture = photo_of(land(), ground_to_photo(place, heading, WIDTH, SIZE), SIZE, i)
-        # The third photo was turned by half a turn and saved again.
+        # The third photo was saved upside down.
         picture = picture[::-1, ::-1] if i == 2 else picture
         files.append(folder / f"{i}.png")
         cv2.imwrite(str(files[-1]), np.ascontiguousarray(picture[..., ::-1]))
@@ -145,7 +145,7 @@ def test_a_run_goes_on_after_a_kill(town: Map, flight: Flight, monkeypatch: pyte
     assert again[:2] == whole[:2]
     assert run() == again
     assert len(registered) == 2
-    # Another height of the first frame makes all answers new, as each takes over the widths before it.
+    # Another height of the first frame changes all answers, because each uses the widths of earlier frames.
     moved = (replace(flight.frames[0], height_above_ground=81.0), *flight.frames[1:])
     locate(town, replace(flight, frames=moved), None, SIFT)
     assert len(registered) == 6
@@ -158,7 +158,7 @@ def test_a_run_goes_on_after_a_kill(town: Map, flight: Flight, monkeypatch: pyte
 def test_a_few_photos_without_tags_prove_the_map_one_by_one(
     count: int, tagged: int, corrected: bool, proven: int, town: Map, flight: Flight, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Four photos of another place are no flight, so one without a tag is not accepted more easily than one alone is."""
+    """Four photos are too few for a flight's evidence: without a tag, each must be proven like a single photo."""
     searches: list[registered_stage.PhotoSearch] = []
 
     def search(one: registered_stage.PhotoSearch) -> StageRecord:
@@ -184,7 +184,7 @@ def test_a_correction_is_the_truth_and_stands_in_place_of_the_registration(
 ) -> None:
     answer = StageRecord("accepted", "It agrees.", 3.0, 4.0, camera=True, radius=0.5, width=WIDTH, alone=True)
     monkeypatch.setattr(registered_stage, "register_frame", lambda *_: answer)
-    # The last frame has no tilt, so a correction tells its middle only; the first was flown at 10 degrees of roll.
+    # The last frame has no tilt, so a correction gives only its middle; the first has 10 degrees of roll.
     frames = (replace(flight.frames[0], roll=10.0), *flight.frames[1:3], replace(flight.frames[3], pitch=None))
     kept = {
         name: Correction.of(_corners(place, heading), town.frame)
@@ -195,7 +195,7 @@ def test_a_correction_is_the_truth_and_stands_in_place_of_the_registration(
     first, second, _, last = found.frames
     assert first.by_hand is not None
     assert first.by_hand.camera
-    # Looking to the left by 10 degrees with the top to the east, the camera is south of what its middle shows.
+    # Looking to the left by 10 degrees with the top to the east, the camera is south of its picture's middle.
     np.testing.assert_allclose(first.truth(True), (3.0, -HEIGHT * math.tan(math.radians(10))), atol=1e-3)
     np.testing.assert_allclose(first.truth(False), (3.0, 0.0), atol=1e-3)
     assert first.error("registration") == pytest.approx(4 + HEIGHT * math.tan(math.radians(10)), abs=1e-3)
@@ -435,14 +435,14 @@ def test_a_photo_beyond_what_was_searched_is_searched_again_about_its_place(
 
 
 class _MutualMatcher(SiftMatcher):
-    """SIFT that keeps what several places share, as XFeat does."""
+    """SIFT that, like XFeat, keeps matches of features that several places share."""
 
     name = "Mutual"
     ratio = 1.0
 
 
 class _OneEyedMatcher(SiftMatcher):
-    """SIFT that finds places in the map's eastern half only, although it describes the whole."""
+    """SIFT that describes the whole map, but matches only in its eastern half."""
 
     def match(self, photo: Features, ground: Features) -> np.ndarray:
         pairs = super().match(photo, ground)
@@ -484,7 +484,7 @@ def test_a_place_that_earlier_matches_hardly_support_is_no_rival(town: Map) -> N
 
 
 def _tilted(folder: Path, pitch: float, roll: float, told: float) -> Frame:
-    """Photograph the land from 80 m above its middle with a tilt, and tell another pitch."""
+    """Render a tilted photo from 80 m above the land's middle, with another pitch in its frame."""
     size = (480, 360)
     camera = Frame(
         "t.png", folder / "t.png", *size, None, None, None, HEIGHT, None, None, 20.0, "gimbal", pitch, roll, FOV
@@ -510,7 +510,7 @@ def test_the_camera_is_told_within_its_radius(
     assert answer.radius is not None
     assert answer.x is not None
     assert answer.y is not None
-    # The radius is that of one axis, so twice it covers 86 % of errors; a tilt told wrongly by 1 sigma fills one.
+    # The radius is of one axis, so twice it covers 86 % of errors; a tilt wrong by 1 sigma moves the place by one radius.
     assert math.hypot(answer.x, answer.y) < 2 * answer.radius
     assert HEIGHT * math.tan(math.radians(1.5)) * 0.9 < answer.radius < 4.0
 
@@ -651,7 +651,7 @@ def _ranked(
     Sentences about the sequence are added to `notes`.
     """
     places = np.stack(np.meshgrid(*[40.0 * np.arange(-2, 3)] * 2), axis=-1).reshape(-1, 2)
-    # One part in as many dimensions as windows: the score of a window is its entry of the frame's descriptor.
+    # One part with a dimension for each window: a window's score is its entry of the frame's descriptor.
     tiles = np.eye(25, dtype=np.float32)[:, None]
     described = [None if i in broken else row[None, None].astype(np.float32) for i, row in enumerate(scores)]
     windows = [Window(x, y, 40.0) for x, y in places]
@@ -683,7 +683,7 @@ def _ranked(
 def test_steps_that_do_not_follow_the_headings_are_told(
     flight: Flight, turned: int, seconds: float, told: bool
 ) -> None:
-    """A step of a tenth of a second is much shorter than the windows' spacing, at every speed that is tried."""
+    """At every tried speed, a step of 0.1 s is much shorter than the windows' spacing."""
     columns = [0, 1, 2, 3, 4, 3, 2, 1, 0, 1, 2, 3]
     east = [True] * 5 + [False] * 4 + [True] * 3
     frames = tuple(

@@ -1,4 +1,4 @@
-"""Answers that ship with a flight: those of the demo are used, and none that is of something else."""
+"""Answers that ship with a flight: the demo's are used, and answers of other data are not."""
 
 from __future__ import annotations
 

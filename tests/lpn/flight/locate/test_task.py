@@ -43,7 +43,7 @@ def flight(town: Map, tmp_path_factory: pytest.TempPathFactory) -> Flight:
 @pytest.fixture(scope="module")
 def located(town: Map, flight: Flight, model: Model) -> LocatedFlight:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(retrieval, "MIN_DISTINCT", 2)  # what an untrained network describes is much alike
+        patch.setattr(retrieval, "MIN_DISTINCT", 2)  # an untrained network's descriptors are much alike
         return locate(town, flight, model, LocateOptions(register=False, overlap=0.5, sizes=(51.0, 71.0)))
 
 

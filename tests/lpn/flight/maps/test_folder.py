@@ -119,7 +119,7 @@ def test_a_large_picture_that_is_not_tiled_is_copied(tmp_path: Path, monkeypatch
     options = MapOptions(corners=(48.0, 9.0, 47.999, 9.002))
     build_map([path], tmp_path / "map", options)
     assert [file.name for file in (tmp_path / "map" / "sheets").iterdir()] == ["01.tif"]
-    # The copy is not what it was made of, and may not be given for the same folder.
+    # The copy is another file, which may not be the input for the same folder.
     with pytest.raises(InputError, match=r"the files that it was made of: a\.png\.$"):
         build_map([tmp_path / "map"], tmp_path / "again")
     path.unlink()

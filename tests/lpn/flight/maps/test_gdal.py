@@ -162,7 +162,7 @@ CASES: dict[str, Callable[[Path, str], Path]] = {
 
 
 def doors(path: Path, out: Path) -> dict[str, Callable[[], Any]]:
-    """Return what opens rasters of users."""
+    """Return the functions that open rasters of users."""
     flight = str(DEMO_FLIGHT[1])
     town = write_geotiff(out / "ortho.tif", smooth(60, 60))
     return {
@@ -182,7 +182,7 @@ def doors(path: Path, out: Path) -> dict[str, Callable[[], Any]]:
 
 
 def outcome(door: Callable[[], Any]) -> str:
-    """Return the sentence by which a door refuses a file, or what else came of it."""
+    """Return the sentence by which a function refuses a file, or another outcome."""
     try:
         result = door()
     except LPNError as error:
@@ -282,7 +282,7 @@ def test_no_table_of_an_mbtiles_is_another_file(tmp_path: Path) -> None:
     database.close()
     with pytest.raises(DataError, match="cannot be read as a map"):
         open_map(path)
-    # GDAL itself reads the other file.
+    # GDAL alone would read the named file.
     program = "import sys, rasterio\nwith rasterio.open(sys.argv[1]) as file:\n    print(file.read(1).std() > 10)"
     environment = {name: value for name, value in os.environ.items() if not name.startswith("OGR_")}
     ran = subprocess.run(

@@ -27,7 +27,7 @@ def test_real_maps_are_read_without_their_borders(
 ) -> None:
     town = open_map(Path(str(FLIGHTS)) / name)
     west, south, east, north = town.bounds
-    # The frame's north is not that of UTM, so that the bounds are a little wider than the sheet.
+    # The frame's north differs from UTM's, so the bounds are a little wider than the sheet.
     assert (east - west, north - south) == pytest.approx(metres, rel=0.04)
     assert town.resolution == pytest.approx(resolution, rel=2e-3)
     shown = metres[0] * metres[1] * valid

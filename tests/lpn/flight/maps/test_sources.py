@@ -416,7 +416,7 @@ def test_other_rasters_with_a_georeference_are_the_geotiff(tmp_path: Path, drive
 
 
 def test_a_photo_turned_by_its_world_file_in_degrees(tmp_path: Path) -> None:
-    """Programs for single drone photos write such files: turned by nearly 180 degrees."""
+    """Programs for single drone photos write such files, turned by nearly 180 degrees."""
     steps = (-3.5e-07, 2.6e-09, 3.1e-09, 3.0e-07)
     path = picture_with_world_file(tmp_path / "a.jpg", ".jgw", None, "\n".join(map(str, (*steps, -51.7, -19.7))))
     town = open_map(path, MapOptions(crs="EPSG:4326"))

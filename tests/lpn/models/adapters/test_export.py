@@ -35,7 +35,7 @@ from tools.fixtures.seeded import relative
 
 
 def exported(state: State, options: str, folder: Path, names: list[str]) -> tuple[Model, Model]:
-    """Return a model of PyTorch, and what is opened from its export."""
+    """Return a model of PyTorch, and the model of its export."""
     torch.save(state, folder / "net_119.pth")
     (folder / "opts.yaml").write_text(options)
     files = export(folder / "net_119.pth", folder / "model.onnx")

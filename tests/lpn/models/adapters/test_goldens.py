@@ -44,7 +44,7 @@ class Case:
         self.trunk = output
 
     def check(self, count: int) -> list[Trace]:
-        """Compare raw parts, those of the mirror, and descriptors of the first pictures, and return their traces."""
+        """Compare raw parts of picture and mirror, and descriptors of the first pictures; return their traces."""
         golden, model = self.golden, self.model
         traces, raw, mirror = [], [], []
         for picture in golden.pictures[:count]:

@@ -1,4 +1,4 @@
-"""Which adapter reads a checkpoint, what it refuses, and which entries it names as not read."""
+"""The adapter of each checkpoint, its refusals, and the entries that it names as not read."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Networks of timm and transformers whose tokens are pooled by name: what they return, their account, and what is refused."""
+"""Networks of timm and transformers whose tokens are pooled by name: outputs, account, and refusals."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def account_error(model: lpn.Model, picture: AnyArray) -> float:
 
 
 def timm_file(name: str, side: int, folder: Path) -> str:
-    """Write seeded weights of a network of timm, and return what opens it."""
+    """Write seeded weights of a network of timm, and return its model value."""
     network = timm_networks.named_network(timm_networks.base_name(name), (side, side), own_size=True)
     state = seeded.entries({key: list(value.shape) for key, value in network.state_dict().items()})
     torch.save(state, folder / "weights.pth")
