@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import re
+import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 from playwright.sync_api import BrowserContext, Locator, Page, expect
 
+from explorer.workspace import WorkspaceAnalyser
 from tests.e2e.conftest import Running, RunningApp, Screen, box, expect_accessible, started
 from tools.fixtures import panorama_model, small_worlds
 from tools.fixtures.published_results import save_result
@@ -161,17 +163,15 @@ def test_the_photo_follows_the_hand_and_one_result_the_photo(running: Running, s
     assert not screen.complaints
 
 
-def test_numbers_of_another_angle_are_faded_until_their_result_is_there(running: Running, screen: Screen) -> None:
+def test_numbers_of_another_angle_are_faded_until_their_result_is_there(
+    screen: Screen, monkeypatch: pytest.MonkeyPatch
+) -> None:
     screen.open()
-    assert screen.page.evaluate("document.documentElement.dataset.tab") in running.app._channel.sessions
-    faded = screen.page.evaluate(
-        """async () => {
-          dispatchEvent(new KeyboardEvent("keydown", { key: "j" }));
-          await new Promise(requestAnimationFrame);
-          return document.body.classList.contains("turning");
-        }"""
-    )
-    assert faded
+    may_answer, analyse = threading.Event(), WorkspaceAnalyser.analyse
+    monkeypatch.setattr(WorkspaceAnalyser, "analyse", lambda *given: may_answer.wait(60) and analyse(*given))
+    screen.key("j")
+    expect(screen.page.locator("body")).to_have_class(re.compile("turning"))
+    may_answer.set()
     screen.rest("15")
 
 
