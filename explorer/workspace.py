@@ -375,7 +375,7 @@ class LazyWorkspace:
 
     @property
     def asked(self) -> bool:
-        """Whether it was opened, or its opening has begun."""
+        """True once its opening has begun."""
         return self._job is not None
 
     def open(self) -> BackgroundJob[Workspace]:

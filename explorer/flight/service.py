@@ -140,7 +140,7 @@ class SharedFlight:
     def correct(self, frame: int, corners: Float64Array | None) -> None:
         """Store a frame's correction on disk, for all tabs; None removes it.
 
-        Of two tabs of this server, the later one wins; a newer correction by another program is not overwritten.
+        The later of two tabs of this server wins; a newer correction by another program is not overwritten.
 
         Args:
             corners: of the picture in metres of the map's frame, (4, 2).

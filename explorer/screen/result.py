@@ -90,7 +90,7 @@ class ScreenResult:
 
     @cached_property
     def pinned(self) -> bool:
-        """Whether the user chose the compared tile."""
+        """True if the user chose the compared tile."""
         chosen = self.state.compare
         return chosen is not None and chosen != self.first.index and self.analysis.ranking.holds(chosen)
 

@@ -326,7 +326,7 @@ class _Connection(ServerConnection):
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         """Abort the oldest connection without a request if too many are pending, so that file descriptors suffice.
 
-        Whoever holds half-open connections thus keeps nobody else out.
+        So a client with half-open connections keeps nobody else out.
         """
         super().connection_made(transport)
         pending = [one for one in self.server.handlers if one.state is CONNECTING and not one.transport.is_closing()]

@@ -33,7 +33,7 @@ class ServedPage:
 
     @property
     def closed(self) -> bool:
-        """Whether the page has been closed."""
+        """True once the page is closed."""
         return self._closed.is_set()
 
     def close(self) -> None:

@@ -193,7 +193,7 @@ class Dataset:
             has this layout.
         priority: layouts of a higher priority are tried first.
         deep: `recognises` searches the whole folder, so it is called last, and for no folder above or below.
-        splits: lists of each split, one of which must exist; a path may end in a split's name.
+        splits: lists of each split; at least one must exist. A path may end in a split's name.
         folders: folders below the root whose pictures are all read.
         expected: the expected layout, for the errors about missing pictures.
         panoramas: True if street pictures show the full circle with north in the middle column, as in CVUSA and CVACT.

@@ -19,7 +19,7 @@ from lpn.core.files import printable
 
 T = TypeVar("T")
 
-# Lists hold hundreds of thousands of paths, nearly all of which are normalised already.
+# Lists hold hundreds of thousands of paths, and nearly all are already normalised.
 _PLAIN = re.compile(r"\w[\w-]*(\.\w+)*(/\w[\w-]*(\.\w+)*)*", re.ASCII)
 _DRIVE = re.compile(r"[A-Za-z]:/")
 # Folders that macOS's archives, Windows, Synology's servers, and Linux create; their pictures are not the user's.

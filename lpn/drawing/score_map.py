@@ -31,7 +31,7 @@ class ScoreMap:
 def score_map(places: Float64Array, sizes: Float64Array, values: Float64Array) -> ScoreMap | None:
     """Paint each window's score over the ground about its centre, half way to its neighbours of equal size.
 
-    Of overlapping windows of several sizes, the highest score counts.
+    Where windows of several sizes overlap, the highest score counts.
 
     Args:
         places: centres, (W, 2) metres; those of one size lie on a grid.

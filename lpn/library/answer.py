@@ -119,7 +119,7 @@ class Answer:
 
     @cached_property
     def verdict(self) -> Verdict:
-        """Whether the first match is right, and the parts that decide it."""
+        """The judgement of the first match, with the parts that decide it."""
         return verdict.judge(
             self.ranking, self.task.part_names, self.task.contract.part_noun, self.error_m(self.matches[0])
         )

@@ -30,7 +30,7 @@ _SHOWN = 5
 def file_in(folder: Path) -> Path:
     """Return the only model file in a folder or in the only run below it.
 
-    Of several checkpoints `net_*.pth` of one run, the newest is taken, and logged.
+    If a run has several checkpoints `net_*.pth`, the newest is taken, and logged.
 
     Raises:
         ModelFileError: if there is none, or several are possible; the message names them.

@@ -250,14 +250,12 @@ def rank(scores: Scores, ground_truth: GroundTruth, rows: slice, block: Float32A
     whole = 1 / (first[alone] + 1)
     precision[alone] = np.where(trapezoid[alone], (whole + (first[alone] == 0)) / 2, whole)
     for i in np.flatnonzero(crowded | (counts > 1)).tolist():
-        own, query = slice(begins[i], begins[i] + counts[i]), rows.start + i
-        found = None
-        if not crowded[i]:
-            found = _ranks_of_several(scores, query, tile[own], score[own], block[i], gap[i], most)
+        own, query, line = slice(begins[i], begins[i] + counts[i]), rows.start + i, block[i]
+        found = None if crowded[i] else _ranks_of_several(scores, query, tile[own], score[own], line, gap[i], most)
         if found is None:
-            exact = scores.exact(query, np.arange(block.shape[1]))
-            found = _ranks_in_double(exact, tile[own], block[i] > -np.inf)
-            false[i] = np.argmax(np.where(block[i] > -np.inf, exact, -np.inf))
+            exact, is_false = scores.exact(query, np.arange(len(line))), line > -np.inf
+            found = _ranks_in_double(exact, tile[own], is_false)
+            false[i] = np.argmax(np.where(is_false, exact, -np.inf))
         ranks, true[i] = found
         if len(ranks):
             first[i], precision[i] = ranks[0], average_precision(ranks, bool(trapezoid[i]))

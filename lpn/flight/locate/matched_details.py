@@ -10,7 +10,7 @@ from lpn.flight.locate.agreement import PhotoPlaces, offset_rows
 from lpn.flight.locate.levelled import PhotoView
 from lpn.flight.locate.registration import Registration
 
-# Most details in a sample: as many as a person can distinguish in a picture.
+# Most details in a sample: a person cannot distinguish more in a picture.
 _SAMPLE = 24
 # Rows of a photo in which the details of a sample are numbered from left to right.
 _ROWS = 4

@@ -156,7 +156,7 @@ class Registration:
         turn: degrees clockwise, -180 .. 180, from the expected heading to `heading`; None if none was expected.
         covariance: of the centre in square metres, (2, 2) float64.
         places: all compared places, this one first.
-        matched: the matches, of which `inliers` agree; None without a match.
+        matched: the matches; `inliers` of them agree. None without a match.
     """
 
     refusal: Reason | None

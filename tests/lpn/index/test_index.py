@@ -566,17 +566,6 @@ def test_what_cannot_be_indexed_or_searched_is_told_in_a_sentence(
         assert error.count("\n") == 1
         assert not (tmp_path / "i").exists()
 
-    kind = DescriptorKind("f", 4, 64)
-    tiles = Tiles.draw(200, kind=kind)
-    with ExactIndex.create(tmp_path / "a", kind) as index:
-        tiles.add_to(index)
-        query = tiles.descriptors[7].astype(np.float64)
-        once = index.search(query, None, 5)
-        for length in (2.0**20, 2.0**130):
-            found = index.search(query * length, None, 5)
-            assert found.ids == once.ids
-            np.testing.assert_allclose(found.scores, once.scores * length, rtol=1e-6)
-
 
 def test_no_float32_score_is_off_by_more_than_its_bound_which_is_small() -> None:
     kind = DescriptorKind("f", 4, 64)

@@ -94,7 +94,7 @@ def test_a_resumed_run_has_the_losses_of_an_uninterrupted_one(
     run, _ = trainer(places, tmp_path / "cut", recipe)
     _run_one_epoch(run, monkeypatch)
     assert len(losses(tmp_path / "cut")) == 1
-    # As if it had been killed between the writing of its state and of its model.
+    # This is the state after a kill between the writing of state and model.
     (tmp_path / "cut" / "last.safetensors").unlink()
     (tmp_path / "cut" / "log.csv").unlink()
     resumed, said = trainer(places, tmp_path / "cut", recipe, resume=True)

@@ -15,7 +15,7 @@ from explorer.screen.result import ScreenResult
 from lpn.analysis.comparison import effect_on
 from lpn.tasks.task import Task
 
-# Whether the weights that put the truth first are applied to all photos.
+# True if the weights that put the truth first apply to all photos.
 TRIED = PanelField("compare_tried", OneOf(("no", "yes")), "no", "tried", of_query=True)
 
 
