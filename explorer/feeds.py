@@ -7,13 +7,13 @@ import re
 import secrets
 import threading
 from collections import OrderedDict, deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, Literal
 from weakref import WeakSet
 
 from explorer.server.picture_route import PREFIX, EncodedPicture
 from explorer.workspace import Workspace
-from lpn.core.templates import shown
+from lpn.core.files import TYPED, printable
 from lpn.tasks.task import Task
 
 # Entries of a list in one piece.
@@ -24,6 +24,8 @@ _KEPT = 2
 _ENDED = 1000
 _PIECE = re.compile(r"([0-9a-f]{16})/(\d{1,7})", re.ASCII)
 _THUMBNAIL = re.compile(r"(thumb|picture)/(\d{1,3})/(query|tile)/(\d{1,10})", re.ASCII)
+# JSON escapes control characters below 32; line breaks and tabs stay, like escaped quotes and backslashes.
+_CONTROL = re.compile(r'(\\["\\nt])|\\(?:[bfr]|u00[01][0-9a-f])')
 # Returns a piece of a feed by its number; None for an unknown number.
 Piece = Callable[[int], EncodedPicture | None]
 Side = Literal["query", "tile"]
@@ -148,14 +150,14 @@ _NOTHING = EncodedPicture(b"[]", "application/json")
 
 def as_json(value: Any) -> EncodedPicture:
     """Encode a value as JSON, without control characters in its texts."""
-    return EncodedPicture(json.dumps(shown_json(value), separators=(",", ":")).encode("ascii"), "application/json")
+    return EncodedPicture(json_text(value).encode(), "application/json")
 
 
-def shown_json(value: object) -> object:
-    """Return a JSON value without control characters in its texts."""
-    match value:
-        case Mapping():
-            return {key: shown_json(entry) for key, entry in value.items()}
-        case list() | tuple():
-            return [shown_json(entry) for entry in value]
-    return shown(str(value) if isinstance(value, str) else value)
+def json_text(value: object) -> str:
+    """Return a value as JSON, with "?" for each control character in its texts, see `lpn.core.files.printable`.
+
+    Raises:
+        TypeError, ValueError: if it is no value of JSON.
+    """
+    text = json.dumps(value, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
+    return printable(_CONTROL.sub(lambda match: match[1] or "?", text), TYPED)

@@ -15,7 +15,7 @@ import viser
 from websockets.asyncio.server import ServerConnection
 from websockets.exceptions import ConnectionClosed
 
-from explorer.feeds import shown_json
+from explorer.feeds import json_text
 from explorer.screen.loop import ScreenMessage
 from lpn.core.resources import return_memory
 
@@ -168,7 +168,7 @@ async def _write(outbox: Outbox, connection: ServerConnection) -> None:
     while True:
         message = await outbox.take()
         try:
-            text = json.dumps(shown_json(message), separators=(",", ":"), allow_nan=False)
+            text = json_text(message)
         except (TypeError, ValueError):  # later messages are still handled
             log.exception("A message to a page is no JSON: %s", ", ".join(message))
             continue

@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 
 from explorer.app import App
-from explorer.feeds import shown_json
+from explorer.feeds import json_text
 from explorer.opening import open_model
 from lpn.core.files import TYPED, printable
 from lpn.tasks import notes
@@ -67,5 +67,5 @@ def test_no_message_to_a_page_holds_any(tmp_path: Path, model_file: Path) -> Non
 
 
 def test_what_is_sent_as_json_keeps_what_people_type() -> None:
-    shown = shown_json({"names": [f"a{EVIL}", ("\u200f(1)\n", 1.5, None)]})
-    assert shown == {"names": [f"a{printable(EVIL)}", ["\u200f(1)\n", 1.5, None]]}
+    given = {"names": [f"a{EVIL}", ("\u200f(1)\n\t\\r \\u0007", 1.5, None)]}
+    assert json.loads(json_text(given)) == {"names": [f"a{printable(EVIL)}", ["\u200f(1)\n\t\\r \\u0007", 1.5, None]]}
