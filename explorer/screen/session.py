@@ -94,6 +94,8 @@ class ScreenSession:
         # Work behind an answer.
         self._rail, self._listed, self._listing = Rail(), False, threading.Lock()
         self._ranked: RankingJob | None = None
+        # The photo that was shown when the missed ones were listed before the ranking knew them.
+        self._unlisted: ScreenState | None = None
         self._ranks = Worker(self._rank, lambda _: None)
         self._curve, self._occlusion = Curve(send, screens.held), Occlusion(send)
         self._own = OwnPhotos(screens.own, send)
@@ -172,12 +174,18 @@ class ScreenSession:
     def _with_photo_of_list(self, before: ScreenState, state: ScreenState) -> ScreenState:
         """Show the worst missed query when the missed ones are listed; close a page over the rings for another photo."""
         if state.filter == "missed" != before.filter and not state.own:
-            missed = listed_queries(state, self._access.workspace(state), self._access.ranking(state)).tolist()
-            if missed and state.query not in missed:
-                state = fields.changed(state, {"query": missed[0]}, self.services.workspace)[0]
+            self._unlisted = state if self._access.ranking(state).result is None else None
+            state = self._at_missed(state)
         moved = (before.query, before.own) != (state.query, state.own)
         covers = state.panel == before.panel != "" and PANELS[state.panel].place == "page"
         return replace(state, panel="") if moved and covers else state
+
+    def _at_missed(self, state: ScreenState) -> ScreenState:
+        """Show the worst missed query unless a missed one is shown."""
+        missed = listed_queries(state, self._access.workspace(state), self._access.ranking(state)).tolist()
+        if not missed or state.query in missed:
+            return state
+        return fields.changed(state, {"query": missed[0]}, self.services.workspace)[0]
 
     def send(self, message: ScreenMessage) -> None:
         """Send a message to the open panel's module."""
@@ -524,6 +532,11 @@ class ScreenSession:
         if not ranking.join(self).wait(_POLL):
             return 0.0
         self._show_rail()
+        with self._lock:
+            state, before = self.state, self._unlisted
+            if before is not None and (state.filter, state.query, state.own) == ("missed", before.query, before.own):
+                self._show(self._at_missed(state), [])
+            self._unlisted = None
         return None
 
     # The analysis.

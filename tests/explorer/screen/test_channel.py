@@ -138,6 +138,28 @@ def test_the_missed_queries_stand_worst_first(app: App, tab: Tab, workspace: Wor
     assert len(ranks) == int(workspace.rankings["drone-to-satellite"].failed.sum()) == rail["missed"]
 
 
+def test_the_worst_missed_query_is_shown_once_a_long_ranking_knows_it(
+    tab: Tab, workspace: Workspace, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ranking, done = workspace.rankings["drone-to-satellite"], threading.Event()
+    result, worst = ranking.result, int(ranking.ranks.argmax())
+    found = int(np.flatnonzero(ranking.ranks == 0)[0])
+
+    def wait(seconds: float) -> bool:
+        if done.wait(seconds):
+            monkeypatch.setattr(ranking, "result", result)
+        return done.is_set()
+
+    monkeypatch.setattr(ranking, "result", None)
+    monkeypatch.setattr(ranking, "join", lambda _: SimpleNamespace(wait=wait))
+    tab.open(f"?query=~{found}")
+    tab.send({"set": {"filter": "missed"}})
+    rail = tab.until(lambda last: "rail" in last and last["rail"]["worst_first"])["rail"]
+    assert (rail["total"], tab.last["state"]["query"]) == (0, found)
+    done.set()
+    tab.result(query=worst)
+
+
 def test_the_curve_has_the_rank_of_each_angle_as_its_result_has(tab: Tab) -> None:
     tab.open("?query=0003")
     curve = tab.until(lambda last: len(last.get("curve", {"points": []})["points"]) == 24)["curve"]
