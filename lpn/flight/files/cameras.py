@@ -47,12 +47,15 @@ def from_gimbal(yaw: float, pitch: float, roll: float) -> tuple[float, float, fl
 
 
 def turned(
-    heading: float, pitch: float | None, roll: float | None, turns: int
-) -> tuple[float, float | None, float | None]:
+    heading: float | None, pitch: float | None, roll: float | None, turns: int
+) -> tuple[float | None, float | None, float | None]:
     """Return a picture's angles in degrees after quarter turns clockwise, which bring its left side to the top."""
-    if not turns or pitch is None:
-        return (heading - 90.0 * turns) % 360.0, pitch, roll
-    return angles(rotation(heading, pitch, roll or 0.0) @ _yaw_pitch_roll(-90.0 * turns, 0.0, 0.0))
+    if turns and pitch is not None:
+        matrix = rotation(heading or 0.0, pitch, roll or 0.0) @ _yaw_pitch_roll(-90.0 * turns, 0.0, 0.0)
+        upright, pitch, roll = angles(matrix)
+    else:
+        upright = ((heading or 0.0) - 90.0 * turns) % 360.0
+    return None if heading is None else upright, pitch, roll
 
 
 def upright_values(
@@ -69,11 +72,8 @@ def upright_values(
             width of the picture as it was taken.
     """
     upright = dict(values)
-    if turns and (heading := values.get("heading")) is not None:
-        told = turned(heading, values.get("pitch"), values.get("roll"), turns)
-        upright |= {
-            name: angle for name, angle in zip(("heading", "pitch", "roll"), told, strict=True) if angle is not None
-        }
+    told = turned(values.get("heading"), values.get("pitch"), values.get("roll"), turns)
+    upright |= {n: angle for n, angle in zip(("heading", "pitch", "roll"), told, strict=True) if angle is not None}
     is_across_height = frame.height > frame.width if across_longer_side else turns % 2 == 1
     if frame.lens is not None:
         upright.pop("fov", None)

@@ -147,6 +147,7 @@ ROWS: tuple[PropertyRow, ...] = (
     PropertyRow("focal length", "exif", "FocalLength", "millimetres", "", _EXIF),
     PropertyRow("equivalent", "exif", "FocalLengthIn35mmFilm", "millimetres", "", _EXIF),
     PropertyRow("resolution", "exif", "FocalPlaneXResolution FocalPlaneResolutionUnit", "pixels", "", _EXIF),
+    PropertyRow("size", "exif", "ExifImageWidth ExifImageHeight", "pixels", "", _EXIF),
     PropertyRow("size", "exif", "PixelXDimension PixelYDimension", "pixels", "", _EXIF),
     PropertyRow("zoom", "exif", "DigitalZoomRatio", "times", "", _EXIF),
     PropertyRow("taken", "exif", "DateTimeOriginal", "text", "", _EXIF),
@@ -224,6 +225,14 @@ class Properties:
             if row.field != "zoom":
                 self.refuse(f"{row.namespace}:{name}")
             return None
+        if row.field == "position" and row.namespace == "exif":
+            reference = text_of(self.raw(f"{name}Ref"))[:1].upper()
+            if reference in ("S", "W"):
+                return -abs(value)
+            # Without a letter, a sign or a text tells the hemisphere.
+            if reference not in ("N", "E") and value > 0 and not isinstance(raw, str):
+                self.refuse(f"exif:{name}Ref")
+                return None
         return None if value == 0 and row.unit == "metres, 0 if unknown" else value
 
 

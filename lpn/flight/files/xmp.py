@@ -9,10 +9,13 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from html import unescape
-from typing import NamedTuple
 from xml.etree import ElementTree
 
 from lpn.flight.files.makers import namespace_of
+
+# A namespace of `lpn.flight.files.makers.NAMESPACES`, "" for others; local names from the outermost property inwards, joined by
+# "/", such as "CameraOrientationNED/Yaw"; and the value.
+XmpProperty = tuple[str, str, str]
 
 _MOST_BYTES = 2_000_000
 _OPENING = re.compile(r"<([\w-]{1,40}:(?:xmpmeta|RDF))\b")
@@ -24,20 +27,6 @@ _PREFIX = re.compile(r"""\bxmlns:([\w-]{1,40})="([^"<]{0,200})""")
 _PROPERTY = re.compile(
     r'(?<![\w-])([\w-]{1,40}):(\w{1,60})(?:\s{0,9}=\s{0,9}"([^"<>]{0,2000})"|>([^<>]{0,2000})</\1:\2>)'
 )
-
-
-class XmpProperty(NamedTuple):
-    """A property of an XMP packet.
-
-    Attributes:
-        namespace: a key of `lpn.flight.files.makers.NAMESPACES`; "" for others.
-        name: local names from the outermost property inwards, joined by "/", such as "CameraOrientationNED/Yaw".
-        text: the value.
-    """
-
-    namespace: str
-    name: str
-    text: str
 
 
 def read_xmp(packet: bytes) -> tuple[list[XmpProperty], bool]:
@@ -53,34 +42,23 @@ def read_xmp(packet: bytes) -> tuple[list[XmpProperty], bool]:
     end = text.rfind(f"</{opening[1]}")
     text = text[opening.start() : None if end < 0 else text.find(">", end) + 1]
     try:
-        return list(_properties(ElementTree.fromstring(text))), False
+        return list(_properties(ElementTree.fromstring(text), ())), False
     except (ElementTree.ParseError, RecursionError):
-        pass
-    declared = dict(_PREFIX.findall(text))
+        declared = dict(_PREFIX.findall(text))
     found = _PROPERTY.findall(text)
     return [
-        XmpProperty(namespace_of(declared.get(prefix, prefix)), name, unescape(attribute or element).strip())
+        (namespace_of(declared.get(prefix, prefix)), name, unescape(attribute or element).strip())
         for prefix, name, attribute, element in found
         if prefix != "xmlns"
     ], True
 
 
-def _properties(root: ElementTree.Element) -> Iterator[XmpProperty]:
-    """Yield the properties below an element, in the order of the packet."""
-    # Elements still to be read, each with the tags of the properties around it.
-    waiting: list[tuple[ElementTree.Element, tuple[str, ...]]] = [(root, ())]
-    while waiting:
-        element, tags = waiting.pop()
-        tags = tags if element.tag.startswith(_FRAME) else (*tags, element.tag)
-        for tag, value in element.attrib.items():
-            if not tag.startswith(_FRAME):
-                yield _property((*tags, tag), value)
-        if tags and element.text and element.text.strip():
-            yield _property(tags, element.text)
-        if len(tags) < _MOST_LEVELS:
-            waiting += [(child, tags) for child in reversed(element)]
-
-
-def _property(tags: tuple[str, ...], text: str) -> XmpProperty:
-    names = [tag.rpartition("}")[2] for tag in tags]
-    return XmpProperty(namespace_of(tags[0].removeprefix("{").rpartition("}")[0]), "/".join(names), text.strip())
+def _properties(element: ElementTree.Element, tags: tuple[str, ...]) -> Iterator[XmpProperty]:
+    """Yield the properties of an element, within those of `tags`, in the order of the packet."""
+    tags = tags if element.tag.startswith(_FRAME) else (*tags, element.tag)
+    for tag, text in [*element.attrib.items(), ("", element.text or "")]:
+        path = [name.removeprefix("{").rpartition("}") for name in (*tags, tag) if name]
+        if path and text.strip() and not tag.startswith(_FRAME):
+            yield namespace_of(path[0][0]), "/".join(name for _, _, name in path), text.strip()
+    for child in element if len(tags) < _MOST_LEVELS else ():
+        yield from _properties(child, tags)

@@ -58,7 +58,7 @@ def test_files_that_lpn_flight_did_not_write_are_not_replaced(tmp_path: Path, na
     [
         ("46.842607083333334", "146.8", r"Line 2 .*Expected `float` <= 90\.0 in `latitude`"),
         ("46.842607083333334", "", "Line 2 .*both or none of latitude and longitude"),
-        ("81.7,", "81.7,1 2", r"Line 2 .* is not what lpn flight writes \(2 numbers\)"),
+        ("81.7,", "81.7,1 2", r"Line 2 .* is not what lpn flight writes \(2 numbers where 9 are expected\)"),
         ("gimbal", "wind", "Line 2 .*Invalid enum value 'wind' in `heading_source`"),
         ("gimbal", "", "Line 2 .*both or none of heading and heading_source"),
         ("400", "0", "Line 2 .*Expected `int` >= 1 in `width`"),

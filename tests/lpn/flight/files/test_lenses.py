@@ -13,7 +13,7 @@ from PIL import ExifTags
 from lpn.cli.main import main
 from lpn.core.errors import DataError
 from lpn.flight.files import make_flight, open_flight
-from lpn.flight.files.lenses import Lens, lens_of_dewarp_data, read_camera
+from lpn.flight.files.lenses import Lens, lens_of_text, read_camera
 from lpn.flight.files.photos import read_photo
 from tools.fixtures.photos import dji_xmp, exif, write_photo
 
@@ -68,7 +68,7 @@ def test_the_table_of_dji_is_read_for_pictures_of_any_size(tmp_path: Path) -> No
     )
     lens = read_photo(photo).frame.lens
     assert lens is not None
-    assert lens == lens_of_dewarp_data(TABLE_TEXT, 5280)
+    assert lens == lens_of_text(TABLE_TEXT, 5280)
     assert (lens.focal_x, lens.centre_y, lens.k3) == pytest.approx((3713.29 / 5280, -8.72 / 5280, -0.0273))
     assert read_photo(photo).frame.fov == pytest.approx(70.8, abs=0.1)
 
@@ -124,16 +124,17 @@ def test_a_camera_s_file_gives_its_lens_to_the_flight(
 @pytest.mark.parametrize(
     ("text", "sentence"),
     [
-        ("", "lacks 'width'; expected YAML or JSON by OpenCV"),
-        ("{", "expected YAML or JSON by OpenCV, ROS, or ODM"),
-        ("a: [", "has no YAML ("),
+        ("", "has other contents; expected YAML or JSON by OpenCV"),
+        ("a: [", "has other contents; expected YAML"),
+        ("{}", "lacks 'width'"),
+        ("a: " + 2000 * "[", "has too many brackets"),
         (ROS.replace("plumb_bob", "equidistant"), "has the model equidistant"),
         (
             OPENCV.replace(" 700.", " 7.").replace(" 710.", " 7.1"),
             "has focal lengths of 0.007 and 0.0071 widths of the picture",
         ),
         (OPENCV.replace("image_width: 1000\n", ""), "lacks 'image_width'"),
-        (OPENCV.replace("width: 1000", "width: 0"), "division by zero"),
+        (OPENCV.replace("width: 1000", "width: 0"), "has other contents"),
         (
             json.dumps(json.loads(ODM) | {"zoom": json.loads(ODM)["v2 dji"]}),
             "has 2 cameras (v2 dji, zoom), of which only",
