@@ -142,7 +142,6 @@ ROWS: tuple[PropertyRow, ...] = (
     PropertyRow("calibration", "drone-dji", _DJI_CALIBRATION, "pixels", "", _DJI),
     PropertyRow("calibration", "drone-skydio", _SKYDIO_CALIBRATION, "pixels", "", _SKYDIO),
     PropertyRow("perspective", "Camera", "PerspectiveFocalLength", "millimetres", "", _PIX4D),
-    PropertyRow("perspective unit", "Camera", "PerspectiveFocalLengthUnits", "text", "", _PIX4D),
     PropertyRow("principal point", "Camera", "PrincipalPoint", "text", "", _PIX4D),
     PropertyRow("focal length", "exif", "FocalLength", "millimetres", "", _EXIF),
     PropertyRow("equivalent", "exif", "FocalLengthIn35mmFilm", "millimetres", "", _EXIF),
@@ -190,35 +189,25 @@ class Properties:
         """Return the raw value of a property; None without one."""
         return self._values.get((namespace, name.casefold()))
 
-    def rows(self, field: str) -> Iterator[tuple[PropertyRow, tuple[float | None, ...]]]:
-        """Yield the rows of a field that have a number, best first, each with three numbers, None where unknown."""
+    def rows(self, field: str) -> Iterator[tuple[PropertyRow, tuple[Any, ...]]]:
+        """Yield the rows of a field with a value, best first, each with three numbers or texts, None where unknown."""
         for row in ROWS:
-            if row.field == field:
-                numbers = [self._number(row, name) for name in row.names.split()]
-                if any(number is not None for number in numbers):
-                    yield row, (*numbers, None, None)[:3]
+            found = [self._value(row, name) for name in row.names.split() if row.field == field]
+            if any(value is not None for value in found):
+                yield row, (*found, None, None)[:3]
 
-    def first(self, field: str) -> float | None:
-        """Return the number of the best row of a field; None without one."""
-        return next((numbers[0] for _, numbers in self.rows(field) if numbers[0] is not None), None)
-
-    def texts(self, field: str) -> Iterator[tuple[str, str]]:
-        """Yield the texts of a field that are not blank, best first, each with the property's name."""
-        for row in ROWS:
-            if row.field == field and (text := text_of(self.raw(row.names, row.namespace))):
-                yield f"{row.namespace}:{row.names}", text
-
-    def text(self, field: str) -> str:
-        """Return the text of the best row of a field; "" without one."""
-        return next((text for _, text in self.texts(field)), "")
+    def first(self, field: str) -> Any:
+        """Return the number or text of the best row of a field; None without one."""
+        return next((found[0] for _, found in self.rows(field) if found[0] is not None), None)
 
     def refuse(self, name: str) -> None:
         """Note a property with an unreadable value, such as "exif:GPSAltitude"."""
         self.unreadable += [] if name in self.unreadable else [name]
 
-    def _number(self, row: PropertyRow, name: str) -> float | None:
-        if (raw := self.raw(name, row.namespace)) is None:
-            return None
+    def _value(self, row: PropertyRow, name: str) -> float | str | None:
+        raw = self.raw(name, row.namespace)
+        if raw is None or row.unit == "text":
+            return text_of(raw) or None
         value = degrees(raw) if row.unit == "degrees" else number(raw)
         if value is None or abs(value) > _MOST.get(row.unit, math.inf):
             # A camera that did not zoom may write 0/0.

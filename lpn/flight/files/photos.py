@@ -28,7 +28,7 @@ from lpn.datasets.integrity import stream_error
 from lpn.flight.files import cameras
 from lpn.flight.files.base import Frame, HeadingSource, local_metres
 from lpn.flight.files.lenses import Lens, lens_of_text
-from lpn.flight.files.makers import Convention, Properties, number, text_of
+from lpn.flight.files.makers import Convention, Properties, degrees, number, text_of
 from lpn.flight.files.values import moment
 from lpn.flight.files.xmp import read_xmp
 
@@ -115,16 +115,10 @@ class _Metadata(Properties):
     @property
     def taken_size(self) -> tuple[float, float]:
         """Width and height in pixels of the picture as it was taken."""
-        told = next((numbers for _, numbers in self.rows("size")), (None, None, None))
-        width, height = told[0] or float(self.width), told[1] or float(self.height)
+        _, told = next(self.rows("size"), (None, (None, None)))
+        width, height = told[0] or self.width, told[1] or self.height
         # A program that turned the picture may have kept the old sizes.
         return (height, width) if abs(height / width * self.height / self.width - 1) <= _SAME else (width, height)
-
-    @property
-    def is_whole(self) -> bool:
-        """True unless the proportions show that the picture was cropped after it was taken."""
-        width, height = self.taken_size
-        return abs(width / height * self.height / self.width - 1) <= _SAME
 
 
 class _Angles(NamedTuple):
@@ -211,40 +205,37 @@ def _metadata(data: bytes) -> _Metadata:
 
 
 def _position(known: _Metadata) -> tuple[float | None, float | None]:
-    sources, places = [], []
+    found = []
     for row, (latitude, longitude, _) in known.rows("position"):
-        if latitude is None or longitude is None or latitude == longitude == 0:
-            continue
-        if abs(latitude) <= 90 and abs(longitude) <= 180:
-            sources.append(row.namespace)
-            places.append((latitude, longitude))
-        else:
+        if max(abs(latitude or 0) / 90, abs(longitude or 0) / 180) > 1:
             known.refuse(f"{row.namespace}:{row.names.split()[0]}")
-    if not places:
+        elif latitude is not None and longitude is not None and (latitude or longitude):
+            found.append((row.namespace, (latitude, longitude)))
+    if not found:
         return None, None
-    for source, metres in zip(sources, np.hypot(*local_metres(np.array(places, np.float64)).T), strict=True):
+    namespaces, places = zip(*found, strict=True)
+    for namespace, metres in zip(namespaces, np.hypot(*local_metres(np.array(places)).T), strict=True):
         if metres > _OTHER_PLACE:
-            known.oddities.append(f"has another position in {source} than in {sources[0]}, which was used")
+            known.oddities.append(f"has another position in {namespace} than in {namespaces[0]}, which was used")
     flag = known.first("rtk")
     if flag is not None and flag != _RTK_FIXED:
         known.oddities.append(f"has a position without an RTK fix (RtkFlag {flag:g}), which may be metres off")
-    return places[0]
+    latitude, longitude = places[0]
+    return latitude, longitude
 
 
 def _altitude(known: _Metadata) -> float | None:
     """Return the altitude in metres; an altitude above the ellipsoid is an oddity."""
-    for row, (altitude, _, _) in known.rows("altitude"):
-        kind = ""
-        if row.namespace == "exif" and altitude is not None:
-            reference = known.raw("GPSAltitudeRef")
-            # 1 is below the sea; 2 is above the ellipsoid, and 3 below it, in EXIF 3.0.
-            kind = str(reference[0] if isinstance(reference, bytes) and reference else reference)
-            altitude = -abs(altitude) if kind in ("1", "3") else altitude
-        told = known.text("altitude type").casefold() in _ELLIPSOIDAL or kind in ("2", "3")
-        if row.convention == "ellipsoid" or (told and row.convention != "sea"):
-            known.oddities.append("has its altitude above the ellipsoid, not above the sea")
-        return altitude
-    return None
+    row, (altitude, *_) = next(known.rows("altitude"), (None, (0.0,)))
+    if row is None:
+        return None
+    reference = known.raw("GPSAltitudeRef") if row.namespace == "exif" else None
+    # 1 is below the sea; 2 is above the ellipsoid, and 3 below it, in EXIF 3.0.
+    kind = str(reference[0] if isinstance(reference, bytes) and reference else reference)
+    told = (known.first("altitude type") or "").casefold() in _ELLIPSOIDAL or kind in ("2", "3")
+    if row.convention == "ellipsoid" or (told and row.convention != "sea"):
+        known.oddities.append("has its altitude above the ellipsoid, not above the sea")
+    return -abs(float(altitude)) if kind in ("1", "3") else float(altitude)
 
 
 def _angles(known: _Metadata, turns: int) -> _Angles:
@@ -294,16 +285,16 @@ def turned_oddity(turns: int) -> str:
 
 def _view(known: _Metadata, turns: int) -> tuple[Lens | None, float | None]:
     """Return the lens if the picture still has its known distortion, and the upright picture's horizontal field of view."""
-    if projection := known.text("projection"):
+    if projection := known.first("projection"):
         known.oddities.append(
             f"is a panorama ({printable(projection)[:40]}), whose ground has not the map's shape; leave it out"
         )
         return None, None
     width, height = known.taken_size
-    text = known.text("lens")
-    if text and known.text("undistorted") != "1":
+    text = known.first("lens")
+    if text and known.first("undistorted") != "1":
         try:
-            if turns or not known.is_whole:
+            if turns or abs(width / height * known.height / known.width - 1) > _SAME:
                 raise ValueError("the table of a picture that was turned or cropped")
             # The coefficients describe the whole picture; a digital zoom shows its middle.
             lens = lens_of_text(text, width / known.zoom)
@@ -321,10 +312,9 @@ def _view(known: _Metadata, turns: int) -> tuple[Lens | None, float | None]:
         )
     if abs(width / known.width - 1) > _SAME:
         known.oddities.append(
-            f"is {known.width} x {known.height} pixels where its EXIF says {width:.0f} x {height:.0f}; "
-            + ("its field of view is right if it was reduced, and too wide if it was cropped" if known.is_whole
-               else "it was cropped, and its field of view may be too wide")
-        )  # fmt: skip
+            f"is {known.width} x {known.height} pixels where its EXIF says {width:.0f} x {height:.0f}; its field of view is "
+            "right if it was reduced, and too wide if it was cropped"
+        )
     fov = cameras.fov_across(fov, (known.height / known.width if turns % 2 else 1.0) / known.zoom)
     return None, fov if fov >= cameras.FOV_RANGE[0] else None
 
@@ -343,13 +333,14 @@ def _fovs(known: _Metadata, width: float, height: float) -> Iterator[float]:
             yield cameras.fov_of_sensor(2 * across, focal)
         else:
             known.oddities.append("has a focal length calibrated for other proportions, which was not used")
-    focal, equivalent, perspective = map(known.first, ("focal length", "equivalent", "perspective"))
+    focal, equivalent, perspective, principal = map(
+        known.first, ("focal length", "equivalent", "perspective", "principal point")
+    )
     for _, (density, unit, _) in known.rows("resolution"):
         if density and focal:
             yield cameras.fov_of_sensor(width * _UNITS.get(unit, 0.0) / density, focal)
     # The principal point is the sensor's middle to within some hundredths of its width.
-    middle = number(known.text("principal point").split(",")[0])
-    if perspective and middle and known.text("perspective unit") in ("", "mm"):
+    if perspective and principal and (middle := number(principal.split(",")[0])):
         yield cameras.fov_of_sensor(2 * middle, perspective)
     if equivalent:
         # It gives the field of view across the longer side.
@@ -359,34 +350,27 @@ def _fovs(known: _Metadata, width: float, height: float) -> Iterator[float]:
 def _times(known: _Metadata) -> tuple[float | None, float | None]:
     """Return the seconds since 1970-01-01 in UTC and on the camera's clock."""
     # Editing programs set DateTime, the last of the table, to the time of the change. Some cameras write blanks for zeros.
-    name, stamp = next(known.texts("taken"), ("", ""))
-    clock = _ZONE.sub("", stamp.replace(": ", ":0"))
-    taken = moment(clock)
-    if taken is None and re.search("[1-9]", stamp):
-        known.refuse(name)
+    row, (stamp, *_) = next(known.rows("taken"), (None, ("",)))
+    stamp = stamp.replace(": ", ":0")
+    taken = moment(_ZONE.sub("", stamp))
+    if row is not None and taken is None and re.search("[1-9]", stamp):
+        known.refuse(f"{row.namespace}:{row.names}")
     fraction = text_of(known.raw("SubsecTimeOriginal"))
     part = float(f"0.{fraction}") if fraction.isascii() and fraction.isdecimal() else 0.0
     local = None if taken is None else taken.seconds + part
-    for name, text in known.texts("utc"):
+    for row, (text, *_) in known.rows("utc"):
         if (exposed := moment(text)) is not None:
             return exposed.seconds, local
-        known.refuse(name)
-    own_zone = _ZONE.search(stamp)
-    zoned = moment(clock + (known.text("zone") if own_zone is None else own_zone[0]))
-    if zoned is not None and zoned.zoned:
-        return zoned.seconds + part, local
-    return _gps_time(known), local
-
-
-def _gps_time(known: _Metadata) -> float | None:
-    raw = known.raw("GPSTimeStamp")
-    parts = [number(part) for part in raw] if isinstance(raw, tuple | list) else []
-    clock = [part for part in parts if part is not None and 0 <= part <= 60]
-    day = moment(f"{text_of(known.raw('GPSDateStamp'))} 00:00:00")
-    if raw is not None and (len(parts) != 3 or len(clock) != 3 or clock[0] >= 24):
+        known.refuse(f"{row.namespace}:{row.names}")
+    for zoned in map(moment, (stamp, stamp + (known.first("zone") or ""))):
+        if zoned is not None and zoned.zoned:
+            return zoned.seconds + part, local
+    clock = known.raw("GPSTimeStamp")
+    day, hours = moment(f"{text_of(known.raw('GPSDateStamp'))} 00:00:00"), degrees(clock)
+    if clock is not None and (hours is None or not 0 <= hours < 24):
         known.refuse("exif:GPSTimeStamp")
-        return None
-    return None if day is None or not clock else day.seconds + 3600 * clock[0] + 60 * clock[1] + clock[2]
+        return None, local
+    return None if day is None or hours is None else day.seconds + round(3600 * hours, 3), local
 
 
 def set_times(photos: Sequence[Photo]) -> tuple[list[Frame], bool, list[str]]:
@@ -403,27 +387,22 @@ def set_times(photos: Sequence[Photo]) -> tuple[list[Frame], bool, list[str]]:
         np.float64,
     )
     known, notes = np.isfinite(times), []
-    zone = -round(lag / _QUARTER) * _QUARTER if lags else 0.0
-    if lags and abs(lag + zone) > 2:
-        hours = f"UTC{zone / 3600:+g}" if zone else "UTC"
-        notes.append(
-            f"The camera's clock is {abs(lag + zone):.0f} s {'behind' if lag + zone > 0 else 'ahead of'} {hours}."
-        )
+    if lags:
+        zone = -round(lag / _QUARTER) * _QUARTER
+        late, name = lag + zone, f"UTC{zone / 3600:+g}" if zone else "UTC"
+        if abs(late) > 2:
+            notes.append(f"The camera's clock is {abs(late):.0f} s {'behind' if late > 0 else 'ahead of'} {name}.")
     if known.any() and not is_utc:
         times -= np.nanmin(times)
         notes.append("No photo has its time in UTC: times are seconds since the first photo.")
     frames = [
-        replace(photo.frame, time=float(time) if told else None)
-        for photo, time, told in zip(photos, times, known, strict=True)
+        replace(photo.frame, time=None if math.isnan(time) else time)
+        for photo, time in zip(photos, times.tolist(), strict=True)
     ]
-    frames.sort(key=lambda frame: natural(frame.name))
-    if known.all():
-        frames.sort(key=lambda frame: frame.time or 0.0)
-    else:
-        notes.append(
-            f"{(~known).sum()} of {len(frames)} photos have no time: the photos are in the order of their names."
-        )
-    return frames, is_utc, notes
+    if missing := int((~known).sum()):
+        notes.append(f"{missing} of {len(frames)} photos have no time: the photos are in the order of their names.")
+    by_time = missing == 0
+    return sorted(frames, key=lambda frame: (by_time and frame.time, natural(frame.name))), is_utc, notes
 
 
 def natural(name: str) -> list[tuple[int, str]]:
