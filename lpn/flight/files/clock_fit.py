@@ -69,37 +69,31 @@ def fit_clocks(photos: Sequence[Photo], telemetry: Telemetry, utc: bool, given: 
 
 def _fit(telemetry: Telemetry, times: Float64Array, places: Float64Array, basis: str, is_like: bool) -> ClockFit:
     """Return the best offset of one of the photos' clocks; `is_like` if it is of the log's kind."""
-    scores = {}
-    for quarter in sorted(range(-_MOST_QUARTERS, _MOST_QUARTERS + 1), key=abs):
-        share, metres = _score(telemetry, times + _QUARTER * quarter, places)
-        if share >= _SOME:
-            scores[_QUARTER * quarter] = share >= _MOST, metres
-    if not scores:
+    offsets = _QUARTER * np.array(sorted(range(-_MOST_QUARTERS, _MOST_QUARTERS + 1), key=abs))
+    shares, metres = np.array([_score(telemetry, times + offset, places) for offset in offsets]).T
+    likely, near = shares >= _MOST, (shares >= _SOME) & (metres <= _NEAR)
+    best = likely if likely.any() else shares >= _SOME
+    if near.any():
+        least = metres[near].min()
+        best = near & (metres <= max(_CLEAR * least, least + _CLEAR_METRES))
+    choices = offsets[best].tolist()
+    if not choices:
         return ClockFit(None, basis, "at no offset of a time zone do the photos' times lie within it")
-    least = min((metres for _, metres in scores.values() if metres <= _NEAR), default=None)
-    if least is not None:
-        best = [
-            o for o, (_, metres) in scores.items() if metres <= min(_NEAR, max(_CLEAR * least, least + _CLEAR_METRES))
-        ]
-    else:
-        likely = any(is_likely for is_likely, _ in scores.values())
-        best = [offset for offset, (is_likely, _) in scores.items() if is_likely == likely]
-    if len(best) > 1 and not (is_like and best[0] == 0):
-        offsets = ", ".join(f"{offset:g}" for offset in best[:4])
+    if len(choices) > 1 and not (is_like and choices[0] == 0):
         return ClockFit(
             None,
             basis,
             "the photos' times lie within it at several offsets, and nothing decides between them; give one, in seconds, with "
-            f"--clock-offset: {offsets}",
+            f"--clock-offset: {', '.join(f'{offset:g}' for offset in choices[:4])}",
         )
-    offset, metres, parts = best[0], scores[best[0]][1], []
+    offset, away, parts = choices[0], metres[best][0], []
     if offset:
         ahead = "ahead of" if offset > 0 else "behind"
         parts.append(f"with a constant offset: the log's clock is {abs(offset) / 3600:g} h {ahead} the photos'")
-    if metres > _NEAR:
+    if away > _NEAR:
         parts.append(
-            f"but its positions are {metres:.0f} m from the photos' own in the median, so one of the clocks or positions "
-            "is wrong; --clock-offset tells the offset"
+            f"but its positions are {away:.0f} m from the photos' own in the median, so one of the clocks or positions is "
+            "wrong; --clock-offset tells the offset"
         )
     return ClockFit(offset, basis, ", ".join(parts))
 
@@ -107,13 +101,11 @@ def _fit(telemetry: Telemetry, times: Float64Array, places: Float64Array, basis:
 def _score(telemetry: Telemetry, times: Float64Array, places: Float64Array) -> tuple[float, float]:
     """Return the share of photos within the log, and the median metres between positions (NaN if unknown)."""
     first, last = telemetry.entries[0].time, telemetry.entries[-1].time
-    inside, metres = 0, []
     # `Telemetry.at` decides how long values hold beyond the log's ends.
-    for i in np.flatnonzero((times > first - _BEYOND) & (times < last + _BEYOND)):
-        values = telemetry.at(float(times[i]))
-        if values["latitude"] is not None:
-            inside += 1
-            pair = np.array([places[i], (values["latitude"], values["longitude"])], np.float64)
-            metres.append(float(np.hypot(*local_metres(pair)[1])) if not np.isnan(pair).any() else math.nan)
-    known = [value for value in metres if not math.isnan(value)]
-    return inside / np.isfinite(times).sum(), float(np.median(known)) if known else math.nan
+    during = np.flatnonzero((times > first - _BEYOND) & (times < last + _BEYOND))
+    told = [(places[i], telemetry.at(float(times[i]))) for i in during]
+    pairs = [
+        (place, (values["latitude"], values["longitude"])) for place, values in told if values["latitude"] is not None
+    ]
+    metres = [np.hypot(*local_metres(np.array(pair, np.float64))[1]) for pair in pairs if not np.isnan(pair[0]).any()]
+    return len(pairs) / np.isfinite(times).sum(), float(np.median(metres)) if metres else math.nan
