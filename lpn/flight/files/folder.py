@@ -64,12 +64,10 @@ def write_flight(flight: Flight, folder: Path) -> None:
     check_folder(folder)
     rows: list[list[object]] = [list(_COLUMNS)]
     for frame in flight.frames:
-        values = {name: getattr(frame, name) for name in _COLUMNS} | {
-            "file": _relative(frame.file, folder),
-            "lens": None if frame.lens is None else frame.lens.text(),
-        }
-        rows.append(list(values.values()))
-    header = msgspec.to_builtins(_Header(FORMAT, flight.name, flight.utc, list(flight.notes)))
+        lens = None if frame.lens is None else frame.lens.text()
+        told = {**vars(frame), "file": _relative(frame.file, folder), "lens": lens}
+        rows.append([told[name] for name in _COLUMNS])
+    header = {"format": FORMAT, "name": flight.name, "utc": flight.utc, "notes": flight.notes}
     write_together({folder / TABLE: csv_bytes(rows, own=True), folder / HEADER: json_bytes(header, ensure_ascii=False)})
 
 

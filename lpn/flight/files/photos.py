@@ -49,9 +49,10 @@ _OTHER_PLACE = 1000.0
 _MOST_BACK = -30.0
 # If twice the optical centre differs from the width by a larger share, the calibration is for another picture size.
 _OFF_CENTRE = 0.1
-_SOURCES: Mapping[Convention, HeadingSource] = {
-    "gimbal": "gimbal", "on platform": "gimbal", "nadir": "camera", "direction": "camera", "fixed": "aircraft",
-    "aircraft": "aircraft",
+# By convention: the source of the heading, and degrees to add to a pitch; None if the aircraft's tilt is not the camera's.
+_CONVENTIONS: Mapping[Convention, tuple[HeadingSource, float | None]] = {
+    "gimbal": ("gimbal", 0.0), "on platform": ("gimbal", 0.0), "nadir": ("camera", -90.0), "direction": ("camera", 0.0),
+    "fixed": ("aircraft", -90.0), "aircraft": ("aircraft", None),
 }  # fmt: skip
 _RTK_FIXED = 50
 # Texts that mark an altitude above the ellipsoid: DJI's AltitudeType, and VertCS of Pix4D and Skydio.
@@ -83,17 +84,13 @@ class Photo:
         frame, place = self.frame, "not told"
         if frame.latitude is not None:
             place = f"{frame.latitude:.6f}, {frame.longitude:.6f} (latitude and longitude of the camera)"
-        times = ((self.local, "by the camera's clock"), (self.utc, "UTC"))
-        taken = [
-            f"{datetime.fromtimestamp(time, UTC):%Y-%m-%d %H:%M:%S} {clock}"
-            for time, clock in times
-            if time is not None
-        ]
+        clocks = {"by the camera's clock": self.local, "UTC": self.utc}
+        times = {clock: datetime.fromtimestamp(time, UTC) for clock, time in clocks.items() if time is not None}
         return [
             ("File", printable(frame.name)),
             ("SHA-256", hashlib.sha256(data).hexdigest()),
             ("Size", f"{frame.width} × {frame.height} pixels, {len(data):,} bytes"),
-            ("Taken", ", ".join(taken) or "not told"),
+            ("Taken", ", ".join(f"{time:%Y-%m-%d %H:%M:%S} {clock}" for clock, time in times.items()) or "not told"),
             ("Camera", printable(self.camera) or "not told"),
             ("GPS tag", place),
         ]
@@ -250,33 +247,30 @@ def _angles(known: _Metadata, turns: int) -> _Angles:
 
 def _told_angles(known: _Metadata) -> Iterator[_Angles]:
     """Yield the angles by each source, best first; a camera's angles that are all 0 are unknown."""
-    for row, (yaw, pitch, roll) in known.rows("angles"):
-        convention = row.convention
+    for row, told in known.rows("angles"):
+        convention, (yaw, pitch, roll) = row.convention, told
         if yaw == pitch == 0 and not roll:
             if convention != "aircraft":
                 known.oddities.append("has camera angles that are all 0, which some cameras write for unknown ones")
             continue
         if convention == "on platform":
-            platform = next((told for of, told in known.rows("angles") if of.names.startswith("Platform")), (None,) * 3)
-            sums = [a + b for a, b in zip((yaw, pitch, roll), platform, strict=True) if a is not None and b is not None]
-            if len(sums) < 3:
+            platform = next((of for other, of in known.rows("angles") if other.names.startswith("Platform")), (None,))
+            if None in (*told, *platform):
                 continue
-            yaw, pitch, roll = sums
-        elif convention == "nadir" and pitch is not None and pitch < _MOST_BACK:
+            yaw, pitch, roll = np.add(told, platform).tolist()
+        elif convention == "nadir" and (pitch or 0.0) < _MOST_BACK:
             known.oddities.append(
                 f"has a pitch below {_MOST_BACK:g} where 0 is straight down, which was taken to count from the horizon"
             )
             convention = "gimbal"
-        elif convention in ("nadir", "fixed") and pitch is not None:
-            pitch -= 90.0
-        elif convention == "aircraft":
-            pitch = roll = None
         elif row.names == "GPSImgDirection" and text_of(known.raw("GPSImgDirectionRef")).upper().startswith("M"):
             known.oddities.append("has a direction from magnetic north, which was not corrected")
-        if convention in ("gimbal", "on platform") and yaw is not None and pitch is not None:
+        source, down = _CONVENTIONS[convention]
+        pitch, roll = (None, None) if down is None else (None if pitch is None else pitch + down, roll)
+        if source == "gimbal" and yaw is not None and pitch is not None:
             yaw, pitch, roll = cameras.from_gimbal(yaw, pitch, roll or 0.0)
         pitch, roll = (angle if angle is None or abs(angle) <= 180 else wrap_degrees(angle) for angle in (pitch, roll))
-        yield _Angles(None if yaw is None else yaw % 360.0, pitch, roll, _SOURCES[convention])
+        yield _Angles(None if yaw is None else yaw % 360.0, pitch, roll, source)
 
 
 def turned_oddity(turns: int) -> str:
