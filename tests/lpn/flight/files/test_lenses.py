@@ -62,10 +62,10 @@ def test_a_picture_without_distortion_shows_a_ray_where_a_pinhole_does() -> None
     assert np.abs(seen - pinhole).max() > 1
 
 
-def photo_with(text: str, flag: str = "0") -> Photo:
+def photo_with(text: str, flag: str = "0", size: tuple[int, int] = (160, 120)) -> Photo:
     """A reduced photo of DJI with a table of its lens."""
     xmp = dji_xmp(DewarpData=text, DewarpFlag=flag)
-    return photo_of(photo_bytes(exif(48.0, 9.0, camera=ORIGINAL), xmp, (160, 120)), Path("a.jpg"))
+    return photo_of(photo_bytes(exif(48.0, 9.0, camera=ORIGINAL), xmp, size), Path("a.jpg"))
 
 
 def test_the_table_of_dji_is_read_for_pictures_of_any_size() -> None:
@@ -95,6 +95,12 @@ def test_a_table_that_does_not_count_is_not_used(text: str, flag: str, oddity: s
     about_lens = [found for found in photo.oddities if "DewarpData" in found]
     assert len(about_lens) == bool(oddity)
     assert oddity in "".join(about_lens)
+
+
+def test_the_table_is_not_that_of_a_cropped_picture() -> None:
+    photo = photo_with(TABLE_TEXT, size=(160, 90))
+    assert photo.frame.lens is None
+    assert "because it has the table of a picture that was turned or cropped" in photo.oddities[0]
 
 
 def test_a_log_does_not_change_the_field_of_view_of_a_known_lens(tmp_path: Path) -> None:
