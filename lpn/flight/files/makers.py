@@ -243,11 +243,7 @@ def number(value: Any) -> float | None:
     """Return a value of EXIF or XMP, such as "+39.80", "-8759/100", or "12.5 m", as a finite number, else None."""
     if isinstance(value, tuple | list) and len(value) == 1:
         value = value[0]
-    try:
-        found = values.number(text_of(value), comma=True) if isinstance(value, str | bytes) else float(value)
-    except (TypeError, ValueError, ZeroDivisionError, OverflowError):
-        return None
-    return found if found is not None and math.isfinite(found) else None
+    return values.number(text_of(value) or str(value), comma=True)
 
 
 def degrees(value: Any) -> float | None:
