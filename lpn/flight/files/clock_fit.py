@@ -105,7 +105,7 @@ def _score(telemetry: Telemetry, times: Float64Array, places: Float64Array) -> t
     during = np.flatnonzero((times > first - _BEYOND) & (times < last + _BEYOND))
     told = [(places[i], telemetry.at(float(times[i]))) for i in during]
     pairs = [
-        (place, (values["latitude"], values["longitude"])) for place, values in told if values["latitude"] is not None
+        (place, (known["latitude"], known["longitude"])) for place, known in told if known.get("latitude") is not None
     ]
     metres = [np.hypot(*local_metres(np.array(pair, np.float64))[1]) for pair in pairs if not np.isnan(pair[0]).any()]
     return len(pairs) / np.isfinite(times).sum(), float(np.median(metres)) if metres else math.nan
