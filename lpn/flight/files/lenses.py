@@ -128,15 +128,16 @@ def read_camera(file: Path) -> tuple[Lens, float]:
         # OpenCV's parser overflows the stack with nested brackets.
         if text.count("[") + text.count("{") > _MOST_BRACKETS:
             raise ValueError("too many brackets")
+        # OpenCV before 5 asks for its own first line.
+        head = "" if text.startswith(("%", "{")) else "%YAML:1.0\n---\n"
         # The storage owns its nodes, so it outlives them here.
-        storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
+        storage = cv2.FileStorage(head + text.removeprefix("---"), cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
         return _camera(_content(storage.root()))
     except (cv2.error, SystemError, LookupError, TypeError, AttributeError, ArithmeticError, ValueError) as error:
-        found = f"lacks {error}" if isinstance(error, KeyError) else f"has {error}"
-        if not isinstance(error, KeyError | ValueError):
-            found = "has other contents"
+        found = f"{'lacks' if isinstance(error, KeyError) else 'has'} {printable(str(error))[:120]}"
+        found = found if isinstance(error, KeyError | ValueError) else "has other contents"
         raise DataError(
-            f"{printable(str(file))} {printable(found)[:120]}; expected YAML or JSON by OpenCV, ROS, or ODM: the size of its "
+            f"{printable(str(file))} {found}; expected YAML or JSON by OpenCV, ROS, or ODM: the size of its "
             "pictures with camera_matrix and distortion_coefficients, or focal_x and k1, of a pinhole with k1, k2, p1, p2, k3."
         ) from error
 

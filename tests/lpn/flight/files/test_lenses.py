@@ -112,7 +112,7 @@ def test_a_log_does_not_change_the_field_of_view_of_a_known_lens(tmp_path: Path)
     assert any("keeps the field of view of its lens, and not that in the log" in note for note in flight.notes)
 
 
-@pytest.mark.parametrize("text", [OPENCV, ROS, ODM], ids=["opencv", "ros", "odm"])
+@pytest.mark.parametrize("text", [OPENCV, ROS, f"---\n{ROS}", ODM], ids=["opencv", "ros", "ros with a mark", "odm"])
 def test_a_camera_s_file_gives_its_lens_to_the_flight(
     tmp_path: Path, text: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
