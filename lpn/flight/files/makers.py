@@ -15,6 +15,9 @@ fixed        of an aircraft without a gimbal, whose camera looks straight down i
 aircraft     of an aircraft whose camera may look elsewhere
 
 An altitude's convention is its zero, "sea" or "ellipsoid"; without one, the file's altitude type may name it.
+
+ElementTree reads a well-formed XMP packet. From a damaged one, complete attributes and elements are used. Entities of a document
+type are never expanded.
 """
 
 from __future__ import annotations
@@ -22,7 +25,9 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterator, Mapping
+from html import unescape
 from typing import Any, Literal, NamedTuple
+from xml.etree import ElementTree
 
 from lpn.flight.files import values
 
@@ -163,6 +168,16 @@ _KNOWN = frozenset((row.namespace, name.casefold()) for row in ROWS for name in 
 _COINED = re.compile(r"(?:gimbal|flight)\w+degree|(?:relative|absolute)altitude|gps(?:lat|long|longt)itude")
 # Heights in metres and angles in degrees beyond these come from wrong bytes.
 _MOST: Mapping[str, float] = {"degrees": 720.0, "metres": 1e5, "metres, 0 if unknown": 1e5}
+# Limits of an XMP packet: bytes, and levels of properties within properties.
+_MOST_BYTES, _MOST_LEVELS = 2_000_000, 12
+_OPENING = re.compile(r"<([\w-]{1,40}:(?:xmpmeta|RDF))\b")
+# Namespaces of XMP's envelope; their elements are no properties.
+_FRAME = ("{http://www.w3.org/1999/02/22-rdf-syntax-ns#}", "{adobe:ns:meta/}", "{http://www.w3.org/XML/1998/namespace}")
+_PREFIX = re.compile(r"""\bxmlns:([\w-]{1,40})="([^"<]{0,200})""")
+# An attribute with its value, or an element with its text. The bounded repeats keep the search linear.
+_PROPERTY = re.compile(
+    r'(?<![\w-])(?!xmlns:)([\w-]{1,40}):(\w{1,60})(?:\s{0,9}=\s{0,9}"([^"<>]{0,2000})"|>([^<>]{0,2000})</\1:\2>)'
+)
 
 
 class Properties:
@@ -184,6 +199,25 @@ class Properties:
             key = copied, key[1]
         if value is not None and value != "":
             self._values.setdefault(key, value)
+
+    def add_xmp(self, packet: bytes) -> bool:
+        """Add the properties of an XMP packet, and return whether it is damaged; then nested ones are left out."""
+        wide = packet[:2] in (b"\xff\xfe", b"\xfe\xff")
+        text = packet[:_MOST_BYTES].decode("utf-16" if wide else "utf-8", "replace")
+        if (opening := _OPENING.search(text)) is None:
+            return True
+        # The cut removes a document type, which precedes the first element, so the parser sees none of its entities.
+        end = text.rfind(f"</{opening[1]}")
+        text = text[opening.start() : None if end < 0 else text.find(">", end) + 1]
+        try:
+            found, is_damaged = list(_properties(ElementTree.fromstring(text), ())), False
+        except (ElementTree.ParseError, RecursionError):
+            declared, is_damaged = dict(_PREFIX.findall(text)), True
+            told = _PROPERTY.findall(text)
+            found = [(declared.get(prefix, prefix), name, unescape(one or other)) for prefix, name, one, other in told]
+        for address, name, value in found:
+            self.add(_namespace(address), name, value.strip())
+        return is_damaged
 
     def raw(self, name: str, namespace: str = "exif") -> Any:
         """Return the raw value of a property; None without one."""
@@ -225,7 +259,18 @@ class Properties:
         return None if value == 0 and row.unit == "metres, 0 if unknown" else value
 
 
-def namespace_of(address: str) -> str:
+def _properties(element: ElementTree.Element, tags: tuple[str, ...]) -> Iterator[tuple[str, str, str]]:
+    """Yield address, name, and text of the properties of an element, within those of `tags`, in the order of the packet."""
+    tags = tags if element.tag.startswith(_FRAME) else (*tags, element.tag)
+    for tag, text in [*element.attrib.items(), ("", element.text or "")]:
+        path = [name.removeprefix("{").rpartition("}") for name in (*tags, tag) if name]
+        if path and text.strip() and not tag.startswith(_FRAME):
+            yield path[0][0], "/".join(name for _, _, name in path), text
+    for child in element if len(tags) < _MOST_LEVELS else ():
+        yield from _properties(child, tags)
+
+
+def _namespace(address: str) -> str:
     """Return the key of a namespace's address, or of an undeclared prefix; "" for others."""
     address = address.casefold().rstrip("/#")
     found = (key for key, parts in NAMESPACES.items() if address == key.casefold() or any(p in address for p in parts))

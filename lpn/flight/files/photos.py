@@ -30,7 +30,6 @@ from lpn.flight.files.base import Frame, HeadingSource, local_metres
 from lpn.flight.files.lenses import Lens, lens_of_text
 from lpn.flight.files.makers import Convention, Properties, degrees, number, text_of
 from lpn.flight.files.values import moment
-from lpn.flight.files.xmp import read_xmp
 
 # Pillow raises these on damaged EXIF.
 DAMAGED = (OSError, ValueError, SyntaxError, TypeError, LookupError, struct.error, OverflowError, RecursionError)
@@ -193,10 +192,7 @@ def _metadata(data: bytes) -> _Metadata:
             others = (*map(picture.info.get, ("xmp", "XML:com.adobe.xmp")), known.raw("XMLPacket"))
     packets = packets or [next((packet for packet in others if packet and isinstance(packet, str | bytes)), b"")]
     for packet in filter(None, packets):
-        found, damaged = read_xmp(packet.encode() if isinstance(packet, str) else packet)
-        for namespace, name, text in found:
-            known.add(namespace, name, text)
-        if damaged:
+        if known.add_xmp(packet.encode() if isinstance(packet, str) else packet):
             known.oddities.append("has damaged XMP, of which the readable properties were used")
     return known
 
