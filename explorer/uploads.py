@@ -11,7 +11,7 @@ from lpn.core import images
 from lpn.core.arrays import UInt8Array
 from lpn.core.errors import PictureError
 from lpn.core.files import printable
-from lpn.flight.files.photo_file import PhotoFile
+from lpn.flight.files.photos import photo_of
 
 # Bytes of a photo.
 MAX_UPLOAD = 30_000_000
@@ -52,13 +52,12 @@ def read(name: str, content: bytes) -> CameraPicture:
         raise PictureError(f"{name} is written in {scans:,} passes; expected at most {_MAX_SCANS}, so save it anew.")
     picture = decode(name, content)
     with _READING:
-        file = PhotoFile.of(content, Path(name))
-        photo = file.photo
+        photo = photo_of(content, Path(name))
         taken = photo.local if photo.utc is None else photo.utc
         day = None if taken is None else datetime.fromtimestamp(taken, UTC).date()
         frame = photo.frame
         place = None if frame.latitude is None or frame.longitude is None else (frame.latitude, frame.longitude)
-        return CameraPicture(name, picture, place, day=day, facts=tuple(file.facts), frame=frame)
+        return CameraPicture(name, picture, place, day=day, facts=tuple(photo.facts(content)), frame=frame)
 
 
 def decode(name: str, content: bytes) -> UInt8Array:

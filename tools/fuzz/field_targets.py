@@ -24,7 +24,6 @@ def flights(folder: Path) -> list[FuzzCase]:
     from lpn.flight.files.subtitles import blocks_of, parse_subtitles
     from lpn.flight.files.telemetry import Telemetry
     from lpn.flight.files.track_files import parse_track
-    from lpn.flight.files.xmp import read_xmp
     from tools.fixtures.field_photos import FIELD
     from tools.fixtures.photos import dji_xmp, exif, photo_bytes, sensefly_xmp, write_photo, xmp_packet
 
@@ -55,8 +54,7 @@ def flights(folder: Path) -> list[FuzzCase]:
 
     def packet(data: bytes) -> None:
         told = Properties()
-        for item in read_xmp(data)[0]:
-            told.add(*item)
+        told.add_xmp(data)
         assert all(len(list(told.rows(field))) < 17 for field in ("position", "angles", "altitude"))
 
     lines = (

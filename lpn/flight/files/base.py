@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, date, datetime
@@ -108,18 +107,14 @@ class Flight:
     @cached_property
     def day(self) -> date | None:
         """The day in UTC of all pictures of known time; None if it is unknown, or they are of several days."""
-        days = {
-            datetime.fromtimestamp(frame.time, UTC).date()
-            for frame in self.frames
-            if self.utc and frame.time is not None
-        }
+        times = self.times[np.isfinite(self.times)].tolist() if self.utc else []
+        days = {datetime.fromtimestamp(time, UTC).date() for time in times}
         return days.pop() if len(days) == 1 else None
 
 
 def degrees(frames: Sequence[Frame]) -> Float64Array:
     """Return latitude and longitude of frames, (N, 2); NaN where unknown."""
-    coordinates = [(math.nan, math.nan) if f.latitude is None else (f.latitude, f.longitude) for f in frames]
-    return np.array(coordinates, np.float64).reshape(-1, 2)
+    return np.array([(frame.latitude, frame.longitude) for frame in frames], np.float64).reshape(-1, 2)
 
 
 def local_metres(places: Float64Array) -> Float64Array:
@@ -130,7 +125,6 @@ def local_metres(places: Float64Array) -> Float64Array:
     known = places[~np.isnan(places[:, 0])]
     if not len(known):
         return np.full_like(places, np.nan)
-    origin = known[0]
     north, east = geo.metres_per_degree(float(np.clip(known[:, 0].mean(), -89.0, 89.0)))
-    turned = wrap_degrees(places[:, 1] - origin[1])
-    return np.stack([turned * east, (places[:, 0] - origin[0]) * north], axis=1)
+    offsets = places - known[0]
+    return np.stack([wrap_degrees(offsets[:, 1]) * east, offsets[:, 0] * north], axis=1)

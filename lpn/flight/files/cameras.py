@@ -27,7 +27,7 @@ _STEEP = -45.0
 _BODY_IN_GIMBAL = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
 # Diagonal in millimetres of the 36 x 24 mm film that equivalent focal lengths refer to.
 _FILM_DIAGONAL = math.hypot(36.0, 24.0)
-# The least and the largest field of view of a frame in degrees.
+# Limits of a frame's field of view in degrees.
 FOV_RANGE = 0.1, 170.0
 
 
@@ -47,12 +47,15 @@ def from_gimbal(yaw: float, pitch: float, roll: float) -> tuple[float, float, fl
 
 
 def turned(
-    heading: float, pitch: float | None, roll: float | None, turns: int
-) -> tuple[float, float | None, float | None]:
+    heading: float | None, pitch: float | None, roll: float | None, turns: int
+) -> tuple[float | None, float | None, float | None]:
     """Return a picture's angles in degrees after quarter turns clockwise, which bring its left side to the top."""
-    if not turns or pitch is None:
-        return (heading - 90.0 * turns) % 360.0, pitch, roll
-    return angles(rotation(heading, pitch, roll or 0.0) @ _yaw_pitch_roll(-90.0 * turns, 0.0, 0.0))
+    if turns and pitch is not None:
+        matrix = rotation(heading or 0.0, pitch, roll or 0.0) @ _yaw_pitch_roll(-90.0 * turns, 0.0, 0.0)
+        upright, pitch, roll = angles(matrix)
+    else:
+        upright = ((heading or 0.0) - 90.0 * turns) % 360.0
+    return None if heading is None else upright, pitch, roll
 
 
 def upright_values(
@@ -60,20 +63,16 @@ def upright_values(
 ) -> dict[str, Any]:
     """Return telemetry of a frame with the angles of the upright picture and the field of view across its width.
 
-    A frame of known lens keeps the lens's field of view, which is used to remove the distortion.
+    A frame of known lens keeps the lens's field of view.
 
     Args:
         values: named as in `Frame`; None where unknown.
         turns: quarter turns clockwise from the picture as it was taken to the frame.
-        across_longer_side: True if the field of view is that across the longer side, as in subtitles; else it is that across the
-            width of the picture as it was taken.
+        across_longer_side: whether the field of view spans the longer side, as in subtitles, and not the width as taken.
     """
     upright = dict(values)
-    if turns and (heading := values.get("heading")) is not None:
-        told = turned(heading, values.get("pitch"), values.get("roll"), turns)
-        upright |= {
-            name: angle for name, angle in zip(("heading", "pitch", "roll"), told, strict=True) if angle is not None
-        }
+    told = turned(values.get("heading"), values.get("pitch"), values.get("roll"), turns)
+    upright |= {n: angle for n, angle in zip(("heading", "pitch", "roll"), told, strict=True) if angle is not None}
     is_across_height = frame.height > frame.width if across_longer_side else turns % 2 == 1
     if frame.lens is not None:
         upright.pop("fov", None)
@@ -85,21 +84,19 @@ def upright_values(
 def footprint(frame: Frame, height: float | None = None) -> Float64Array | None:
     """Return the corners of a picture on flat ground, in metres east and north of the camera: (4, 2).
 
-    The order is top left, top right, bottom right, bottom left of the picture. An unknown roll counts as 0.
+    The order is top left, top right, bottom right, bottom left of the picture. An unknown roll counts as 0. None stands for an
+    unknown height, heading, pitch, or field of view, and for a corner at the horizon or above.
 
     Args:
         height: of the camera above the ground in metres; by default the frame's `flying_height`.
-
-    Returns:
-        None if height, heading, pitch, or field of view is unknown, or a corner looks above the horizon or nearly so.
     """
     height = frame.flying_height if height is None else height
     if height is None or height <= 0 or frame.heading is None or frame.pitch is None or frame.fov is None:
         return None
     right = math.tan(math.radians(frame.fov) / 2)
     top = right * frame.height / frame.width
-    rays = np.array([(top, -right, 1.0), (top, right, 1.0), (-top, right, 1.0), (-top, -right, 1.0)])
-    rays = rays @ rotation(frame.heading, frame.pitch, frame.roll or 0.0).T
+    corners = np.array([(top, -right, 1.0), (top, right, 1.0), (-top, right, 1.0), (-top, -right, 1.0)])
+    rays = corners @ rotation(frame.heading, frame.pitch, frame.roll or 0.0).T
     down = rays[:, 2]
     if (down < _LEAST_DOWN * np.linalg.norm(rays, axis=1)).any():
         return None
@@ -107,15 +104,10 @@ def footprint(frame: Frame, height: float | None = None) -> Float64Array | None:
 
 
 def ground_width(frame: Frame, height: float | None = None) -> float | None:
-    """Return the metres of flat ground across a picture's middle row.
+    """Return the metres of flat ground across a picture's middle row, with a `height` as in `footprint`.
 
-    An unknown pitch counts as straight down; the roll is ignored.
-
-    Args:
-        height: see `footprint`.
-
-    Returns:
-        None if height or field of view is unknown, or the camera looks at the horizon or above.
+    An unknown pitch counts as straight down, and the roll as 0. None stands for an unknown height or field of view, and for a
+    camera that looks at the horizon or above.
     """
     height = frame.flying_height if height is None else height
     if height is None or height <= 0 or frame.fov is None:
@@ -130,17 +122,13 @@ def fov_of_sensor(width: float, focal_length: float) -> float:
 
 
 def fov_of_equivalent(equivalent: float, focal_length: float | None = None) -> float:
-    """Return the horizontal field of view in degrees of a 35 mm equivalent focal length.
+    """Return the horizontal field of view in degrees of a 35 mm equivalent and a true focal length in millimetres.
 
     Equivalent focal lengths compare diagonals. The sensor's proportions follow from its diagonal: 1 inch, APS-C, and full frame
-    are 3:2, others 4:3. A picture of 16:9 has the sensor's full width.
-
-    Args:
-        equivalent: in millimetres.
-        focal_length: the true focal length in millimetres; without it the sensor counts as 4:3.
+    are 3:2, others and unknown ones 4:3. A picture of 16:9 has the sensor's full width.
     """
-    diagonal = None if focal_length is None else _FILM_DIAGONAL * focal_length / equivalent
-    wide = diagonal is not None and (14.0 <= diagonal <= 18.0 or diagonal >= 25.0)
+    diagonal = _FILM_DIAGONAL * (focal_length or 0.0) / equivalent
+    wide = 14.0 <= diagonal <= 18.0 or diagonal >= 25.0
     proportion = 3 / math.hypot(3, 2) if wide else 4 / 5
     return fov_of_sensor(_FILM_DIAGONAL * proportion, equivalent)
 

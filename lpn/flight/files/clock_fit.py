@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -20,16 +19,7 @@ from lpn.flight.files.base import degrees, local_metres
 from lpn.flight.files.photos import Photo
 from lpn.flight.files.telemetry import Telemetry
 
-
-# An offset, the class of the share of photos within the log, and the median distance of positions in metres (NaN if unknown).
-class _Score(NamedTuple):
-    offset: float
-    level: int
-    metres: float
-
-
-_QUARTER, _HOUR = 900.0, 3600.0
-_MOST_QUARTERS = 56
+_QUARTER, _MOST_QUARTERS = 900.0, 56
 # An offset is possible from the first share of photos within the log (a log may be of one battery), and likely from the second.
 _SOME, _MOST = 0.1, 0.9
 # Positions of photos and log whose median distance is below _NEAR metres are simultaneous. An offset is as good as the best if
@@ -37,11 +27,9 @@ _SOME, _MOST = 0.1, 0.9
 _NEAR, _CLEAR, _CLEAR_METRES = 30.0, 3.0, 15.0
 _MOST_PHOTOS = 200
 _BEYOND = 10.0
-_UTC, _LOCAL = "UTC", "their clock"
 
 
-@dataclass(frozen=True)
-class ClockFit:
+class ClockFit(NamedTuple):
     """The fit of the photos' clock to a log's.
 
     Attributes:
@@ -64,71 +52,60 @@ def fit_clocks(photos: Sequence[Photo], telemetry: Telemetry, utc: bool, given: 
         given: a known offset, which is used without a search.
     """
     photos = photos[:: max(1, math.ceil(len(photos) / _MOST_PHOTOS))]
-    clocks = {
-        _UTC: np.array([photo.utc for photo in photos], np.float64),
-        _LOCAL: np.array([photo.local for photo in photos], np.float64),
-    }
-    like = _UTC if utc else _LOCAL
-    known = [basis for basis in (like, _LOCAL if utc else _UTC) if np.isfinite(clocks[basis]).any()]
+    clocks = [("UTC", [photo.utc for photo in photos]), ("their clock", [photo.local for photo in photos])]
+    clocks = clocks if utc else clocks[::-1]
+    like = clocks[0][0]
+    known = [(basis, np.array(times, np.float64)) for basis, times in clocks if any(t is not None for t in times)]
     if not known:
         return ClockFit(None, like, "the photos have no time")
     if not any(entry.latitude is not None for entry in telemetry.entries):
-        return ClockFit(None, known[0], "none of its positions has a time")
+        return ClockFit(None, known[0][0], "none of its positions has a time")
     if given is not None:
-        return ClockFit(given, known[0], f"with the offset of {given:g} s given with --clock-offset")
+        return ClockFit(given, known[0][0], f"with the offset of {given:g} s given with --clock-offset")
     places = degrees([photo.frame for photo in photos])
-    fits = (_fit(telemetry, clocks[basis], places, basis, basis == like) for basis in known)
-    first = next(fits)
-    return first if first.offset is not None else next((fit for fit in fits if fit.offset is not None), first)
+    fits = [_fit(telemetry, times, places, basis, basis == like) for basis, times in known]
+    return next((fit for fit in fits if fit.offset is not None), fits[0])
 
 
 def _fit(telemetry: Telemetry, times: Float64Array, places: Float64Array, basis: str, is_like: bool) -> ClockFit:
     """Return the best offset of one of the photos' clocks; `is_like` if it is of the log's kind."""
-    quarters = sorted(range(-_MOST_QUARTERS, _MOST_QUARTERS + 1), key=abs)
-    scores = [_score(telemetry, times, places, _QUARTER * quarter) for quarter in quarters]
-    level = max(score.level for score in scores)
-    if level == 0:
+    offsets = _QUARTER * np.array(sorted(range(-_MOST_QUARTERS, _MOST_QUARTERS + 1), key=abs))
+    shares, metres = np.array([_score(telemetry, times + offset, places) for offset in offsets]).T
+    likely, near = shares >= _MOST, (shares >= _SOME) & (metres <= _NEAR)
+    best = likely if likely.any() else shares >= _SOME
+    if near.any():
+        least = metres[near].min()
+        best = near & (metres <= max(_CLEAR * least, least + _CLEAR_METRES))
+    choices = offsets[best].tolist()
+    if not choices:
         return ClockFit(None, basis, "at no offset of a time zone do the photos' times lie within it")
-    best = [score for score in scores if score.level == level]
-    if near := [score for score in scores if score.level and score.metres <= _NEAR]:
-        least = min(score.metres for score in near)
-        best = [score for score in near if score.metres <= max(_CLEAR * least, least + _CLEAR_METRES)]
-    if is_like and best[0].offset == 0:
-        best = best[:1]
-    if len(best) == 1:
-        return ClockFit(best[0].offset, basis, _sentence(best[0]))
-    offsets = ", ".join(f"{score.offset:g}" for score in best[:4])
-    return ClockFit(
-        None,
-        basis,
-        "the photos' times lie within it at several offsets, and nothing decides between them; give one, in seconds, with "
-        f"--clock-offset: {offsets}",
-    )
-
-
-def _sentence(score: _Score) -> str:
-    """Describe the fit at an offset, with a warning if positions disagree."""
-    ahead = "ahead of" if score.offset > 0 else "behind"
-    parts = []
-    if score.offset:
-        parts.append(f"with a constant offset: the log's clock is {abs(score.offset) / _HOUR:g} h {ahead} the photos'")
-    if score.metres > _NEAR:
-        parts.append(
-            f"but its positions are {score.metres:.0f} m from the photos' own in the median, so one of the clocks or positions "
-            "is wrong; --clock-offset tells the offset"
+    if len(choices) > 1 and not (is_like and choices[0] == 0):
+        return ClockFit(
+            None,
+            basis,
+            "the photos' times lie within it at several offsets, and nothing decides between them; give one, in seconds, with "
+            f"--clock-offset: {', '.join(f'{offset:g}' for offset in choices[:4])}",
         )
-    return ", ".join(parts)
+    offset, away, parts = choices[0], metres[best][0], []
+    if offset:
+        ahead = "ahead of" if offset > 0 else "behind"
+        parts.append(f"with a constant offset: the log's clock is {abs(offset) / 3600:g} h {ahead} the photos'")
+    if away > _NEAR:
+        parts.append(
+            f"but its positions are {away:.0f} m from the photos' own in the median, so one of the clocks or positions is "
+            "wrong; --clock-offset tells the offset"
+        )
+    return ClockFit(offset, basis, ", ".join(parts))
 
 
-def _score(telemetry: Telemetry, times: Float64Array, places: Float64Array, offset: float) -> _Score:
+def _score(telemetry: Telemetry, times: Float64Array, places: Float64Array) -> tuple[float, float]:
+    """Return the share of photos within the log, and the median metres between positions (NaN if unknown)."""
     first, last = telemetry.entries[0].time, telemetry.entries[-1].time
     # `Telemetry.at` decides how long values hold beyond the log's ends.
-    during = np.flatnonzero((times + offset > first - _BEYOND) & (times + offset < last + _BEYOND))
-    found = {int(i): telemetry.at(float(times[i]) + offset) for i in during}
-    inside = {
-        i: (values["latitude"], values["longitude"]) for i, values in found.items() if values["latitude"] is not None
-    }
-    share = len(inside) / np.isfinite(times).sum()
-    pairs = [np.array([places[i], place], np.float64) for i, place in inside.items() if not math.isnan(places[i, 0])]
-    metres = [float(np.hypot(*local_metres(pair)[1])) for pair in pairs]
-    return _Score(offset, int(share >= _SOME) + int(share >= _MOST), float(np.median(metres)) if metres else math.nan)
+    during = np.flatnonzero((times > first - _BEYOND) & (times < last + _BEYOND))
+    told = [(places[i], telemetry.at(float(times[i]))) for i in during]
+    pairs = [
+        (place, (known["latitude"], known["longitude"])) for place, known in told if known.get("latitude") is not None
+    ]
+    metres = [np.hypot(*local_metres(np.array(pair, np.float64))[1]) for pair in pairs if not np.isnan(pair[0]).any()]
+    return len(pairs) / np.isfinite(times).sum(), float(np.median(metres)) if metres else math.nan

@@ -66,7 +66,7 @@ class FrameReader:
 
     def __init__(self, pixels: int) -> None:
         self._pixels = pixels
-        self._read = lru_cache(_KEPT)(self._reduced)
+        self._read = lru_cache(_KEPT)(lambda file, share: _reduced(images.load_picture(file), share, pixels))
         # Threads that cut one frame read it once; threads that cut different frames rarely wait for each other.
         self._locks = [threading.Lock() for _ in range(_LOCKS)]
 
@@ -74,9 +74,6 @@ class FrameReader:
         with self._locks[hash(file) % _LOCKS]:
             picture = self._read(file, share)
         return cut_square(picture, heading, share, self._pixels)
-
-    def _reduced(self, file: Path, share: float) -> UInt8Array:
-        return _reduced(images.load_picture(file), share, self._pixels)
 
 
 @dataclass(frozen=True)

@@ -27,7 +27,6 @@ from lpn.flight.files.lenses import lens_of_text
 FORMAT = "lpn-flight/1"
 TABLE, HEADER, FRAMES = "flight.csv", "flight.json", "frames"
 _COLUMNS = tuple(field.name for field in fields(Frame))
-_FIRST_LINE = ",".join(_COLUMNS).encode() + b"\n"
 
 
 class _Header(msgspec.Struct, forbid_unknown_fields=True):
@@ -44,22 +43,16 @@ def is_flight(folder: Path) -> bool:
 
 def check_folder(folder: Path) -> None:
     """Raise OutputError if the flight would replace a file that `lpn flight` did not write."""
-    for name in (HEADER, TABLE):
-        file = folder / name
-        try:
-            data = file.read_bytes() if file.exists() else None
-        except OSError as error:
-            raise OutputError(
-                f"{printable(str(file))} cannot be read ({error.strerror or error}); check it."
-            ) from error
-        is_ours = data is None or data.startswith(_FIRST_LINE)
-        if data is not None and name == HEADER:
-            is_ours = str(format_of(data)).startswith("lpn-flight/")
-        if not is_ours:
-            raise OutputError(
-                f"{printable(str(file))} was not written by lpn flight and would be replaced; choose another folder for the "
-                "flight."
-            )
+    there = [folder / name for name in (HEADER, TABLE) if (folder / name).exists()]
+    try:
+        is_ours = not there or str(format_of((folder / HEADER).read_bytes())).startswith("lpn-flight/")
+    except OSError:
+        is_ours = False
+    if not is_ours:
+        raise OutputError(
+            f"{printable(str(there[0]))} was not written by lpn flight and would be replaced; choose another folder for the "
+            "flight."
+        )
 
 
 def write_flight(flight: Flight, folder: Path) -> None:
@@ -71,12 +64,10 @@ def write_flight(flight: Flight, folder: Path) -> None:
     check_folder(folder)
     rows: list[list[object]] = [list(_COLUMNS)]
     for frame in flight.frames:
-        values = {name: getattr(frame, name) for name in _COLUMNS} | {
-            "file": _relative(frame.file, folder),
-            "lens": None if frame.lens is None else frame.lens.text(),
-        }
-        rows.append(list(values.values()))
-    header = msgspec.to_builtins(_Header(FORMAT, flight.name, flight.utc, list(flight.notes)))
+        lens = None if frame.lens is None else frame.lens.text()
+        told = {**vars(frame), "file": _relative(frame.file, folder), "lens": lens}
+        rows.append([told[name] for name in _COLUMNS])
+    header = {"format": FORMAT, "name": flight.name, "utc": flight.utc, "notes": flight.notes}
     write_together({folder / TABLE: csv_bytes(rows, own=True), folder / HEADER: json_bytes(header, ensure_ascii=False)})
 
 
@@ -114,15 +105,12 @@ def _frame(values: list[str], folder: Path, line: str) -> Frame:
     if len(values) != len(_COLUMNS):
         raise DataError(f"{line} has {len(values)} values; expected {len(_COLUMNS)}.")
     told: dict[str, Any] = {name: text for name, cell in zip(_COLUMNS, values, strict=True) if (text := unescape(cell))}
-
-    def path(_: type, text: str) -> Path:
-        if "\x00" in text:
-            raise ValueError("Expected a path without NULs")
-        return Path(os.path.normpath(folder / text))
-
     try:
         told |= {"lens": asdict(lens_of_text(told["lens"]))} if "lens" in told else {}
-        frame = msgspec.convert(told, Frame, strict=False, dec_hook=path)
+        told |= {"file": os.path.normpath(folder / told["file"])} if "file" in told else {}
+        frame = msgspec.convert(told, Frame, strict=False, dec_hook=lambda kind, text: kind(text))
+        if "\x00" in told["file"]:
+            raise ValueError("Expected a path without NULs")
         if (frame.latitude is None) != (frame.longitude is None):
             raise ValueError("Expected both or none of latitude and longitude")
         if (frame.heading is None) != (frame.heading_source is None):

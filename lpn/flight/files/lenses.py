@@ -8,7 +8,6 @@ The model is Brown's (1971) in OpenCV's form: a ray (x, y, 1) of the camera is s
 
 from __future__ import annotations
 
-import json
 import math
 from dataclasses import astuple, dataclass
 from pathlib import Path
@@ -21,14 +20,13 @@ from lpn.core.arrays import Float64Array, UInt8Array
 from lpn.core.errors import DataError
 from lpn.core.files import first_few, printable
 from lpn.core.homography import middle_pixel
-from lpn.core.requirements import missing_package
 from lpn.flight.files.values import read_limited
 
 # Limits: focal lengths in widths of the picture (170 to 3 degrees of view), the optical centre's distance from the middle, and
 # the coefficients of distortion.
 _FOCALS, _OFF_CENTRE, _MOST = (0.04, 20.0), 0.25, 100.0
-# Most bytes of a camera's file.
-_MOST_BYTES = 1_000_000
+# Limits of a camera's file.
+_MOST_BYTES, _MOST_BRACKETS = 1_000_000, 1000
 
 
 @dataclass(frozen=True)
@@ -86,14 +84,10 @@ class Lens:
         """Return a photo (H, W, 3) as of a pinhole with the same focal length and its optical centre in the middle."""
         height, width = photo.shape[:2]
         x, y = middle_pixel(width, height)
-        camera = np.array(
-            [
-                [self.focal_x * width, 0, x + self.centre_x * width],
-                [0, self.focal_y * width, y + self.centre_y * width],
-                [0, 0, 1],
-            ]
-        )
         pinhole = np.array([[self.focal_x * width, 0, x], [0, self.focal_x * width, y], [0, 0, 1]])
+        camera = pinhole.copy()
+        camera[1, 1] = self.focal_y * width
+        camera[:2, 2] += self.centre_x * width, self.centre_y * width
         maps = cv2.initUndistortRectifyMap(camera, self.coefficients, np.eye(3), pinhole, (width, height), cv2.CV_32FC1)
         # Repeated border pixels have no edge that a matcher could use.
         return np.asarray(cv2.remap(photo, *maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), np.uint8)
@@ -103,34 +97,21 @@ class Lens:
         return " ".join(f"{value:.9g}" for value in astuple(self))
 
 
-def lens_of_text(text: str) -> Lens:
-    """Parse the format of `Lens.text`.
+def lens_of_text(text: str, width: float = 1.0) -> Lens:
+    """Parse nine numbers: `Lens.text`, or DJI's XMP property DewarpData, "date;fx,fy,cx,cy,k1,k2,p1,p2,k3".
 
-    Raises:
-        ValueError: if the text is not nine numbers of a lens.
-    """
-    numbers = [float(word) for word in text.split()]
-    if len(numbers) != 9:
-        raise ValueError(f"{len(numbers)} numbers")
-    return Lens(*numbers)
-
-
-def lens_of_dewarp_data(text: str, width: float) -> Lens:
-    """Return the lens of DJI's XMP property DewarpData, "date;fx,fy,cx,cy,k1,k2,p1,p2,k3".
-
-    Focal lengths and the optical centre, counted from the photo's middle, are in pixels (Mavic 3M user manual, page 90).
+    DewarpData has focal lengths and the optical centre, counted from the photo's middle, in pixels (Mavic 3M manual, page 90).
 
     Args:
-        width: of the photo as it was taken, in pixels.
+        width: of the photo as it was taken, in the text's unit.
 
     Raises:
         ValueError: if the text is no lens; the message describes it.
     """
-    words = text.rpartition(";")[2].split(",")
-    if len(words) != 9:
-        raise ValueError(f"{len(words)} numbers where 9 are expected")
-    fx, fy, cx, cy, *coefficients = (float(word) for word in words)
-    return Lens(fx / width, fy / width, cx / width, cy / width, *coefficients)
+    numbers = [float(word) for word in text.rpartition(";")[2].replace(",", " ").split()]
+    if len(numbers) != 9:
+        raise ValueError(f"{len(numbers)} numbers where 9 are expected")
+    return Lens(*(number / width for number in numbers[:4]), *numbers[4:])
 
 
 def read_camera(file: Path) -> tuple[Lens, float]:
@@ -142,65 +123,61 @@ def read_camera(file: Path) -> tuple[Lens, float]:
     Raises:
         DataError: if it cannot be read, has another model than a pinhole with Brown's distortion, or impossible numbers.
     """
-    name = printable(str(file))
     try:
-        text = read_limited(file, _MOST_BYTES, "a camera's file").decode().removeprefix("\ufeff")
-        content = json.loads(text) if text.lstrip().startswith("{") else _yaml(text)
-        return _camera(content) if isinstance(content, dict) else _camera({})
-    except (LookupError, TypeError, ArithmeticError, ValueError, RecursionError) as error:
-        found = "lacks" if isinstance(error, KeyError) else "has"
+        text = read_limited(file, _MOST_BYTES, "a camera's file").decode("utf-8-sig", "replace").strip()
+        # OpenCV's parser overflows the stack with nested brackets.
+        if text.count("[") + text.count("{") > _MOST_BRACKETS:
+            raise ValueError("too many brackets")
+        # OpenCV before 5 asks for its own first line.
+        head = "" if text.startswith(("%", "{")) else "%YAML:1.0\n---\n"
+        # The storage owns its nodes, so it outlives them here.
+        storage = cv2.FileStorage(head + text.removeprefix("---"), cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
+        return _camera(_content(storage.root()))
+    except (cv2.error, SystemError, LookupError, TypeError, AttributeError, ArithmeticError, ValueError) as error:
+        found = f"{'lacks' if isinstance(error, KeyError) else 'has'} {printable(str(error))[:120]}"
+        found = found if isinstance(error, KeyError | ValueError) else "has other contents"
         raise DataError(
-            f"{name} {found} {printable(str(error))[:120]}; expected YAML or JSON by OpenCV, ROS, or ODM: the size of its "
+            f"{printable(str(file))} {found}; expected YAML or JSON by OpenCV, ROS, or ODM: the size of its "
             "pictures with camera_matrix and distortion_coefficients, or focal_x and k1, of a pinhole with k1, k2, p1, p2, k3."
         ) from error
 
 
-def _yaml(text: str) -> Any:
-    """Parse YAML, OpenCV's dialect of the first line and of matrices included."""
-    try:
-        import yaml
-    except ModuleNotFoundError as error:
-        raise missing_package(error) from error
-    first, _, rest = text.partition("\n")
-    plain = rest if first.startswith("%YAML:") else text
-    try:
-        return yaml.safe_load(plain.replace("!!opencv-matrix", ""))
-    except yaml.YAMLError as error:
-        raise ValueError(f"no YAML ({error})") from error
+def _content(node: cv2.FileNode) -> Any:
+    """Return a node as a dict, list, text, or number."""
+    if node.isMap():
+        names = node.keys()
+        return {name: _content(node.getNode(name)) for name in names}
+    if node.isSeq():
+        return [_content(node.at(i)) for i in range(node.size())]
+    return node.string() if node.isString() else node.real()
 
 
 def _camera(content: dict[str, Any]) -> tuple[Lens, float]:
     if "camera_matrix" in content:
-        width, height = float(content["image_width"]), float(content["image_height"])
+        width, height = content["image_width"], content["image_height"]
         model = content.get("distortion_model", "plumb_bob")
-        if len(matrix := _numbers(content["camera_matrix"])) != 9:
+        if len(matrix := content["camera_matrix"]["data"]) != 9:
             raise ValueError(f"{len(matrix)} numbers in camera_matrix and not 9")
         fx, _, cx, _, fy, cy, *_ = matrix
-        coefficients = _numbers(content.get("distortion_coefficients", []))
+        centre = (cx - (width - 1) / 2) / width, (cy - (height - 1) / 2) / width
+        fx, fy = fx / width, fy / width
+        coefficients = content["distortion_coefficients"]["data"]
     else:
-        cameras = {str(name): camera for name, camera in content.items() if isinstance(camera, dict)} or {"": content}
+        cameras = {name: camera for name, camera in content.items() if isinstance(camera, dict)} or {"": content}
         if len(cameras) > 1:
             raise ValueError(
                 f"{len(cameras)} cameras ({first_few(list(cameras), 3)}), of which only that of these photos may stay"
             )
         (camera,) = cameras.values()
-        width, height = float(camera["width"]), float(camera["height"])
+        width, height = camera["width"], camera["height"]
         model = camera.get("projection_type", "brown")
         # OpenSfM's unit is the longer side, and its origin is the picture's middle.
-        scale = max(width, height)
-        fx, fy = (scale * float(camera["focal" if "focal" in camera else name]) for name in ("focal_x", "focal_y"))
-        cx = (width - 1) / 2 + scale * float(camera.get("c_x", 0.0))
-        cy = (height - 1) / 2 + scale * float(camera.get("c_y", 0.0))
-        coefficients = [float(camera.get(name, 0.0)) for name in ("k1", "k2", "p1", "p2", "k3")]
+        scale = max(width, height) / width
+        fx, fy = (scale * camera["focal" if "focal" in camera else name] for name in ("focal_x", "focal_y"))
+        centre = scale * camera.get("c_x", 0.0), scale * camera.get("c_y", 0.0)
+        coefficients = [camera.get(name, 0.0) for name in ("k1", "k2", "p1", "p2", "k3")]
     if model not in ("plumb_bob", "brown", "perspective", "none"):
         raise ValueError(f"the model {model}")
     if any(coefficients[5:]):
         raise ValueError(f"{len(coefficients)} coefficients of distortion")
-    centre = (cx - (width - 1) / 2) / width, (cy - (height - 1) / 2) / width
-    return Lens(fx / width, fy / width, *centre, *coefficients[:5]), height / width
-
-
-def _numbers(values: Any) -> list[float]:
-    """Return the numbers of a list, a list of rows, or a matrix in "data", row by row."""
-    numbers: list[float] = np.array(values["data"] if isinstance(values, dict) else values, np.float64).ravel().tolist()
-    return numbers
+    return Lens(fx, fy, *centre, *coefficients[:5]), height / width

@@ -15,6 +15,9 @@ fixed        of an aircraft without a gimbal, whose camera looks straight down i
 aircraft     of an aircraft whose camera may look elsewhere
 
 An altitude's convention is its zero, "sea" or "ellipsoid"; without one, the file's altitude type may name it.
+
+ElementTree reads a well-formed XMP packet. From a damaged one, complete attributes and elements are used. Entities of a document
+type are never expanded.
 """
 
 from __future__ import annotations
@@ -22,7 +25,9 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterator, Mapping
+from html import unescape
 from typing import Any, Literal, NamedTuple
+from xml.etree import ElementTree
 
 from lpn.flight.files import values
 
@@ -142,11 +147,11 @@ ROWS: tuple[PropertyRow, ...] = (
     PropertyRow("calibration", "drone-dji", _DJI_CALIBRATION, "pixels", "", _DJI),
     PropertyRow("calibration", "drone-skydio", _SKYDIO_CALIBRATION, "pixels", "", _SKYDIO),
     PropertyRow("perspective", "Camera", "PerspectiveFocalLength", "millimetres", "", _PIX4D),
-    PropertyRow("perspective unit", "Camera", "PerspectiveFocalLengthUnits", "text", "", _PIX4D),
     PropertyRow("principal point", "Camera", "PrincipalPoint", "text", "", _PIX4D),
     PropertyRow("focal length", "exif", "FocalLength", "millimetres", "", _EXIF),
     PropertyRow("equivalent", "exif", "FocalLengthIn35mmFilm", "millimetres", "", _EXIF),
     PropertyRow("resolution", "exif", "FocalPlaneXResolution FocalPlaneResolutionUnit", "pixels", "", _EXIF),
+    PropertyRow("size", "exif", "ExifImageWidth ExifImageHeight", "pixels", "", _EXIF),
     PropertyRow("size", "exif", "PixelXDimension PixelYDimension", "pixels", "", _EXIF),
     PropertyRow("zoom", "exif", "DigitalZoomRatio", "times", "", _EXIF),
     PropertyRow("taken", "exif", "DateTimeOriginal", "text", "", _EXIF),
@@ -163,6 +168,16 @@ _KNOWN = frozenset((row.namespace, name.casefold()) for row in ROWS for name in 
 _COINED = re.compile(r"(?:gimbal|flight)\w+degree|(?:relative|absolute)altitude|gps(?:lat|long|longt)itude")
 # Heights in metres and angles in degrees beyond these come from wrong bytes.
 _MOST: Mapping[str, float] = {"degrees": 720.0, "metres": 1e5, "metres, 0 if unknown": 1e5}
+# Limits of an XMP packet: bytes, and levels of properties within properties.
+_MOST_BYTES, _MOST_LEVELS = 2_000_000, 12
+_OPENING = re.compile(r"<([\w-]{1,40}:(?:xmpmeta|RDF))\b")
+# Namespaces of XMP's envelope; their elements are no properties.
+_FRAME = ("{http://www.w3.org/1999/02/22-rdf-syntax-ns#}", "{adobe:ns:meta/}", "{http://www.w3.org/XML/1998/namespace}")
+_PREFIX = re.compile(r"""\bxmlns:([\w-]{1,40})="([^"<]{0,200})""")
+# An attribute with its value, or an element with its text. The bounded repeats keep the search linear.
+_PROPERTY = re.compile(
+    r'(?<![\w-])(?!xmlns:)([\w-]{1,40}):(\w{1,60})(?:\s{0,9}=\s{0,9}"([^"<>]{0,2000})"|>([^<>]{0,2000})</\1:\2>)'
+)
 
 
 class Properties:
@@ -185,49 +200,77 @@ class Properties:
         if value is not None and value != "":
             self._values.setdefault(key, value)
 
+    def add_xmp(self, packet: bytes) -> bool:
+        """Add the properties of an XMP packet, and return whether it is damaged; then nested ones are left out."""
+        wide = packet[:2] in (b"\xff\xfe", b"\xfe\xff")
+        text = packet[:_MOST_BYTES].decode("utf-16" if wide else "utf-8", "replace")
+        if (opening := _OPENING.search(text)) is None:
+            return True
+        # The cut removes a document type, which precedes the first element, so the parser sees none of its entities.
+        end = text.rfind(f"</{opening[1]}")
+        text = text[opening.start() : None if end < 0 else text.find(">", end) + 1]
+        try:
+            found, is_damaged = list(_properties(ElementTree.fromstring(text), ())), False
+        except (ElementTree.ParseError, RecursionError):
+            declared, is_damaged = dict(_PREFIX.findall(text)), True
+            told = _PROPERTY.findall(text)
+            found = [(declared.get(prefix, prefix), name, unescape(one or other)) for prefix, name, one, other in told]
+        for address, name, value in found:
+            self.add(_namespace(address), name, value.strip())
+        return is_damaged
+
     def raw(self, name: str, namespace: str = "exif") -> Any:
         """Return the raw value of a property; None without one."""
         return self._values.get((namespace, name.casefold()))
 
-    def rows(self, field: str) -> Iterator[tuple[PropertyRow, tuple[float | None, ...]]]:
-        """Yield the rows of a field that have a number, best first, each with three numbers, None where unknown."""
+    def rows(self, field: str) -> Iterator[tuple[PropertyRow, tuple[Any, ...]]]:
+        """Yield the rows of a field with a value, best first, each with three numbers or texts, None where unknown."""
         for row in ROWS:
-            if row.field == field:
-                numbers = [self._number(row, name) for name in row.names.split()]
-                if any(number is not None for number in numbers):
-                    yield row, (*numbers, None, None)[:3]
+            found = [self._value(row, name) for name in row.names.split() if row.field == field]
+            if any(value is not None for value in found):
+                yield row, (*found, None, None)[:3]
 
-    def first(self, field: str) -> float | None:
-        """Return the number of the best row of a field; None without one."""
-        return next((numbers[0] for _, numbers in self.rows(field) if numbers[0] is not None), None)
-
-    def texts(self, field: str) -> Iterator[tuple[str, str]]:
-        """Yield the texts of a field that are not blank, best first, each with the property's name."""
-        for row in ROWS:
-            if row.field == field and (text := text_of(self.raw(row.names, row.namespace))):
-                yield f"{row.namespace}:{row.names}", text
-
-    def text(self, field: str) -> str:
-        """Return the text of the best row of a field; "" without one."""
-        return next((text for _, text in self.texts(field)), "")
+    def first(self, field: str) -> Any:
+        """Return the number or text of the best row of a field; None without one."""
+        return next((found[0] for _, found in self.rows(field) if found[0] is not None), None)
 
     def refuse(self, name: str) -> None:
         """Note a property with an unreadable value, such as "exif:GPSAltitude"."""
         self.unreadable += [] if name in self.unreadable else [name]
 
-    def _number(self, row: PropertyRow, name: str) -> float | None:
-        if (raw := self.raw(name, row.namespace)) is None:
-            return None
+    def _value(self, row: PropertyRow, name: str) -> float | str | None:
+        raw = self.raw(name, row.namespace)
+        if raw is None or row.unit == "text":
+            return text_of(raw) or None
         value = degrees(raw) if row.unit == "degrees" else number(raw)
         if value is None or abs(value) > _MOST.get(row.unit, math.inf):
             # A camera that did not zoom may write 0/0.
             if row.field != "zoom":
                 self.refuse(f"{row.namespace}:{name}")
             return None
+        if row.field == "position" and row.namespace == "exif":
+            reference = text_of(self.raw(f"{name}Ref"))[:1].upper()
+            if reference in ("S", "W"):
+                return -abs(value)
+            # Without a letter, a sign or a text tells the hemisphere.
+            if reference not in ("N", "E") and value > 0 and not isinstance(raw, str):
+                self.refuse(f"exif:{name}Ref")
+                return None
         return None if value == 0 and row.unit == "metres, 0 if unknown" else value
 
 
-def namespace_of(address: str) -> str:
+def _properties(element: ElementTree.Element, tags: tuple[str, ...]) -> Iterator[tuple[str, str, str]]:
+    """Yield address, name, and text of the properties of an element, within those of `tags`, in the order of the packet."""
+    tags = tags if element.tag.startswith(_FRAME) else (*tags, element.tag)
+    for tag, text in [*element.attrib.items(), ("", element.text or "")]:
+        path = [name.removeprefix("{").rpartition("}") for name in (*tags, tag) if name]
+        if path and text.strip() and not tag.startswith(_FRAME):
+            yield path[0][0], "/".join(name for _, _, name in path), text
+    for child in element if len(tags) < _MOST_LEVELS else ():
+        yield from _properties(child, tags)
+
+
+def _namespace(address: str) -> str:
     """Return the key of a namespace's address, or of an undeclared prefix; "" for others."""
     address = address.casefold().rstrip("/#")
     found = (key for key, parts in NAMESPACES.items() if address == key.casefold() or any(p in address for p in parts))
@@ -245,11 +288,7 @@ def number(value: Any) -> float | None:
     """Return a value of EXIF or XMP, such as "+39.80", "-8759/100", or "12.5 m", as a finite number, else None."""
     if isinstance(value, tuple | list) and len(value) == 1:
         value = value[0]
-    try:
-        found = values.number(text_of(value), comma=True) if isinstance(value, str | bytes) else float(value)
-    except (TypeError, ValueError, ZeroDivisionError, OverflowError):
-        return None
-    return found if found is not None and math.isfinite(found) else None
+    return values.number(text_of(value) or str(value), comma=True)
 
 
 def degrees(value: Any) -> float | None:

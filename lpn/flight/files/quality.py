@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections import Counter
 from collections.abc import Sequence
@@ -29,19 +30,17 @@ _NAMED = 3
 
 def with_courses(frames: Sequence[Frame]) -> tuple[list[Frame], list[str]]:
     """Fill missing headings with the course over ground where the drone moves straight; return notes about it."""
-    places, times = local_metres(degrees(frames)), _times(frames)
-    made, courses = [], 0
-    for i, frame in enumerate(frames):
-        course = None if frame.heading is not None else _course(places, times, i)
-        courses += course is not None
-        made.append(frame if course is None else replace(frame, heading=course, heading_source="course"))
-    missing, notes = sum(frame.heading is None for frame in frames), []
-    if courses:
-        notes.append(
-            f"{missing} of {len(frames)} photos have no heading: {courses} got the course over ground, which is the camera's "
-            "heading only if the drone flew forwards."
-        )
-    return made, notes
+    made, missing = list(frames), [i for i, frame in enumerate(frames) if frame.heading is None]
+    metres, times = local_metres(degrees(frames)), _times(frames)
+    for i in missing:
+        if (course := _course(metres - metres[i], np.abs(times - times[i]), i)) is not None:
+            made[i] = replace(frames[i], heading=course, heading_source="course")
+    if not (courses := sum(made[i].heading is not None for i in missing)):
+        return made, []
+    return made, [
+        f"{len(missing)} of {len(frames)} photos have no heading: {courses} got the course over ground, which is the camera's "
+        "heading only if the drone flew forwards."
+    ]
 
 
 def flight_notes(frames: Sequence[Frame], oddities: Sequence[Sequence[str]] = ()) -> list[str]:
@@ -50,7 +49,7 @@ def flight_notes(frames: Sequence[Frame], oddities: Sequence[Sequence[str]] = ()
     Args:
         oddities: of each frame, as predicates with the frame as their subject.
     """
-    counts = Counter(oddity for some in oddities for oddity in dict.fromkeys(some))
+    counts = Counter(oddity for some in oddities for oddity in some)
     notes = [f"{count} of {len(frames)} photos: each {oddity}." for oddity, count in counts.items()]
     known = [frame for frame in frames if frame.latitude is not None]
     if frames and not known:
@@ -61,51 +60,36 @@ def flight_notes(frames: Sequence[Frame], oddities: Sequence[Sequence[str]] = ()
     elif len(known) < len(frames):
         names = [frame.name for frame in frames if frame.latitude is None]
         notes.append(f"{len(names)} of {len(frames)} photos have no GPS tag: {first_few(names, _NAMED)}.")
-    return notes + _jumps(known)
+    metres, seconds = np.hypot(*np.diff(local_metres(degrees(known)), axis=0).T), np.diff(_times(known))
+    fast = np.where(np.isnan(seconds), metres > _FAR, metres > _FASTEST * np.maximum(seconds, 1.0))
+    usual = float(np.median(metres)) if len(metres) > 1 else math.inf
+    jumps = np.flatnonzero(fast & (metres > _JUMP * usual))
+    if len(jumps):
+        count = "once" if len(jumps) == 1 else f"{len(jumps)} times"
+        notes.append(
+            f"The GPS tags jump {count}, first by {metres[jumps[0]]:.0f} m after {known[jumps[0]].name}; tags about a jump are "
+            "doubtful."
+        )
+    return notes
 
 
 def _times(frames: Sequence[Frame]) -> Float64Array:
     return np.array([frame.time for frame in frames], np.float64)
 
 
-def _course(places: Float64Array, times: Float64Array, at: int) -> float | None:
-    """Return the course in degrees at a frame; None if it hovers, turns, or has no position."""
-    if np.isnan(places[at, 0]):
-        return None
+def _course(metres: Float64Array, seconds: Float64Array, at: int) -> float | None:
+    """Return the course in degrees at a frame; None if it hovers, turns, or has no position.
+
+    Args:
+        metres: to each frame, east and north, (N, 2); NaN where unknown.
+        seconds: to each frame, (N,); NaN where unknown.
+    """
     legs = []
-    for step in (-1, 1):
-        other = _away(places, times, at, step)
-        if other is not None:
-            east, north = (places[other] - places[at]) * step
-            legs.append(math.degrees(math.atan2(east, north)))
-    if not legs or (len(legs) == 2 and abs(wrap_degrees(legs[1] - legs[0])) > _TURN):
+    for others, sign in ((range(at - 1, -1, -1), -1), (range(at + 1, len(metres)), 1)):
+        near = itertools.takewhile(lambda other: not seconds[other] > _COURSE_SECONDS, others)
+        leg = next((metres[other] for other in near if np.hypot(*metres[other]) >= _LEAST_STEP), None)
+        if leg is not None:
+            legs.append(math.degrees(math.atan2(*(sign * leg))))
+    if not legs or abs(turn := wrap_degrees(legs[-1] - legs[0])) > _TURN:
         return None
-    sine, cosine = (sum(wave(math.radians(leg)) for leg in legs) for wave in (math.sin, math.cos))
-    return math.degrees(math.atan2(sine, cosine)) % 360.0
-
-
-def _away(places: Float64Array, times: Float64Array, at: int, step: int) -> int | None:
-    """Return the nearest frame in one direction at least `_LEAST_STEP` away; None without one in `_COURSE_SECONDS`."""
-    other = at + step
-    while 0 <= other < len(places):
-        if abs(times[other] - times[at]) > _COURSE_SECONDS:
-            return None
-        if np.hypot(*(places[other] - places[at])) >= _LEAST_STEP:
-            return other
-        other += step
-    return None
-
-
-def _jumps(known: Sequence[Frame]) -> list[str]:
-    metres, seconds = np.hypot(*np.diff(local_metres(degrees(known)), axis=0).T), np.diff(_times(known))
-    if len(metres) < 2:
-        return []
-    with np.errstate(divide="ignore", invalid="ignore"):
-        fast = np.where(np.isnan(seconds), metres > _FAR, metres / np.maximum(seconds, 1.0) > _FASTEST)
-    jumps = np.flatnonzero(fast & (metres > _JUMP * np.median(metres)))
-    if not len(jumps):
-        return []
-    times, first = "once" if len(jumps) == 1 else f"{len(jumps)} times", int(jumps[0])
-    return [
-        f"The GPS tags jump {times}, first by {metres[first]:.0f} m after {known[first].name}; tags about a jump are doubtful."
-    ]
+    return (legs[0] + turn / 2) % 360.0

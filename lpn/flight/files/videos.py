@@ -9,12 +9,12 @@ from __future__ import annotations
 import itertools
 import math
 import os
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
 from datetime import datetime
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -25,12 +25,15 @@ from lpn.core.files import printable, write_atomic
 from lpn.flight.files.base import Frame
 from lpn.flight.files.cameras import upright_values
 from lpn.flight.files.subtitles import GpsOrder, SubtitleBlock, Subtitles, parse_subtitles
-from lpn.flight.files.telemetry import VALUES, Telemetry
+from lpn.flight.files.telemetry import Telemetry
 
 SUFFIXES = (".mp4", ".mov", ".m4v", ".mkv", ".avi")
 SUBTITLES = (".srt",)
+_UNREADABLE = f"{{}} is not a video that can be read; expected {', '.join(SUFFIXES)}."
 # The sharpest picture of a window of _WINDOW seconds is kept; at most _CANDIDATES of its pictures are compared.
 _WINDOW, _CANDIDATES = 1.0, 12
+# Times in seconds that differ by less are equal.
+_CLOSE = 1e-6
 # Pictures are compared at this width.
 _COMPARED_WIDTH = 640
 _JPEG_QUALITY = 95
@@ -38,8 +41,7 @@ _JPEG_QUALITY = 95
 _DIFFERS, _DIFFERS_SHARE = 3.0, 0.05
 
 
-@dataclass(frozen=True)
-class VideoFrames:
+class VideoFrames(NamedTuple):
     """The chosen frames of a video, with times from its start.
 
     Attributes:
@@ -73,31 +75,32 @@ def read_frames(
         DataError: if the video cannot be read, has no frame, or has no positions for `every_metres`.
         OutputError: if a frame cannot be written.
     """
-    starts: Iterator[float] = (every * step for step in itertools.count())
+    starts: Iterable[float] = (every * step for step in itertools.count())
     if every_metres is not None:
-        start_times = telemetry.times_by_distance(every_metres) if telemetry is not None else []
-        if not start_times:
+        starts = telemetry.times_by_distance(every_metres) if telemetry is not None else []
+        if not starts:
             raise DataError(
                 f"{printable(video.name)} has no positions, so frames cannot be chosen by metres flown; choose them by seconds."
             )
-        starts = iter(start_times)
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # its own messages would add to ours
     capture = cv2.VideoCapture(str(video))
+    frames, turns, times = [], turns_of(capture), [0.0]
     try:
         if not capture.isOpened():
-            raise DataError(f"{printable(video.name)} is not a video that can be read; expected {', '.join(SUFFIXES)}.")
-        turns = turns_of(capture)
-        frames, end = _chosen(capture, video, folder, starts, telemetry)
+            raise DataError(_UNREADABLE.format(printable(video.name)))
+        for time, picture in _sharpest(capture, starts, times):
+            file = folder / f"{video.stem}_{time:09.3f}s.jpg"
+            encoded: np.ndarray[Any, Any] = cv2.imencode(".jpg", picture, (cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY))[1]
+            write_atomic(file, encoded.tobytes())
+            frame = Frame(file.name, file, picture.shape[1], picture.shape[0], time)
+            values = {} if telemetry is None else telemetry.at(time)
+            frames.append(replace(frame, **upright_values(values, turns, frame, across_longer_side)))
         rate = capture.get(cv2.CAP_PROP_FPS)
     finally:
         capture.release()
     if not frames:
         raise DataError(f"{printable(video.name)} has no frame that can be read; it may be cut short.")
-    duration = end + (1 / rate if rate > 0 and math.isfinite(rate) else 0.0)
-    for i, frame in enumerate(frames):
-        told = {name: getattr(frame, name) for name in VALUES}
-        frames[i] = replace(frame, **upright_values(told, turns, frame, across_longer_side))
-    return VideoFrames(tuple(frames), duration, turns)
+    return VideoFrames(tuple(frames), times[-1] + (1 / rate if rate > 0 and math.isfinite(rate) else 0.0), turns)
 
 
 def turns_of(capture: Any) -> int:
@@ -149,9 +152,7 @@ def embedded_subtitles(video: Path, gps_order: GpsOrder | None = None) -> Subtit
                 except DataError as error:
                     unread = unread or error  # perhaps a stream of spoken words
     except (av.FFmpegError, OSError, ValueError) as error:
-        raise DataError(
-            f"{printable(video.name)} is not a video that can be read; expected {', '.join(SUFFIXES)}."
-        ) from error
+        raise DataError(_UNREADABLE.format(printable(video.name))) from error
     if unread is not None:
         raise unread
     return None
@@ -169,35 +170,33 @@ def _blocks(container: Any, stream: Any) -> Iterator[SubtitleBlock]:
             )
 
 
-def _chosen(
-    capture: Any, video: Path, folder: Path, starts: Iterator[float], telemetry: Telemetry | None
-) -> tuple[list[Frame], float]:
-    frames: list[Frame] = []
+def _sharpest(capture: Any, starts: Iterable[float], times: list[float]) -> Iterator[tuple[float, UInt8Array]]:
+    """Yield the sharpest picture after each start with its time, and keep the time of the last picture in `times`."""
+    windows = itertools.pairwise(itertools.chain(starts, [math.inf]))
+    (start, end), compared = next(windows), -math.inf
     best: tuple[float, float, UInt8Array] | None = None  # sharpness, time, picture
-    start, following, time, compared = next(starts), next(starts, math.inf), 0.0, -math.inf
-    rate, count = capture.get(cv2.CAP_PROP_FPS), 0
-    while capture.grab():
+    rate = capture.get(cv2.CAP_PROP_FPS)
+    for count in itertools.count():
+        if not capture.grab():
+            break
         # Some containers have no times of their own.
         position = capture.get(cv2.CAP_PROP_POS_MSEC) / 1000 or (count / rate if rate > 0 else 0.0)
-        time, count = max(time, position), count + 1
-        while time >= following - 1e-6:
+        times[-1] = time = max(times[-1], position)
+        while time >= end - _CLOSE:
             if best is not None:
-                frames.append(_written(best, video, folder, telemetry))
-            best, start, following, compared = None, following, next(starts, math.inf), -math.inf
-        window = min(_WINDOW, following - start)
-        inside = start - 1e-6 <= time < start + window - 1e-6
-        if not (inside or (best is None and time >= start)) or time < compared + window / _CANDIDATES - 1e-6:
+                yield best[1:]
+            (start, end), compared, best = next(windows), -math.inf, None
+        window = min(_WINDOW, end - start)
+        inside = start - _CLOSE <= time < start + window - _CLOSE
+        if not (inside or (best is None and time >= start)) or time < compared + window / _CANDIDATES - _CLOSE:
             continue
         read, picture = capture.retrieve()
-        if not read or picture is None:
-            continue
-        compared = time
-        sharpness = _sharpness(picture)
-        if best is None or sharpness > best[0]:
-            best = sharpness, time, picture
+        if read and picture is not None:
+            compared, sharpness = time, _sharpness(picture)
+            if best is None or sharpness > best[0]:
+                best = sharpness, time, picture
     if best is not None:
-        frames.append(_written(best, video, folder, telemetry))
-    return frames, time
+        yield best[1:]
 
 
 def _sharpness(picture: UInt8Array) -> float:
@@ -206,15 +205,6 @@ def _sharpness(picture: UInt8Array) -> float:
         size = _COMPARED_WIDTH, max(1, round(grey.shape[0] * _COMPARED_WIDTH / grey.shape[1]))
         grey = cv2.resize(grey, size, interpolation=cv2.INTER_AREA)
     return float(cv2.Laplacian(grey, cv2.CV_32F).var())
-
-
-def _written(best: tuple[float, float, UInt8Array], video: Path, folder: Path, telemetry: Telemetry | None) -> Frame:
-    _, time, picture = best
-    name = f"{video.stem}_{time:09.3f}s.jpg"
-    encoded: np.ndarray[Any, Any] = cv2.imencode(".jpg", picture, (cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY))[1]
-    write_atomic(folder / name, encoded.tobytes())
-    values: dict[str, Any] = {} if telemetry is None else dict(telemetry.at(time))
-    return Frame(name, folder / name, picture.shape[1], picture.shape[0], time, **values)
 
 
 def beside(video: Path, files: Sequence[Path]) -> Path | None:

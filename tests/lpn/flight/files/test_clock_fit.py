@@ -21,9 +21,8 @@ def a_log(
     file: Path, column: str = "datetime(utc)", offset: float = 0.0, path: list[tuple[float, float]] = PATH
 ) -> Path:
     """Write a log of one row a second from noon, whose clock is ahead by an offset in seconds."""
-    rows = [
-        f"{datetime.fromtimestamp(NOON + i + offset, UTC):%Y-%m-%d %H:%M:%S},{a},{b}\n" for i, (a, b) in enumerate(path)
-    ]
+    times = [datetime.fromtimestamp(NOON + i + offset, UTC) for i in range(len(path))]
+    rows = [f"{time:%Y-%m-%d %H:%M:%S},{a},{b}\n" for time, (a, b) in zip(times, path, strict=True)]
     file.write_text(f"{column},latitude,longitude\n" + "".join(rows), "utf-8")
     return file
 
@@ -33,17 +32,12 @@ def photos(
 ) -> None:
     """Write photos of some seconds of the log, whose camera's clock is ahead of UTC by an offset."""
     for second in seconds:
-        taken = datetime.fromtimestamp(NOON + second + offset, UTC)
-        camera: dict[int, Any] = {ExifTags.Base.DateTimeOriginal: f"{taken:%Y:%m:%d %H:%M:%S}"}
-        gps: dict[int, Any] = {}
-        if utc:
-            true = datetime.fromtimestamp(NOON + second, UTC)
-            gps = {
-                ExifTags.GPS.GPSDateStamp: f"{true:%Y:%m:%d}",
-                ExifTags.GPS.GPSTimeStamp: (true.hour, true.minute, true.second),
-            }
+        true, taken = (datetime.fromtimestamp(NOON + second + ahead, UTC) for ahead in (0, offset))
+        stamp = {ExifTags.GPS.GPSDateStamp: f"{true:%Y:%m:%d}"}
+        gps: dict[int, Any] = {**stamp, ExifTags.GPS.GPSTimeStamp: (true.hour, true.minute, true.second)}
         place = (None, None) if places is None else places[second]
-        write_photo(folder / f"{second:03d}.jpg", exif(*place, camera=camera, gps=gps))
+        camera: dict[int, Any] = {ExifTags.Base.DateTimeOriginal: f"{taken:%Y:%m:%d %H:%M:%S}"}
+        write_photo(folder / f"{second:03d}.jpg", exif(*place, camera=camera, gps=gps if utc else None))
 
 
 def note_of(flight: Flight) -> str:
@@ -81,23 +75,18 @@ def test_a_log_in_local_time_fits_photos_in_utc_though_it_says_utc(tmp_path: Pat
     assert "with a constant offset: the log's clock is 2 h ahead of the photos'" in note_of(flight)
 
 
-def test_positions_decide_between_offsets_at_which_the_log_holds_the_photos(tmp_path: Path) -> None:
-    # Two hours of log pass the photos' places only once.
-    path = [(47.3 + i / 40_000, 8.5) for i in range(7200)]
-    log = a_log(tmp_path / "log.csv", path=path)
-    photos(tmp_path / "photos", [20, 130, 300, 420], 3600.0, places=path)
-    flight = make_flight([tmp_path / "photos", log], tmp_path / "flight")
-    assert "the log's clock is 1 h behind the photos'" in note_of(flight)
-    assert [frame.latitude for frame in flight.frames] == pytest.approx(
-        [path[i][0] for i in (20, 130, 300, 420)], abs=2e-5
-    )
-
-
-def test_the_offset_at_which_the_log_holds_most_photos_counts(tmp_path: Path) -> None:
-    path = [(47.3 + i / 40_000, 8.5) for i in range(1800)]
-    photos(tmp_path / "photos", [20, 600, 1200, 1750], 3600.0)
+@pytest.mark.parametrize(
+    ("length", "seconds", "placed"), [(7200, [20, 130, 300, 420], True), (1800, [20, 600, 1200, 1750], False)]
+)
+def test_positions_or_the_number_of_photos_within_the_log_decide(
+    tmp_path: Path, length: int, seconds: list[int], placed: bool
+) -> None:
+    # The log holds the photos at several offsets, and passes their places, or holds most of them, at one.
+    path = [(47.3 + i / 40_000, 8.5) for i in range(length)]
+    photos(tmp_path / "photos", seconds, 3600.0, places=path if placed else None)
     flight = make_flight([tmp_path / "photos", a_log(tmp_path / "log.csv", path=path)], tmp_path / "flight")
     assert "the log's clock is 1 h behind the photos'" in note_of(flight)
+    assert [frame.latitude for frame in flight.frames] == pytest.approx([path[i][0] for i in seconds], abs=2e-5)
 
 
 def test_an_offset_that_is_no_zone_is_given_or_said(tmp_path: Path) -> None:
