@@ -6,43 +6,27 @@ or after an underscore, a space, or a slash. Without one the dialect's unit coun
 
 from __future__ import annotations
 
-import math
 import re
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
 
 from lpn.core.errors import DataError
 from lpn.core.files import printable
-from lpn.flight.files.values import FOOT
+from lpn.flight.files.values import ANGLES, LENGTHS, TIMES
 
-_LENGTHS = {
-    **dict.fromkeys(("m", "meter", "meters", "metre", "metres", "amsl", "msl", "agl", "wgs84"), 1.0),
-    **dict.fromkeys(("ft", "feet", "foot"), FOOT), "mm": 0.001, "cm": 0.01, "km": 1000.0,
-}  # fmt: skip
-_ANGLES = {
-    **dict.fromkeys(("deg", "degree", "degrees", "°", "decimal", "dd", "wgs84"), 1.0), "ddeg": 0.1, "cdeg": 0.01, "dege7": 1e-7,
-    **dict.fromkeys(("rad", "radian", "radians"), math.degrees(1)),
-}  # fmt: skip
-_TIMES = {
-    **dict.fromkeys(("s", "sec", "secs", "second", "seconds"), 1.0), **dict.fromkeys(("ms", "millisecond", "milliseconds"), 1e-3),
-    **dict.fromkeys(("us", "µs", "microseconds"), 1e-6),
-}  # fmt: skip
-_DATES = _TIMES | {"utc": 1.0, "gmt": 1.0, "local": 1.0}
-# A column of time with another unit than these may hold another value of time.
-_OF_TIME = (_TIMES, _DATES)
+_DATES = TIMES | {"utc": 1.0, "gmt": 1.0, "local": 1.0}
 # The values of a row, with the possible units of each. `direction` is the camera's heading, `heading` the aircraft's, `nose` a
 # pitch with 0 for straight down, `bank` its roll, and `below` EXIF's GPSAltitudeRef.
 UNITS: Mapping[str, Mapping[str, float]] = {
-    **dict.fromkeys(("latitude", "longitude", "position"), _ANGLES),
-    **dict.fromkeys(("height_above_ground", "height_above_takeoff", "altitude"), _LENGTHS),
-    **dict.fromkeys(("gimbal_heading", "gimbal_pitch", "gimbal_roll", "heading", "direction", "nose", "bank", "fov"), _ANGLES),
-    "time": _TIMES, **dict.fromkeys(("date", "clock"), _DATES),
+    **dict.fromkeys(("latitude", "longitude", "position"), ANGLES),
+    **dict.fromkeys(("height_above_ground", "height_above_takeoff", "altitude"), LENGTHS),
+    **dict.fromkeys(("gimbal_heading", "gimbal_pitch", "gimbal_roll", "heading", "direction", "nose", "bank", "fov"), ANGLES),
+    "time": TIMES, **dict.fromkeys(("date", "clock"), _DATES),
     **{what: {} for what in ("file", "latitude_letter", "longitude_letter", "below", "is_video", "quality")},
 }  # fmt: skip
-_ALL_UNITS = _LENGTHS | _ANGLES | _DATES
+_ALL_UNITS = LENGTHS | ANGLES | _DATES
 _BRACKETED = re.compile(r"(.*?)\s*[\[(](.*)[\])]\s*", re.DOTALL)
-# No name of a column is longer.
-_LONGEST = 200
 # The group of tags that exiftool -G writes before a name.
 _GROUP = re.compile(r"(?:EXIF|XMP|GPS|File|Composite|IFD0|ExifIFD)[\w-]*:(?=\w)")
 
@@ -149,42 +133,22 @@ COMMON = Dialect("any", (), {
 # fmt: on
 
 
-@dataclass(frozen=True)
-class Columns:
-    """The columns of known meaning in a table.
+class LogColumn(NamedTuple):
+    """A column of known meaning.
 
     Attributes:
-        places: the index of each value in a row.
-        factors: from each value's unit to metres, degrees, or seconds.
-        unsaid: the values whose units neither the header nor the dialect names.
-        utc: True if the header names the date as UTC.
-        notes: sentences about columns that are left out or reinterpreted.
+        place: its index in a row.
+        factor: from its unit to metres, degrees, or seconds.
+        has_unit: whether the header or the program's dialect names its unit.
     """
 
-    dialect: Dialect
-    places: Mapping[str, int]
-    factors: Mapping[str, float]
-    unsaid: frozenset[str]
-    utc: bool
-    notes: tuple[str, ...]
-
-    @property
-    def has_position(self) -> bool:
-        """True if a latitude and a longitude are among them."""
-        return {"latitude", "longitude"} <= self.places.keys() or "position" in self.places
+    place: int
+    factor: float
+    has_unit: bool
 
 
-@dataclass(frozen=True)
-class _Name:
-    """A column's name without signs, and the words of its unit in lower case; a unit in brackets is surely one."""
-
-    plain: str
-    units: tuple[str, ...] = field(default=(), compare=False)
-    bracketed: bool = field(default=False, compare=False)
-
-
-def columns_of(header: Sequence[str], name: str) -> Columns:
-    """Return the known columns of a header.
+def columns_of(header: Sequence[str], name: str) -> tuple[Dialect, dict[str, LogColumn], list[str]]:
+    """Return the dialect of a header, the column of each known value, and notes about columns that are not read or in doubt.
 
     Args:
         name: the log's, for notes.
@@ -192,92 +156,76 @@ def columns_of(header: Sequence[str], name: str) -> Columns:
     Raises:
         DataError: if the column of a latitude or longitude has an unknown unit.
     """
-    cells = [list(_names(text)) for text in header]
-    plain = {cell.plain for names in cells for cell in names}
-    dialect = next((one for one in DIALECTS if all(_plain(mark) in plain for mark in one.marks)), COMMON)
-    places: dict[str, int] = {}
-    factors: dict[str, float] = {}
-    unsaid, notes, taken = set(), [], set[int]()
+    readings = [(plain, units, place) for place, text in enumerate(header) for plain, units in _readings(text)]
+    names = {plain for plain, _, _ in readings}
+    dialect = next((one for one in DIALECTS if {_plain(mark) for mark in one.marks} <= names), COMMON)
+    columns: dict[str, LogColumn] = {}
+    notes = []
     for table in (dialect, COMMON) if dialect is not COMMON else (COMMON,):
-        found = {}
-        for what, names in table.columns.items():
-            known = None if what in places else _best(cells, what, names, taken)
-            if known is None:
-                continue
-            at, factor, said = known
-            if factor is None:
-                notes.append(f"The column {printable(header[at])} of {name} is in an unknown unit and was left out.")
+        taken = {column.place for column in columns.values()}
+        free = [reading for reading in readings if reading[2] not in taken]
+        for what in [what for what in table.columns if what not in columns]:
+            column = _best(free, what, table.columns[what])
+            if isinstance(column, LogColumn):
+                columns[what] = column._replace(has_unit=column.has_unit or table is not COMMON)
+            elif column is not None:
+                notes.append(
+                    f"The column {printable(header[column])} of {name} is in an unknown unit and was left out."
+                )
                 if what in ("latitude", "longitude"):
                     raise DataError(f"{notes[-1]} Expected degrees, as in {what} (deg).")
-                continue
-            found[what], factors[what] = at, factor
-            unsaid |= {what} if table is COMMON and not said else set()
-        places |= found
-        taken |= set(found.values())
-    if {"latitude", "longitude"} <= places.keys():
-        places.pop("position", None)
-    if "height_above_takeoff" in places and _plain(header[places["height_above_takeoff"]]) == "height":
+    read = {what: header[column.place] for what, column in columns.items()}
+    if _plain(read.get("height_above_takeoff", "")) == "height":
         notes.append(f"The column height of {name} does not say above what; it counts as height above take-off.")
-    if {"omega", "phi", "kappa"} <= plain:
+    if {"omega", "phi", "kappa"} <= names:
         notes.append(f"The columns omega, phi, and kappa of {name} are angles of photogrammetry, and were not read.")
-    if "ellips" in (header[places["altitude"]].casefold() if "altitude" in places else ""):
+    if "ellips" in read.get("altitude", "").casefold():
         notes.append(_ELLIPSOID.format(name=name))
-    tilts = [
-        printable(header[at])
-        for at, names in enumerate(cells)
-        if names[0].plain in ("pitch", "roll") and at not in taken
-    ]
-    if tilts and "gimbal_pitch" not in places:
+    tilts = [text for text in header if _readings(text)[0][0] in ("pitch", "roll") and text not in read.values()]
+    if tilts and "gimbal_pitch" not in columns:
         notes.append(
-            f"The columns {' and '.join(tilts)} of {name} do not say whether they are the camera's, and were not read; call them "
-            "gimbal_pitch and gimbal_roll if they are."
+            f"The columns {' and '.join(map(printable, tilts))} of {name} do not say whether they are the camera's, and were not "
+            "read; call them gimbal_pitch and gimbal_roll if they are."
         )
     if dialect.note:
         notes.append(dialect.note.format(name=name))
-    utc = dialect.before_utc is not None or (
-        "date" in places and re.search("utc|gmt", header[places["date"]], re.I) is not None
-    )
-    return Columns(dialect, places, factors, frozenset(unsaid), utc, tuple(notes))
+    return dialect, columns, notes
 
 
 def _plain(text: str) -> str:
     return "".join(letter for letter in text.casefold() if letter.isalnum())
 
 
-def _names(text: str) -> Iterator[_Name]:
-    """Yield the readings of a column's name: the whole without a unit in brackets, and the part before a unit."""
-    text = _GROUP.sub("", text.lstrip("#% ").strip()[:_LONGEST])
+def _readings(text: str) -> list[tuple[str, tuple[str, ...]]]:
+    """Return the readings of a column's name: the plain name, and the words of its unit in lower case."""
+    text = _GROUP.sub("", text.lstrip("#% ").strip()[:200])
     if match := _BRACKETED.fullmatch(text):
-        yield _Name(_plain(match[1]), tuple(re.split(r"[\s,;]+", match[2].casefold().strip())), True)
-        return
-    yield _Name(_plain(text))
+        return [(_plain(match[1]), tuple(re.split(r"[\s,;]+", match[2].casefold().strip())))]
+    readings: list[tuple[str, tuple[str, ...]]] = [(_plain(text), ())]
     parts = re.split(r"[\s_/]+", text)
-    for count in (1, 2):
+    for count in range(1, min(len(parts), 3)):
         units = tuple(part.casefold() for part in parts[-count:])
-        if len(parts) > count and set(units) <= _ALL_UNITS.keys():
-            yield _Name(_plain("".join(parts[:-count])), units)
+        if set(units) <= _ALL_UNITS.keys():
+            readings.append((_plain("".join(parts[:-count])), units))
+    return readings
 
 
-def _best(
-    cells: Sequence[Sequence[_Name]], what: str, names: str, taken: set[int]
-) -> tuple[int, float | None, bool] | None:
-    """Return the index of a value's best column, its unit's factor (None if unknown), and whether the unit is named.
+def _best(readings: Sequence[tuple[str, tuple[str, ...], int]], what: str, names: str) -> LogColumn | int | None:
+    """Return a value's best column; its index alone if its unit is unknown; None without one.
 
     Columns are ranked by the order of names, then by the unit: known, missing, unknown or local time.
     """
     ranked = []
     units = UNITS[what]
     for rank, written in enumerate(names.split("|")):
-        wanted = next(_names(written))
-        own = next((units[unit] for unit in wanted.units), 1.0)
-        for at, known in ((at, name) for at, names_of in enumerate(cells) for name in names_of if name == wanted):
-            unit = next((unit for unit in known.units if unit in units), None)
-            if at in taken or (known.units and unit is None and (units in _OF_TIME or not known.bracketed)):
+        wanted, wanted_units = _readings(written)[0]
+        own = units[wanted_units[0]] if wanted_units else 1.0
+        for words, place in ((words, place) for plain, words, place in readings if plain == wanted):
+            unit = next((word for word in words if word in units), "")
+            is_unknown = bool(units and words and not unit)
+            # A column of time in another unit may hold another value of time.
+            if is_unknown and what in ("time", "date", "clock"):
                 continue
-            is_unknown = bool(units and known.units and unit is None)
-            factor = None if is_unknown else own if unit is None else units[unit]
-            certainty = 2 if is_unknown or unit == "local" else 1 if unit is None else 0
-            ranked.append((rank, certainty, at, factor, unit is not None or bool(wanted.units)))
-    if not ranked:
-        return None
-    return min(ranked, key=lambda column: column[:3])[2:]
+            column = place if is_unknown else LogColumn(place, units.get(unit, own), bool(unit or wanted_units))
+            ranked.append((rank, 2 if is_unknown or unit == "local" else int(not unit), place, column))
+    return min(ranked, key=lambda found: found[:3])[3] if ranked else None

@@ -104,12 +104,10 @@ def _metres_apart(frame: Frame, entry: Frame | TelemetryEntry) -> float:
 
 def _by_time(photos: Sequence[Photo], log: Log, clock_offset: float | None) -> _Matched:
     """Return photos with the log's values at their times, the clocks' fit, the reason for none, and notes."""
-    moments, note = logs.moments(log)
-    telemetry = Telemetry(moments)
+    telemetry = Telemetry(logs.moments(log))
     fit = fit_clocks(photos, telemetry, log.utc, clock_offset)
-    notes = [] if note is None else [note]
     if fit.offset is None:
-        return list(photos), f"by {fit.basis}", f": {fit.sentence}", notes
+        return list(photos), f"by {fit.basis}", f": {fit.sentence}", []
     made = []
     for photo in photos:
         time = photo.utc if fit.basis == "UTC" else photo.local
@@ -119,7 +117,7 @@ def _by_time(photos: Sequence[Photo], log: Log, clock_offset: float | None) -> _
             made.append(replace(_with_values(photo, known), utc=utc))
         else:
             made.append(photo)
-    return made, f"by {fit.basis}" + (f", {fit.sentence}" if fit.sentence else ""), "", notes
+    return made, f"by {fit.basis}" + (f", {fit.sentence}" if fit.sentence else ""), "", []
 
 
 def _with_entry(photo: Photo, entry: TelemetryEntry, utc: bool) -> Photo:

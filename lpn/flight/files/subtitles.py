@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -22,14 +22,13 @@ from typing import Literal
 from lpn.core.errors import DataError
 from lpn.core.files import printable
 from lpn.flight.files import cameras, values
-from lpn.flight.files.base import HeadingSource
-from lpn.flight.files.telemetry import TelemetryEntry
+from lpn.flight.files.telemetry import TelemetryEntry, entry_of
 
 GpsOrder = Literal["lat-lon", "lon-lat"]
 
 _MOST_BYTES = 500_000_000
 _INDEX_LINE = re.compile(r"^[ \t]*[0-9]+[ \t]*$", re.MULTILINE)
-_CODE = r"([0-9]{1,3}):([0-9]{2}):([0-9]{2})[,.]([0-9]{2,3})"
+_CODE = r"([0-9]{1,3}):([0-9]{2}):([0-9]{2}[,.][0-9]{2,3})"
 _CODES = re.compile(rf"{_CODE} *--> *{_CODE}")
 _TAG = re.compile(r"<[^<>\n]{0,200}>")
 # Some firmware of Autel writes a second sign behind the point: -117.-9605.
@@ -38,7 +37,12 @@ _NUMBER = r"[-+]?[0-9]+(?:\.[0-9]+)?"
 # [name: 1.0 name: 2.0, name: 3.0]; an unclosed bracket at the file's end does not count.
 _BRACKET = re.compile(r"\[([^\[\]\n]{3,400})\]")
 _NAMED = re.compile(rf"([A-Za-z_][A-Za-z_ ]{{0,40}}?) ?: ?({_NUMBER})(?=\s|,\s|,?$)")
+_COLUMNS = {
+    "longtitude": "longitude", "abs_alt": "altitude", "rel_alt": "height_above_takeoff",
+    "gb_yaw": "gimbal_heading", "gb_pitch": "gimbal_pitch", "gb_roll": "gimbal_roll",
+}  # fmt: skip
 _POSITION = re.compile(r"\b(?:GPS|RTK) ?\(([^()\n]{3,100})\)")
+_LETTER = re.compile("[NSEW]")
 _HEIGHT = re.compile(
     rf"(?<![A-Za-z.])(?:BAROMETER|ReH|Hb|H) ?[:(]? ?({_NUMBER} ?(?:m|ft|feet)?)(?=[\s)]|,\s)", re.IGNORECASE
 )
@@ -83,21 +87,22 @@ def read_subtitles(file: Path, gps_order: GpsOrder | None = None) -> Subtitles:
 
 
 def blocks_of(data: bytes) -> list[SubtitleBlock]:
-    """Split a file of subtitles at lines that hold only an index, or, without such lines, at its time codes."""
+    """Split a file of subtitles at its time codes, or, without any, at lines that hold only an index."""
     try:
         text = values.decoded(data, "").replace("\r\n", "\n").replace("\r", "\n")
     except DataError:  # without any text there is no subtitle
         return []
-    parts = _INDEX_LINE.split(text)[1:]
-    if not parts:
-        starts = [match.start() for match in _CODES.finditer(text)]
-        parts = [text[start:end] for start, end in zip(starts, [*starts[1:], len(text)], strict=False)]
-    blocks = []
-    for part in parts:
-        codes = _CODES.search(part)
-        start, end = (None, None) if codes is None else (_seconds(codes.groups()[:4]), _seconds(codes.groups()[4:]))
-        blocks.append(SubtitleBlock(part, start, end))
-    return blocks
+    codes = list(_CODES.finditer(text))
+    begins = [match.start() for match in codes or _INDEX_LINE.finditer(text)]
+    texts = [text[begin:end] for begin, end in zip(begins, [*begins[1:], len(text)], strict=False)]
+    if not codes:
+        return [SubtitleBlock(one, None, None) for one in texts]
+    times = [(_seconds(*match.groups()[:3]), _seconds(*match.groups()[3:])) for match in codes]
+    return [SubtitleBlock(one, *pair) for one, pair in zip(texts, times, strict=True)]
+
+
+def _seconds(hours: str, minutes: str, seconds: str) -> float:
+    return 3600.0 * int(hours) + 60 * int(minutes) + float(seconds.replace(",", "."))
 
 
 def parse_subtitles(blocks: Iterable[SubtitleBlock], name: str, gps_order: GpsOrder | None = None) -> Subtitles:
@@ -124,15 +129,11 @@ def parse_subtitles(blocks: Iterable[SubtitleBlock], name: str, gps_order: GpsOr
         if start is not None:
             end = max(end, start if block.end is None else block.end)
             texts.append((text, start, clock))
-    named = [
-        {key.strip(): float(number) for inside in _BRACKET.findall(text) for key, number in _NAMED.findall(inside)}
-        for text, _, _ in texts
-    ]
     lists = [_listed(text) for text, _, _ in texts]
     order, notes = _order([items for items in lists if items], gps_order, name)
-    entries = [_entry(*row, values, items, order) for row, values, items in zip(texts, named, lists, strict=True)]
-    is_known = any(lists) or any("latitude" in values for values in named)
-    if not is_known and all((e.height_above_takeoff, e.altitude, e.heading, e.fov) == (None,) * 4 for e in entries):
+    rows = [_told(text, items, order) for (text, _, _), items in zip(texts, lists, strict=True)]
+    entries = [entry_of(start, clock, told) for (_, start, clock), told in zip(texts, rows, strict=True)]
+    if not any(rows):
         raise DataError(
             f"{name} holds no telemetry of DJI or Autel in a known dialect; expected subtitles such as [latitude: 59.30], "
             f"GPS(18.2,59.3,16), or GPS(E: 18.2, N: 59.3, 45.0m){_a_line(texts)}."
@@ -143,7 +144,7 @@ def parse_subtitles(blocks: Iterable[SubtitleBlock], name: str, gps_order: GpsOr
             f"All positions of {name} lie within 3.14 degrees of 0, 0; if the camera wrote radians, they are wrong."
         )
     if missing := sum(entry.latitude is None for entry in entries):
-        unread = "" if is_known else _a_line(texts)
+        unread = "" if any("latitude" in told for told in rows) else _a_line(texts)
         notes.append(f"{missing} of {len(entries)} entries of {name} have no position{unread}.")
     return Subtitles(tuple(entries), end, tuple(notes))
 
@@ -154,11 +155,6 @@ def _a_line(texts: Sequence[tuple[str, float, float | None]]) -> str:
     lines = [line for line in lines if not _CODES.search(line) and values.moment(line) is None]
     line = max(lines, key=lambda line: sum(map(str.isdigit, line)), default="")
     return f"; one of its lines is {printable(line)[:_MOST_LETTERS]!r}" if line else ""
-
-
-def _seconds(parts: Sequence[str]) -> float:
-    hours, minutes, seconds = map(int, parts[:3])
-    return 3600.0 * hours + 60 * minutes + seconds + float(f"0.{parts[3]}")
 
 
 def _listed(text: str) -> list[str]:
@@ -172,7 +168,7 @@ def _listed(text: str) -> list[str]:
 
 def _order(lists: Sequence[list[str]], chosen: GpsOrder | None, name: str) -> tuple[GpsOrder, list[str]]:
     """Return the order of GPS(a, b, c) without letters, and a note if it is a guess."""
-    plain = [items for items in lists if not _letter(items[0])]
+    plain = [items for items in lists if not _LETTER.search(items[0])]
     if chosen is not None or not plain:
         return chosen or "lat-lon", []
     if any(abs(values.angle(a) or 0.0) > 90 for a, _, _ in plain):
@@ -187,65 +183,34 @@ def _order(lists: Sequence[list[str]], chosen: GpsOrder | None, name: str) -> tu
     ]
 
 
-def _letter(item: str) -> str:
-    found = re.search(r"[NSEW]", item)
-    return "" if found is None else found[0]
-
-
-def _entry(
-    text: str, start: float, clock: float | None, named: Mapping[str, float], items: list[str], order: GpsOrder
-) -> TelemetryEntry:
-    """Parse one subtitle from its text, its named numbers in brackets, and its GPS list."""
-    latitude, longitude = named.get("latitude"), _first(named, "longitude", "longtitude")
-    altitude, takeoff = _first(named, "abs_alt", "altitude"), named.get("rel_alt")
-    if items and (latitude is None or longitude is None):
-        latitude, longitude = _of_list(items, order)
-        if altitude is None and (_letter(items[0]) or not _SATELLITES.fullmatch(items[2])):
-            altitude = values.number(items[2]) or None
-    is_unknown = latitude is None or longitude is None or latitude == longitude == 0
-    if is_unknown or abs(latitude or 0.0) > 90 or abs(longitude or 0.0) > 180:
-        latitude = longitude = None
-    if takeoff is None and (height := _HEIGHT.search(text)):
-        takeoff = values.number(height[1])
-    angles, fov = _angles(text, named), _fov(text, named.get("dzoom_ratio"))
-    return TelemetryEntry(start, clock, latitude, longitude, None, takeoff, altitude, *angles, fov)
-
-
-def _first(named: Mapping[str, float], *names: str) -> float | None:
-    return next((named[name] for name in names if name in named), None)
-
-
-def _of_list(items: Sequence[str], order: GpsOrder) -> tuple[float | None, float | None]:
-    """Return latitude and longitude from the first two values of a list, by their letters, else by `order`."""
-    letters = _letter(items[0]), _letter(items[1])
-    if any(letters):
-        order = "lat-lon" if letters[0] in ("N", "S") else "lon-lat"
-    latitude, longitude = items[:2] if order == "lat-lon" else items[1::-1]
-    return values.angle(latitude, "NS"), values.angle(longitude, "EW")
-
-
-def _angles(
-    text: str, named: Mapping[str, float]
-) -> tuple[float | None, HeadingSource | None, float | None, float | None]:
-    """Return heading, its source, pitch, and roll; angles of a gimbal that are all 0 are unknown."""
-    turns = {letter: tuple(map(float, angles)) for letter, *angles in _ANGLES.findall(text)}
-    if {"gb_yaw", "gb_pitch"} <= named.keys():
-        turns["G"] = named["gb_pitch"], named.get("gb_roll", 0.0), named["gb_yaw"]
-    if any(turns.get("G", ())):
-        pitch, roll, yaw = turns["G"]
-        heading, pitch, roll = cameras.from_gimbal(yaw, pitch, roll)
-        return heading, "gimbal", pitch, roll
-    if any(turns.get("F", ())):
-        return turns["F"][2] % 360.0, "aircraft", None, None
-    return None, None, None, None
-
-
-def _fov(text: str, zoom: float | None) -> float | None:
-    """Return the field of view of a 35 mm equivalent focal length, "24.00" or, in tenths, "240"."""
-    match = re.search(rf"\[focal_len ?: ?({_NUMBER})[\s\]]", text)
-    if match is None:
-        return None
-    equivalent = float(match[1]) / (10.0 if match[1].isdecimal() and len(match[1]) > 2 else 1.0)
-    zoom = zoom or 1.0
-    equivalent *= max(zoom / _ZOOM_SCALE if zoom >= _LEAST_SCALED else zoom, 1.0)
-    return cameras.fov_of_equivalent(equivalent) if 5 <= equivalent <= 1000 else None
+def _told(text: str, items: Sequence[str], order: GpsOrder) -> dict[str, float | None]:
+    """Return what one subtitle tells, named as in `lpn.flight.files.dialects.UNITS`; `items` are those of its GPS list."""
+    named = {key.strip(): number for inside in _BRACKET.findall(text) for key, number in _NAMED.findall(inside)}
+    told: dict[str, float | None] = {}
+    if items:
+        if letter := _LETTER.search(items[0]):
+            order = "lat-lon" if letter[0] in "NS" else "lon-lat"
+        latitude, longitude = items[:2] if order == "lat-lon" else items[1::-1]
+        told = {"latitude": values.angle(latitude, "NS"), "longitude": values.angle(longitude, "EW")}
+        if letter or not _SATELLITES.fullmatch(items[2]):
+            told["altitude"] = values.number(items[2]) or None
+    if height := _HEIGHT.search(text):
+        told["height_above_takeoff"] = values.number(height[1])
+    for letter_of, *angles in _ANGLES.findall(text):
+        pitch, roll, yaw = map(float, angles)
+        if letter_of == "G":
+            told |= {"gimbal_heading": yaw, "gimbal_pitch": pitch, "gimbal_roll": roll}
+        elif pitch or roll or yaw:
+            told["heading"] = yaw
+    names = {_COLUMNS.get(key, key): float(number) for key, number in named.items()}
+    told |= {what: names[what] for what in ("latitude", "longitude", "altitude", *_COLUMNS.values()) if what in names}
+    if "focal_len" in named:
+        # A 35 mm equivalent focal length, "24.00" or, in tenths, "240".
+        equivalent = names["focal_len"] / (
+            10.0 if named["focal_len"].isdecimal() and names["focal_len"] >= 100 else 1.0
+        )
+        zoom = names.get("dzoom_ratio") or 1.0
+        equivalent *= max(zoom / _ZOOM_SCALE if zoom >= _LEAST_SCALED else zoom, 1.0)
+        if 5 <= equivalent <= 1000:
+            told["fov"] = cameras.fov_of_equivalent(equivalent)
+    return told

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,6 +11,7 @@ import numpy as np
 from lpn.core.arrays import Float64Array
 from lpn.core.errors import DataError
 from lpn.core.numbers import wrap_degrees
+from lpn.flight.files import cameras
 from lpn.flight.files.base import HeadingSource, local_metres
 
 # Values are not interpolated between entries more than `_GAP` seconds and more than `_GAPS` median steps apart.
@@ -44,6 +46,50 @@ class TelemetryEntry:
     pitch: float | None = None
     roll: float | None = None
     fov: float | None = None
+
+
+def entry_of(time: float, clock: float | None, told: Mapping[str, float | None]) -> TelemetryEntry:
+    """Return the entry of a row, subtitle, or message, with the angles of the gimbal, camera, or aircraft, in this order.
+
+    A position off the Earth or at (0, 0), and a gimbal's or camera's three angles of 0, are unknown.
+
+    Args:
+        told: values in metres and degrees by their names in `lpn.flight.files.dialects.UNITS`; None or NaN where unknown.
+    """
+    known = {what: value for what, value in told.items() if value is not None and math.isfinite(value)}
+    latitude, longitude = known.get("latitude"), known.get("longitude")
+    if (
+        latitude is None
+        or longitude is None
+        or not (latitude or longitude)
+        or abs(latitude) > 90
+        or abs(longitude) > 180
+    ):
+        latitude = longitude = None
+    heading, pitch, roll = (known.get(f"gimbal_{angle}") for angle in ("heading", "pitch", "roll"))
+    source: HeadingSource = "gimbal"
+    if heading is None or not (heading or pitch or roll):
+        looked, nose, bank = (known.get(what) for what in ("direction", "nose", "bank"))
+        if nose is not None and looked is not None and not (looked or nose or bank):
+            looked = nose = bank = None
+        heading, source = (known.get("heading"), "aircraft") if looked is None else (looked, "camera")
+        pitch, roll = (pitch or None) if nose is None else nose - 90.0, bank
+    elif pitch is not None:
+        heading, pitch, roll = cameras.from_gimbal(heading, pitch, roll or 0.0)
+    return TelemetryEntry(
+        time,
+        clock,
+        latitude,
+        longitude,
+        known.get("height_above_ground"),
+        known.get("height_above_takeoff"),
+        known.get("altitude"),
+        None if heading is None else heading % 360.0,
+        None if heading is None else source,
+        pitch,
+        roll,
+        known.get("fov"),
+    )
 
 
 class Telemetry:

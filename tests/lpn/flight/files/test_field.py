@@ -239,9 +239,7 @@ def test_text_of_the_field_is_read(tmp_path: Path, file: str, text: str, expecte
 
 
 def test_every_dialect_has_a_case_and_a_source() -> None:
-    tables = [
-        table_of(text, file).columns.dialect for _, file, text, _, _ in CASES if not file.endswith((".srt", ".log"))
-    ]
+    tables = [table_of(text, file).dialect for _, file, text, _, _ in CASES if not file.endswith((".srt", ".log"))]
     assert {dialect.program for dialect in DIALECTS} <= {dialect.program for dialect in tables}
     assert all(dialect.source.startswith("https://") for dialect in DIALECTS)
 

@@ -185,22 +185,19 @@ def test_labels_without_an_ending_name_their_pictures(tmp_path: Path) -> None:
     assert make_flight([log], tmp_path / "flight").frames[0].latitude == 47.3
 
 
-def test_a_moment_listed_twice_is_said_and_fractions_of_seconds_come_from_the_elapsed_time(tmp_path: Path) -> None:
-    rows = ["2024-05-01 12:00:00,47.0,8", "2024-05-01 12:00:00,47.9,8", "2024-05-01 12:00:01,47.1,8"]
+def test_the_first_row_of_a_moment_counts_and_fractions_of_seconds_come_from_the_elapsed_time(tmp_path: Path) -> None:
+    rows = [
+        "2024-05-01 12:00:00,,8",
+        "2024-05-01 12:00:00,47.0,8",
+        "2024-05-01 12:00:00,47.9,8",
+        "2024-05-01 12:00:01,47.1,8",
+    ]
     log = read_log(written(tmp_path, "datetime(utc),lat,lon\n" + "\n".join(rows)))
-    entries, note = moments(log)
-    assert [entry.latitude for entry in entries] == [47.0, 47.1]
-    assert note is not None
-    assert note.startswith(
-        "1 of 2 moments of log.csv are listed more than once with different positions; the first row"
-    )
-    entries, notes = for_video(log, 0)
-    assert [entry.latitude for entry in entries] == [47.0, 47.1]
-    assert any("1 of 2 moments" in note for note in notes)
+    for entries in (moments(log), for_video(log, 0)[0]):
+        assert [entry.latitude for entry in entries] == [47.0, 47.1]
     # Airdata has ten rows a second, whole seconds of UTC, and milliseconds from the start, here 0.3 s past a second.
     rows = [f"{100 * i},2024-05-01 12:00:0{(3 + i) // 10},{47 + i / 1000},8" for i in range(30)]
-    entries, note = moments(read_log(written(tmp_path, "time(millisecond),datetime(utc),lat,lon\n" + "\n".join(rows))))
-    assert note is None
+    entries = moments(read_log(written(tmp_path, "time(millisecond),datetime(utc),lat,lon\n" + "\n".join(rows))))
     assert [round(entry.time - 1714564800.0, 3) for entry in entries[:3]] == [0.3, 0.4, 0.5]
 
 
@@ -214,11 +211,6 @@ def test_a_few_positions_that_are_none_are_left_out_and_many_refuse_the_log(tmp_
     )
     with pytest.raises(DataError, match=r"Line 2 of log\.csv has the position 64\.0359, 407\.553; expected degrees"):
         read_log(written(tmp_path, "Lat,Lng\n64.0359128,407.5528816\n64.0359138,407.5528816\n"))
-
-
-def test_logs_that_were_joined_have_the_line_of_names_again(tmp_path: Path) -> None:
-    log = read_log(written(tmp_path, "name,lat,lon\na.jpg,47.3,8.5\nname,lat,lon\nb.jpg,47.4,8.5\n"))
-    assert [(row.file, row.entry.latitude, row.line) for row in log.rows] == [("a.jpg", 47.3, 2), ("b.jpg", 47.4, 4)]
 
 
 def test_text_that_is_no_log_is_left_out_and_the_run_goes_on(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ import pytest
 from lpn.core.errors import DataError
 from lpn.flight.files import make_flight
 from lpn.flight.files.vehicle_logs import read_vehicle_log
-from lpn.flight.files.vehicles import VehicleState, euler_degrees
+from lpn.flight.files.vehicles import Vehicle, euler_degrees
 from tools.fixtures import vehicle_logs
 from tools.fixtures.photos import exif, write_photo
 
@@ -80,24 +80,76 @@ def test_a_log_without_positions_is_refused(tmp_path: Path) -> None:
         read_vehicle_log(tmp_path / "a.tlog")
 
 
+ANGLES = {"Roll": 5, "Pitch": 6, "Yaw": 350}
+
+
 def test_a_gimbal_counts_before_the_aircraft_while_it_is_recent() -> None:
-    state = VehicleState()
-    state.attitude(0.0, 5, 6, 350)
-    state.gimbal(0.0, 0, -90, 20, from_north=False)
-    entry = state.position(0.5, 47, 8)
+    vehicle = Vehicle()
+    assert vehicle.take("POS", pos(47), 0.0) is not None
+    assert vehicle.take("ATT", ANGLES, 0.0) is None
+    assert vehicle.take("MNT", {"R": 0, "P": -90, "YB": 20}, 0.0) is None
+    entry = vehicle.take("POS", pos(47), 0.5)
     assert entry is not None
     assert (entry.heading, entry.heading_source, entry.pitch) == (pytest.approx(10), "gimbal", -90)
-    later = state.position(5.0, 47, 8)
+    later = vehicle.take("POS", pos(47), 5.0)
     assert later is not None
     assert later.heading is None
 
 
 def test_positions_of_the_receiver_alone_give_way_to_filtered_ones_and_return() -> None:
-    state = VehicleState()
-    assert state.position(0.0, 47, 8) is not None
-    assert state.position(1.0, 48, 8, raw=True) is None
-    assert state.position(9.0, 48, 8, raw=True) is not None
-    assert state.position(3.0, 47, 8) is not None, "a clock that steps back starts again"
+    vehicle, raw = Vehicle(), {**pos(48), "Status": 3}
+    assert vehicle.take("POS", pos(47), 0.0) is not None
+    assert vehicle.take("GPS", raw, 1.0) is None
+    assert vehicle.take("GPS", raw, 9.0) is not None
+    assert vehicle.take("GPS", raw, 9.05) is None, "at most ten a second"
+    assert vehicle.take("POS", pos(47), 3.0) is not None, "a clock that steps back starts again"
+
+
+def pos(latitude: float, altitude: float = float("nan")) -> dict[str, float]:
+    return {"Lat": latitude, "Lng": 8, "Alt": altitude}
+
+
+def test_angles_without_a_position_make_entries_once_a_second_has_passed() -> None:
+    vehicle = Vehicle()
+    for time, expected in ((0.0, True), (0.05, False), (0.2, True)):
+        entry = vehicle.take("ATT", ANGLES, time)
+        assert (entry is not None and entry.heading == 350.0) == expected
+    placed = vehicle.take("POS", pos(47), 0.21)
+    assert placed is not None
+    assert placed.altitude is None
+    assert vehicle.take("ATT", ANGLES, 0.9) is None
+
+
+Q = vehicle_logs.quaternion(0, -60, 20)
+
+
+@pytest.mark.parametrize(
+    ("kind", "message", "expected"),
+    [
+        ("sensor_gps", {"fix_type": 3, "lat": 473010000, "lon": 85010000, "alt": 500000}, {"altitude": 500.0}),
+        ("sensor_gps", {"fix_type": 2, "lat": 473010000, "lon": 85010000, "alt": 500000}, None),
+        ("vehicle_global_position", {"lat": 47, "lon": 8, "alt": 90, "terrain_alt_valid": 1, "terrain_alt": 30},
+         {"height_above_ground": 60.0}),
+        ("vehicle_local_position", {"dist_bottom_valid": 1, "dist_bottom": 12.5}, {"height_above_ground": 12.5}),
+        ("DISTANCE_SENSOR", {"orientation": 25, "min_distance": 10, "current_distance": 900, "max_distance": 4000},
+         {"height_above_ground": 9.0}),
+        ("DISTANCE_SENSOR", {"orientation": 0, "min_distance": 10, "current_distance": 900, "max_distance": 4000}, None),
+        ("TERRAIN_REPORT", {"loaded": 5, "current_height": 33.0}, {"height_above_ground": 33.0}),
+        ("RFND", {"Orient": 25, "Dist": 8.0}, {"height_above_ground": 8.0}),
+        ("MOUNT_ORIENTATION", {"roll": 0, "pitch": -90, "yaw": 5, "yaw_absolute": 40}, {"heading": 40.0, "pitch": -90.0}),
+        ("GIMBAL_DEVICE_ATTITUDE_STATUS", {"q": Q, "flags": 32}, {"heading": 20.0, "pitch": -60.0, "heading_source": "gimbal"}),
+        ("gimbal_device_attitude_status", {**{f"q[{i}]": q for i, q in enumerate(Q)}, "device_flags": 16.0}, {"heading": 20.0}),
+        ("ATTITUDE", {"roll": 0.0, "pitch": 0.0, "yaw": float("nan")}, {"heading": None, "pitch": -90.0}),
+        ("HEARTBEAT", {}, None),
+    ],
+)  # fmt: skip
+def test_each_message_tells_its_values(
+    kind: str, message: dict[str, object], expected: dict[str, object] | None
+) -> None:
+    entry = Vehicle().take(kind, message, 0.0)
+    assert (entry is None) == (expected is None)
+    for name, value in (expected or {}).items():
+        assert getattr(entry, name) == (pytest.approx(value) if isinstance(value, float) else value)
 
 
 def test_a_quaternion_without_norm_has_no_angles() -> None:
@@ -120,9 +172,3 @@ def test_a_damaged_log_of_an_autopilot_is_refused_whatever_its_name_says(tmp_pat
     log.write_bytes(b"\xa3\x95\x80\x80" + bytes(200))
     with pytest.raises(DataError):
         make_flight([photo, log], tmp_path / "flight")
-
-
-def test_an_altitude_that_is_not_known_is_none() -> None:
-    entry = VehicleState().position(0.0, 47, 8, float("nan"), float("nan"))
-    assert entry is not None
-    assert (entry.altitude, entry.height_above_takeoff) == (None, None)
