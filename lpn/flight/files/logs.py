@@ -1,18 +1,21 @@
 """Logs of a flight as tables and tracks: one row a picture, or one row a moment.
 
-`lpn.flight.files.dialects` has the formats of tables; `lpn.flight.files.track_files` reads GPX. Positions must be degrees on the
-Earth. Without a unit, values are metres, degrees, and seconds.
+`lpn.flight.files.dialects` has the formats of tables. Positions must be degrees on the Earth; without a unit, values are metres,
+degrees, and seconds. Tracks are GPX, whose waypoints named like pictures are rows of these pictures.
 """
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import math
 import re
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from datetime import UTC
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -21,10 +24,10 @@ from lpn.core.errors import DataError
 from lpn.core.files import printable
 from lpn.core.numbers import wrap_degrees
 from lpn.flight.files import cameras, values
-from lpn.flight.files.log_tables import GRID, LogTable, table_of
+from lpn.flight.files.log_tables import GRID, LogTable, picture_name, table_of
 from lpn.flight.files.telemetry import TelemetryEntry, entry_of
 
-SUFFIXES = (".csv", ".tsv", ".txt", ".pos", ".log")
+SUFFIXES = (".csv", ".tsv", ".txt", ".pos", ".log", ".gpx")
 _MOST_BYTES = 200_000_000
 _HEIGHTS = ("height_above_ground", "height_above_takeoff", "altitude")
 # The range of each angle in degrees. A gimbal's pitch that is always larger follows another convention.
@@ -40,6 +43,8 @@ _MOST_BEYOND = 0.1
 _LEAST_RECORDING = 1.5
 # Range of epochs in seconds. Larger ones are in milli-, micro-, or nanoseconds; smaller numbers count from a start.
 _EPOCHS = (1e9, 1e11)
+_DTD = re.compile(r"<!(?:DOCTYPE|ENTITY)", re.IGNORECASE)
+_DECLARATION = re.compile(r"^\s*<\?xml[^>]*\?>")
 _DAY_OR_MONTH = re.compile(r"(\d{1,2})[-/](\d{1,2})")
 # Positions from here on are eastings and northings of a map, or degrees times 1e7.
 _LEAST_GRID, _LEAST_SCALED = 1e3, 2e7
@@ -80,11 +85,11 @@ class Log:
 
 
 def read_log(file: Path) -> Log:
-    """Read a log that is a table.
+    """Read a table or a GPX track.
 
     Raises:
-        DataError: if it is of no known dialect, or a value is no number or no position; the message quotes the first line, or
-            names the line of the value.
+        DataError: if it is damaged or of no known dialect, or a value is no number or no position; the message quotes the first
+            line, or names the line of the value.
     """
     name = printable(file.name)
     data = values.read_limited(file, _MOST_BYTES, "a log of one flight")
@@ -92,7 +97,17 @@ def read_log(file: Path) -> Log:
         raise DataError(
             f"{name} is no text. A flight record of DJI's app is encrypted; convert it to .csv with Airdata or PhantomHelp."
         )
-    table = table_of(values.decoded(data, name), name)
+    text = values.decoded(data, name)
+    if text.startswith("frame,stage,state,"):
+        raise DataError(
+            f"{name} is a track of lpn locate: it has places found on a map, and a flight needs what the drone told; give the "
+            "photos, with the drone's own log if there is one, and open the track in a map program."
+        )
+    return parse_track(text, name) if file.suffix.lower() == ".gpx" else _log_of(table_of(text, name))
+
+
+def _log_of(table: LogTable) -> Log:
+    name = table.name
     notes = list(table.notes)
     degrees = _on_earth(table, notes)
     columns = {what: table.numbers(what) for what in (*_HEIGHTS, *_ANGLES) if what in table.columns}
@@ -120,6 +135,52 @@ def read_log(file: Path) -> Log:
     return Log(name, tuple(rows), utc, tuple(notes))
 
 
+def parse_track(text: str, name: str) -> Log:
+    """Parse a GPX file's text; a DTD is refused before entities are expanded.
+
+    Args:
+        name: the file's, for messages.
+
+    Raises:
+        DataError: if it is no GPX file, is damaged, has a DTD, or has no point with a position.
+    """
+    import gpxpy  # its import takes a tenth of a second
+
+    if _DTD.search(text):
+        raise DataError(
+            f"{name} has a DTD or entities, which no track needs, so it was not read; save it without them."
+        )
+    if "<gpx" not in text:
+        raise DataError(f"{name} is no GPX; expected a track with <gpx> in it.")
+    try:
+        gpx = gpxpy.parse(_DECLARATION.sub("", text))
+    except (gpxpy.gpx.GPXException, ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
+        raise DataError(f"{name} is cut off or damaged, so it was not read; export the track again.") from error
+    points: list[Any] = [point for track in gpx.tracks for segment in track.segments for point in segment.points]
+    points += [*gpx.waypoints, *(point for route in gpx.routes for point in route.points)]
+    rows, utc = [], False
+    for point in points:
+        clock: float | None = None
+        if point.time is not None:
+            with contextlib.suppress(ValueError, OverflowError):
+                clock = point.time.replace(tzinfo=point.time.tzinfo or UTC).timestamp()
+                utc |= point.time.tzinfo is not None
+        told = {"latitude": point.latitude, "longitude": point.longitude, "altitude": point.elevation}
+        rows.append(LogRow(entry_of(math.nan, clock, told), picture_name(point.name or "")))
+    placed = [row for row in rows if row.entry.latitude is not None]
+    if not placed:
+        raise DataError(f"{name} has no point with a position on the Earth; expected a track.")
+    used = [row for row in placed if row.entry.clock is not None or row.file is not None]
+    notes: tuple[str, ...] = ()
+    if not used:
+        notes = (f"{name} has {len(placed)} points without a time, so it fits no picture; export a track with times.",)
+    elif left := len(rows) - len(used):
+        notes = (
+            f"{left} of {len(rows)} points of {name} have no time, or no position on the Earth, and were left out.",
+        )
+    return Log(name, tuple(used), utc, notes)
+
+
 def rows_by_name(log: Log) -> dict[str, list[LogRow]]:
     """Return the rows of a log by the names of their pictures in lower case, without folders."""
     by_name = defaultdict(list)
@@ -141,7 +202,8 @@ def nearest_in_folders(path: Sequence[str], candidates: Sequence[Sequence[str]])
     """
     pairs = [zip(path[-2::-1], candidate[-2::-1], strict=False) for candidate in candidates]
     shared = [sum(1 for _ in itertools.takewhile(lambda two: two[0] == two[1], folders)) for folders in pairs]
-    return [i for i, count in enumerate(shared) if count == max(shared)]
+    most = max(shared, default=0)
+    return [i for i, count in enumerate(shared) if count == most]
 
 
 def moments(log: Log) -> list[TelemetryEntry]:

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import os
-import re
 import warnings
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -18,8 +17,8 @@ from lpn.core import images
 from lpn.core.errors import DataError, InputError, OtherKindError, PictureError
 from lpn.core.files import first_few, printable
 from lpn.datasets.base import files_below
-from lpn.flight.files import cameras, logs, subtitles, track_files, vehicle_logs, videos
-from lpn.flight.files.base import Flight, Frame
+from lpn.flight.files import cameras, logs, subtitles, vehicle_logs, videos
+from lpn.flight.files.base import Flight
 from lpn.flight.files.folder import FRAMES, check_folder, write_flight
 from lpn.flight.files.lenses import Lens, read_camera
 from lpn.flight.files.logs import Log
@@ -32,20 +31,19 @@ from lpn.flight.files.telemetry import Telemetry
 PHOTOS = (".jpg", ".jpeg", ".png", ".webp", ".tif", ".tiff")
 # Pictures of unsupported kinds, which a note names.
 _OTHER_PICTURES = (*images.OTHER_SUFFIXES, ".bmp", ".gif")
+# The kind of a file by its suffix. Maps, georeferenced pictures of survey programs, and all others are left out.
+_KINDS = {
+    **dict.fromkeys(PHOTOS, "photos"), **dict.fromkeys(videos.SUFFIXES, "videos"), **dict.fromkeys(videos.SUBTITLES, "subtitles"),
+    **dict.fromkeys((*logs.SUFFIXES, *vehicle_logs.SUFFIXES), "logs"),
+}  # fmt: skip
+_Files = dict[str, list[Path]]
 # The georeferencing tags of GeoTIFF.
 _GEOTIFF = (33550, 34264)
-# The beginning of a track by lpn locate: CSV, GeoJSON, or GPX.
-_OWN_TRACK = re.compile(
-    rb'(?:\xef\xbb\xbf)?frame,stage,state,|.*creator="lpn locate"|'
-    rb'.*"properties":\s*\{\s*"frame":.*?"stage":.*?"state":',
-    re.DOTALL,
-)
 # Supported formats that replace unsupported kinds.
 _INSTEAD = {
-    **dict.fromkeys((".kml", ".kmz"), "GPX or CSV"),
+    **dict.fromkeys((".kml", ".kmz", ".geojson"), "GPX or CSV"), **dict.fromkeys((".ass", ".vtt"), "SRT"),
     **dict.fromkeys((".bag", ".db3", ".mcap"), "CSV, .ulg, .tlog, or .bin"),
-    **dict.fromkeys((".ass", ".vtt"), "SRT"),
-}
+}  # fmt: skip
 _NAMED = 5
 # Least seconds between two frames of a video.
 _LEAST_EVERY = 0.04
@@ -90,28 +88,6 @@ class FlightOptions:
                 )
 
 
-@dataclass(frozen=True)
-class _Files:
-    """Files of a flight by kind; `maps` are georeferenced pictures of survey programs."""
-
-    photos: list[Path] = field(default_factory=list)
-    videos: list[Path] = field(default_factory=list)
-    subtitles: list[Path] = field(default_factory=list)
-    logs: list[Path] = field(default_factory=list)
-    maps: list[Path] = field(default_factory=list)
-    others: list[Path] = field(default_factory=list)
-
-    @property
-    def notes(self) -> list[str]:
-        """Notes that name the files that are left out."""
-        kinds = (("their kind is not supported", self.others), ("they are maps, not photos", self.maps))
-        return [
-            f"Left out, because {why}: {first_few([printable(file.name) for file in files], _NAMED)}."
-            for why, files in kinds
-            if files
-        ]
-
-
 def make_flight(files: Sequence[Path], out: Path, options: FlightOptions | None = None) -> Flight:
     """Read the files of one flight, and write its folder.
 
@@ -133,14 +109,15 @@ def make_flight(files: Sequence[Path], out: Path, options: FlightOptions | None 
     inputs = _sorted_files(files)
     read, unread = _read_logs(inputs)
     name = out.resolve().name
-    if inputs.photos and inputs.videos:
+    photos, filmed = inputs["photos"], inputs["videos"]
+    if photos and filmed:
         raise DataError(
-            f"Photos ({len(inputs.photos)}) and videos ({len(inputs.videos)}) have different clocks; make one flight of each."
+            f"Photos ({len(photos)}) and videos ({len(filmed)}) have different clocks; make one flight of each."
         )
-    if inputs.videos:
+    if filmed:
         flight = _flight_of_videos(inputs, list(read.values()), out / FRAMES, name, options)
     else:
-        photos = inputs.photos or [photo for file, log in read.items() for photo in _named_by(log, file)]
+        photos = photos or [photo for file, log in read.items() for photo in _named_by(log, file)]
         if not photos:
             raise DataError(_no_pictures(inputs))
         usual = FlightOptions()
@@ -153,7 +130,7 @@ def make_flight(files: Sequence[Path], out: Path, options: FlightOptions | None 
     flight = _completed(flight, options)
     if camera is not None:
         flight = _with_lens(flight, *camera)
-    flight = replace(flight, notes=(*flight.notes, *unread, *inputs.notes))
+    flight = replace(flight, notes=(*flight.notes, *unread, *_left_out_notes(inputs)))
     write_flight(flight, out)
     return flight
 
@@ -165,17 +142,14 @@ def read_any_log(file: Path) -> Log:
         DataError: if it is damaged, of an unsupported kind, or a track by lpn locate.
     """
     _refuse([file])
-    suffix = file.suffix.lower()
-    if vehicle_logs.is_vehicle_log(file):
-        return vehicle_logs.read_vehicle_log(file)
-    return track_files.read_track(file) if suffix in track_files.SUFFIXES else logs.read_log(file)
+    return vehicle_logs.read_vehicle_log(file) if vehicle_logs.is_vehicle_log(file) else logs.read_log(file)
 
 
 def _read_logs(inputs: _Files) -> tuple[dict[Path, Log], list[str]]:
-    """Return the logs and tracks, and a note for each file that is nearly a log; move other files to `inputs.others`."""
+    """Return the logs and tracks, and a note for each file that is nearly a log; move other files to the others."""
     read: dict[Path, Log] = {}
     notes = []
-    for file in list(inputs.logs):
+    for file in list(inputs["logs"]):
         suffix = file.suffix.lower()
         try:
             read[file] = read_any_log(file)
@@ -184,31 +158,19 @@ def _read_logs(inputs: _Files) -> tuple[dict[Path, Log], list[str]]:
             # Cards of DJI's cameras have .bin files of satellites beside the photos.
             if suffix not in (".txt", ".log") and not (is_other and suffix == ".bin"):
                 raise
-            inputs.logs.remove(file)
-            inputs.others.append(file)
+            inputs["logs"].remove(file)
+            inputs["others"].append(file)
             notes += [] if is_other else [str(error)]
     return read, notes
 
 
 def _refuse(files: Sequence[Path]) -> None:
-    """Raise DataError for a track or log of an unsupported kind, or a track by lpn locate."""
+    """Raise DataError for a track or log of an unsupported kind."""
     for file in files:
         suffix = file.suffix.lower()
         if suffix in _INSTEAD:
             raise DataError(
                 f"{printable(str(file))} is {suffix.upper()}, which is not read; give the flight as {_INSTEAD[suffix]}."
-            )
-        if suffix not in (".csv", ".geojson", ".gpx") or not file.is_file():
-            continue
-        try:
-            with file.open("rb") as opened:
-                head = opened.read(4096)
-        except OSError:
-            continue  # its own reader tells why
-        if _OWN_TRACK.match(head):
-            raise DataError(
-                f"{printable(file.name)} is a track of lpn locate: it has places found on a map, and a flight needs what the "
-                "drone told; give the photos, with the drone's own log if there is one, and open the track in a map program."
             )
 
 
@@ -222,15 +184,15 @@ def photos_of(paths: Sequence[Path], name: str) -> Flight:
         DataError: if a path is missing, or no photo can be read.
     """
     inputs = _sorted_files(paths)
-    if not inputs.photos:
+    if not inputs["photos"]:
         where = ", ".join(printable(str(path)) for path in paths) or "what was named"
         instead = f"expected {', '.join(PHOTOS)}, or a folder that lpn flight wrote"
-        if inputs.videos:
-            filmed = printable(inputs.videos[0].name)
+        if inputs["videos"]:
+            filmed = printable(inputs["videos"][0].name)
             instead = f"make a flight of its videos ({filmed}) with lpn flight {where} --out FLIGHT, and give FLIGHT"
         raise DataError(f"There is no photo in {where}; {instead}.")
-    flight = _flight_of_photos(inputs.photos, name)
-    return replace(flight, notes=(*flight.notes, *inputs.notes))
+    flight = _flight_of_photos(inputs["photos"], name)
+    return replace(flight, notes=(*flight.notes, *_left_out_notes(inputs)))
 
 
 def _flight_of_photos(
@@ -268,27 +230,31 @@ def _left_out(broken: Sequence[str], count: int, noun: str) -> str:
 
 
 def _sorted_files(paths: Sequence[Path]) -> _Files:
-    inputs = _Files()
-    kinds = (
-        (PHOTOS, inputs.photos),
-        (videos.SUFFIXES, inputs.videos),
-        (videos.SUBTITLES, inputs.subtitles),
-        ((*logs.SUFFIXES, *track_files.SUFFIXES, *vehicle_logs.SUFFIXES), inputs.logs),
-    )
+    inputs: _Files = defaultdict(list)
     in_folders = (*PHOTOS, *videos.SUFFIXES, *videos.SUBTITLES, *_OTHER_PICTURES)
     for path in paths:
         if not path.exists():
             raise DataError(f"There is no {path}; give photos, videos, subtitles, logs, tracks, or folders of them.")
         for file in files_below(path, in_folders) if path.is_dir() else [path]:
-            kind = next((kept for suffixes, kept in kinds if file.suffix.lower() in suffixes), inputs.others)
-            kind.append(file)
-    maps = {file.with_suffix("") for file in inputs.photos if _is_map(file)}
-    inputs.maps.extend(file for file in inputs.photos if file.with_suffix("") in maps)
-    inputs.photos[:] = sorted(
-        (f for f in inputs.photos if f.with_suffix("") not in maps), key=lambda f: natural(f.name)
-    )
-    inputs.videos.sort(key=lambda file: natural(file.name))
+            inputs[_KINDS.get(file.suffix.lower(), "others")].append(file)
+    # Survey programs write other formats of a map beside it.
+    maps = {file.with_suffix("") for file in inputs["photos"] if _is_map(file)}
+    pictures = inputs["photos"]
+    inputs["maps"] = [file for file in pictures if file.with_suffix("") in maps]
+    inputs["photos"] = [file for file in pictures if file.with_suffix("") not in maps]
+    for kind in ("photos", "videos"):
+        inputs[kind].sort(key=lambda file: natural(file.name))
     return inputs
+
+
+def _left_out_notes(inputs: _Files) -> list[str]:
+    """Return notes that name the files that are left out."""
+    kinds = (("their kind is not supported", inputs["others"]), ("they are maps, not photos", inputs["maps"]))
+    return [
+        f"Left out, because {why}: {first_few([printable(file.name) for file in files], _NAMED)}."
+        for why, files in kinds
+        if files
+    ]
 
 
 def _is_map(file: Path) -> bool:
@@ -309,14 +275,14 @@ def _is_map(file: Path) -> bool:
 
 
 def _no_pictures(files: _Files) -> str:
-    if files.subtitles:
-        return f"There is no video for {len(files.subtitles)} .SRT file{'s' * (len(files.subtitles) > 1)}; give the video, too."
-    if files.logs:
-        return f"No photo that {files.logs[0].name} names is below its folder; give the photos, or the video, beside the log."
-    others = f" ({printable(files.others[0].name)} is neither)" if files.others else ""
-    if files.maps:
-        others = f" ({printable(files.maps[0].name)} is a map, which lpn map takes)"
-    return f"There is no photo and no video{others}; expected {', '.join((*PHOTOS, *videos.SUFFIXES))}."
+    if count := len(files["subtitles"]):
+        return f"There is no video for {count} .SRT file{'s' * (count > 1)}; give the video, too."
+    if files["logs"]:
+        return f"No photo that {files['logs'][0].name} names is below its folder; give the photos, or the video, beside the log."
+    others = [(file, "is neither") for file in files["others"]]
+    others = [(file, "is a map, which lpn map takes") for file in files["maps"]] + others
+    named = f" ({printable(others[0][0].name)} {others[0][1]})" if others else ""
+    return f"There is no photo and no video{named}; expected {', '.join((*PHOTOS, *videos.SUFFIXES))}."
 
 
 def _named_by(log: Log, file: Path) -> list[Path]:
@@ -330,53 +296,62 @@ def _named_by(log: Log, file: Path) -> list[Path]:
 
 def _with_names(photos: Sequence[Photo]) -> list[Photo]:
     """Make names unique: if names repeat, use paths below the common folder."""
-    counts = Counter(photo.frame.name for photo in photos)
-    if len(counts) == len(photos):
+    if len({photo.frame.name for photo in photos}) == len(photos):
         return list(photos)
     files = [photo.frame.file.resolve() for photo in photos]
     common = os.path.commonpath([file.parent for file in files])
     names = [file.relative_to(common).as_posix() for file in files]
-    if len(set(names)) < len(names):
-        twice = next(name for name, count in Counter(names).items() if count > 1)
-        raise DataError(f"{printable(twice)} is given twice; give each photo once.")
+    if twice := [name for name, count in Counter(names).items() if count > 1]:
+        raise DataError(f"{printable(twice[0])} is given twice; give each photo once.")
     return [replace(photo, frame=replace(photo.frame, name=name)) for photo, name in zip(photos, names, strict=True)]
 
 
 def _flight_of_videos(
     files: _Files, flight_logs: Sequence[Log], folder: Path, name: str, options: FlightOptions
 ) -> Flight:
-    parts: list[tuple[videos.VideoFrames, float | None]] = []
-    notes = [note for log in flight_logs for note in log.notes]
-    broken: list[str] = []
-    stems = Counter(video.stem.casefold() for video in files.videos)
+    filmed = files["videos"]
+    stems = Counter(video.stem.casefold() for video in filmed)
     if twice := [stem for stem, count in stems.items() if count > 1]:
         raise DataError(
             f"Two videos are named {printable(twice[0])}; their frames would replace each other, so rename one."
         )
-    for number, video in enumerate(files.videos):
+    parts: list[tuple[videos.VideoFrames, float | None]] = []
+    notes = [note for log in flight_logs for note in log.notes]
+    broken: list[str] = []
+    for number, video in enumerate(filmed):
         try:
-            telemetry, known_subtitles, subtitle_notes = _telemetry(video, files, flight_logs, number, options)
+            telemetry, known_subtitles, telemetry_notes = _telemetry(video, files, flight_logs, number, options)
             part = videos.read_frames(
                 video, folder, options.every, options.every_metres, telemetry, known_subtitles is not None
             )
         except DataError as error:
             broken.append(str(error))
             continue
-        notes += subtitle_notes
-        if known_subtitles is not None:
-            subtitle, where = known_subtitles
-            note = videos.mismatch(subtitle, where, video, part.duration)
-            notes += [] if note is None else [note]
+        notes += telemetry_notes
+        if known_subtitles is not None and (note := videos.mismatch(*known_subtitles, video, part.duration)):
+            notes.append(note)
         notes += _turned_note(part, video)
-        first = next((entry for entry in telemetry.entries if entry.clock is not None), None) if telemetry else None
-        parts.append((part, None if first is None or first.clock is None else first.clock - first.time))
+        entries = () if telemetry is None else telemetry.entries
+        starts = (entry.clock - entry.time for entry in entries if entry.clock is not None)
+        parts.append((part, next(starts, None)))
     if not parts:
-        raise DataError(f"No video of {len(files.videos)} can be read. {broken[0]}")
-    frames, clock_notes = _on_one_clock(parts)
-    frames, course_notes = with_courses(frames)
-    notes += clock_notes + flight_notes(frames) + course_notes
+        raise DataError(f"No video of {len(filmed)} can be read. {broken[0]}")
+    known_starts = [start for _, start in parts if start is not None]
+    if len(known_starts) == len(parts):
+        offsets = [start - min(known_starts) for start in known_starts]
+    else:
+        offsets = [sum(part.duration for part, _ in parts[:i]) for i in range(len(parts))]
+        if len(parts) > 1:
+            notes.append(f"Not all of the {len(parts)} videos have a start time; their times follow one another.")
+    frames = [
+        replace(frame, time=(frame.time or 0.0) + offset)
+        for (part, _), offset in zip(parts, offsets, strict=True)
+        for frame in part.frames
+    ]
+    frames, course_notes = with_courses(sorted(frames, key=lambda frame: (frame.time, natural(frame.name))))
+    notes += flight_notes(frames) + course_notes
     if broken:
-        notes.append(_left_out(broken, len(files.videos), "videos"))
+        notes.append(_left_out(broken, len(filmed), "videos"))
     return Flight(name, tuple(frames), tuple(notes))
 
 
@@ -405,41 +380,23 @@ def _telemetry(
             notes.append(str(error))
             continue
         return Telemetry(entries), None, [*notes, *notes_of_log]
-    only = files.subtitles if len(files.videos) == len(files.subtitles) == 1 else []
-    file = only[0] if only else videos.beside(video, files.subtitles)
-    known_subtitles = None
+    given = files["subtitles"]
+    file = given[0] if len(files["videos"]) == len(given) == 1 else videos.beside(video, given)
+    can_look_inside = find_spec("av") is not None
+    found = None
     try:
         if file is not None:
-            known_subtitles = subtitles.read_subtitles(file, options.gps_order)
-        elif find_spec("av") is not None:
-            known_subtitles = videos.embedded_subtitles(video, options.gps_order)
+            found = subtitles.read_subtitles(file, options.gps_order)
+        elif can_look_inside:
+            found = videos.embedded_subtitles(video, options.gps_order)
     except DataError as error:
         notes.append(str(error))
-    if known_subtitles is None:
-        inside = "" if find_spec("av") is not None or file is not None else (
-            "; those inside of it need the package av: pip install 'lpn-explorer[maps]'"
-        )  # fmt: skip
-        return None, None, [*notes, f"{printable(video.name)} has no subtitles with telemetry{inside}."]
-    where = file.name if file is not None else "the subtitle stream"
-    return Telemetry(known_subtitles.entries), (known_subtitles, where), [*notes, *known_subtitles.notes]
-
-
-def _on_one_clock(parts: Sequence[tuple[videos.VideoFrames, float | None]]) -> tuple[list[Frame], list[str]]:
-    """Put the frames of several videos on one clock from the first on; `parts` have each video's start, if known."""
-    starts = [start for _, start in parts if start is not None]
-    notes = []
-    if len(starts) == len(parts):
-        offsets = [start - min(starts) for start in starts]
-    else:
-        offsets = [sum(part.duration for part, _ in parts[:i]) for i in range(len(parts))]
-        if len(parts) > 1:
-            notes.append(f"Not all of the {len(parts)} videos have a start time; their times follow one another.")
-    frames = [
-        replace(frame, time=(frame.time or 0.0) + offset)
-        for (part, _), offset in zip(parts, offsets, strict=True)
-        for frame in part.frames
-    ]
-    return sorted(frames, key=lambda frame: (frame.time, natural(frame.name))), notes
+    if found is not None:
+        where = "the subtitle stream" if file is None else file.name
+        return Telemetry(found.entries), (found, where), [*notes, *found.notes]
+    install = "; those inside of it need the package av: pip install 'lpn-explorer[maps]'"
+    inside = "" if can_look_inside or file is not None else install
+    return None, None, [*notes, f"{printable(video.name)} has no subtitles with telemetry{inside}."]
 
 
 def _with_lens(flight: Flight, lens: Lens, proportions: float) -> Flight:

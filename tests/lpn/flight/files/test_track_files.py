@@ -10,8 +10,8 @@ from PIL import ExifTags
 
 from lpn.core.errors import DataError
 from lpn.flight.files import make_flight
+from lpn.flight.files.logs import parse_track
 from lpn.flight.files.sources import read_any_log
-from lpn.flight.files.track_files import parse_track
 from tools.fixtures.photos import exif, write_photo
 from tools.fixtures.videos import write_video
 
@@ -40,7 +40,7 @@ WITHOUT_TIMES = "{1} has {0} points without a time, so it fits no picture; expor
 
 @pytest.mark.parametrize("zone", ["Z", "+00:00", ".0000Z", ""])
 def test_a_gpx_track_is_a_log_of_moments_in_utc(zone: str) -> None:
-    log = parse_track(gpx(3, zone).encode(), "a.gpx")
+    log = parse_track(gpx(3, zone), "a.gpx")
     assert [(r.entry.clock, r.entry.latitude, r.entry.longitude, r.entry.altitude) for r in log.rows] == [
         (1714564800.0 + i, pytest.approx(47.3 + i / 1000), 8.5, 500.0 + i) for i in range(3)
     ]
@@ -51,11 +51,11 @@ def test_a_gpx_track_is_a_log_of_moments_in_utc(zone: str) -> None:
 def test_numbers_that_are_none_are_no_position_and_no_altitude() -> None:
     point = '<trkpt lat="{}" lon="8.5"><ele>{}</ele><time>2024-05-01T12:00:0{}Z</time></trkpt>'
     text = gpx(0).replace("</trkseg>", point.format("nan", 5, 1) + point.format(47.3, "nan", 2) + "</trkseg>")
-    log = parse_track(text.encode(), "a.gpx")
+    log = parse_track(text, "a.gpx")
     assert [(row.entry.latitude, row.entry.altitude) for row in log.rows] == [(47.3, None)]
-    assert log.notes == ("1 points of a.gpx are outside of the Earth's degrees, and were left out.",)
+    assert log.notes == ("1 of 2 points of a.gpx have no time, or no position on the Earth, and were left out.",)
     with pytest.raises(DataError, match="has no point with a position on the Earth"):
-        parse_track(gpx(0).replace("</trkseg>", point.format(147.3, 5, 1) + "</trkseg>").encode(), "a.gpx")
+        parse_track(gpx(0).replace("</trkseg>", point.format(147.3, 5, 1) + "</trkseg>"), "a.gpx")
 
 
 def test_waypoints_named_as_pictures_are_their_positions(tmp_path: Path) -> None:
@@ -112,21 +112,21 @@ def test_a_video_takes_its_positions_from_a_track(tmp_path: Path, second: int | 
 
 
 @pytest.mark.parametrize(
-    ("data", "message"),
+    ("text", "message"),
     [
-        (b"", "is no GPX"),
-        (b"PK\x03\x04damaged", "is no GPX"),
-        (b"<gpx>", "is cut off or damaged, so it was not read; export the track again"),
-        (gpx(3)[:300].encode(), "is cut off or damaged"),
-        (gpx(3, decimal=",").encode(), "is cut off or damaged"),
-        (b'<gpx version="1.1"></gpx>', "has no point with a position"),
-        (b'<!DOCTYPE x [<!ENTITY a "b">]><gpx>&a;</gpx>', "has a DTD or entities"),
-        (b"<!DOCTYPE x SYSTEM 'file:///etc/passwd'><gpx></gpx>", "has a DTD or entities"),
+        ("", "is no GPX"),
+        ("PK\x03\x04damaged", "is no GPX"),
+        ("<gpx>", "is cut off or damaged, so it was not read; export the track again"),
+        (gpx(3)[:300], "is cut off or damaged"),
+        (gpx(3, decimal=","), "is cut off or damaged"),
+        ('<gpx version="1.1"></gpx>', "has no point with a position"),
+        ('<!DOCTYPE x [<!ENTITY a "b">]><gpx>&a;</gpx>', "has a DTD or entities"),
+        ("<!DOCTYPE x SYSTEM 'file:///etc/passwd'><gpx></gpx>", "has a DTD or entities"),
     ],
 )
-def test_files_that_are_no_tracks_are_refused_in_one_sentence(data: bytes, message: str) -> None:
+def test_files_that_are_no_tracks_are_refused_in_one_sentence(text: str, message: str) -> None:
     with pytest.raises(DataError) as error:
-        parse_track(data, "a.gpx")
+        parse_track(text, "a.gpx")
     assert message in str(error.value)
 
 
@@ -143,6 +143,7 @@ def test_a_track_without_times_fits_nothing_and_the_run_goes_on(tmp_path: Path) 
     ("name", "instead"),
     [
         ("track.kml", "GPX or CSV"),
+        ("track.geojson", "GPX or CSV"),
         ("flight.bag", "CSV, .ulg, .tlog, or .bin"),
         ("clip.vtt", "SRT"),
         ("CLIP.ASS", "SRT"),
