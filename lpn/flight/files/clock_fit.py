@@ -125,9 +125,7 @@ def _score(telemetry: Telemetry, times: Float64Array, places: Float64Array, offs
     # `Telemetry.at` decides how long values hold beyond the log's ends.
     during = np.flatnonzero((times + offset > first - _BEYOND) & (times + offset < last + _BEYOND))
     found = {int(i): telemetry.at(float(times[i]) + offset) for i in during}
-    inside = {
-        i: (values["latitude"], values["longitude"]) for i, values in found.items() if values["latitude"] is not None
-    }
+    inside = {i: (values["latitude"], values["longitude"]) for i, values in found.items() if "latitude" in values}
     share = len(inside) / np.isfinite(times).sum()
     pairs = [np.array([places[i], place], np.float64) for i, place in inside.items() if not math.isnan(places[i, 0])]
     metres = [float(np.hypot(*local_metres(pair)[1])) for pair in pairs]

@@ -138,12 +138,14 @@ class LogColumn(NamedTuple):
 
     Attributes:
         place: its index in a row.
-        factor: from its unit to metres, degrees, or seconds.
+        name: as it is written, printable.
+        factor: from its unit to metres, degrees, or seconds; None if the unit is unknown.
         has_unit: whether the header or the program's dialect names its unit.
     """
 
     place: int
-    factor: float
+    name: str
+    factor: float | None
     has_unit: bool
 
 
@@ -164,16 +166,17 @@ def columns_of(header: Sequence[str], name: str) -> tuple[Dialect, dict[str, Log
     for table in (dialect, COMMON) if dialect is not COMMON else (COMMON,):
         taken = {column.place for column in columns.values()}
         free = [reading for reading in readings if reading[2] not in taken]
-        for what in [what for what in table.columns if what not in columns]:
-            column = _best(free, what, table.columns[what])
-            if isinstance(column, LogColumn):
-                columns[what] = column._replace(has_unit=column.has_unit or table is not COMMON)
-            elif column is not None:
-                notes.append(
-                    f"The column {printable(header[column])} of {name} is in an unknown unit and was left out."
-                )
-                if what in ("latitude", "longitude"):
-                    raise DataError(f"{notes[-1]} Expected degrees, as in {what} (deg).")
+        found = {what: _best(free, what, names) for what, names in table.columns.items() if what not in columns}
+        for what, column in ((what, column) for what, column in found.items() if column is not None):
+            written = printable(header[column.place])
+            if column.factor is not None:
+                columns[what] = column._replace(name=written, has_unit=column.has_unit or table is not COMMON)
+                continue
+            notes.append(f"The column {written} of {name} is in an unknown unit and was left out.")
+            if what in ("latitude", "longitude"):
+                raise DataError(f"{notes[-1]} Expected degrees, as in {what} (deg).")
+    if {"latitude", "longitude"} <= columns.keys():
+        columns.pop("position", None)
     read = {what: header[column.place] for what, column in columns.items()}
     if _plain(read.get("height_above_takeoff", "")) == "height":
         notes.append(f"The column height of {name} does not say above what; it counts as height above take-off.")
@@ -210,8 +213,8 @@ def _readings(text: str) -> list[tuple[str, tuple[str, ...]]]:
     return readings
 
 
-def _best(readings: Sequence[tuple[str, tuple[str, ...], int]], what: str, names: str) -> LogColumn | int | None:
-    """Return a value's best column; its index alone if its unit is unknown; None without one.
+def _best(readings: Sequence[tuple[str, tuple[str, ...], int]], what: str, names: str) -> LogColumn | None:
+    """Return a value's best column without its name.
 
     Columns are ranked by the order of names, then by the unit: known, missing, unknown or local time.
     """
@@ -226,6 +229,6 @@ def _best(readings: Sequence[tuple[str, tuple[str, ...], int]], what: str, names
             # A column of time in another unit may hold another value of time.
             if is_unknown and what in ("time", "date", "clock"):
                 continue
-            column = place if is_unknown else LogColumn(place, units.get(unit, own), bool(unit or wanted_units))
+            column = LogColumn(place, "", None if is_unknown else units.get(unit, own), bool(unit or wanted_units))
             ranked.append((rank, 2 if is_unknown or unit == "local" else int(not unit), place, column))
     return min(ranked, key=lambda found: found[:3])[3] if ranked else None

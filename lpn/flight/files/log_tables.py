@@ -9,9 +9,8 @@ from __future__ import annotations
 import csv
 import math
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 
@@ -29,6 +28,7 @@ _DEGREES = re.compile(r"EPSG:\s*(?:4326|4979)|\+proj=(?:longlat|latlong).*", re.
 _GEO_TXT = ["image_name", "geo_x", "geo_y", "geo_z"]
 _GEO_TXT_ANGLES = ["yaw", "pitch", "roll"]
 _PIX4D = ["imagename", "latitude", "longitude", "altitude"]
+_LETTERS = {"latitude": "NS", "longitude": "EW"}
 _UNKNOWN = ("", "n/a", "na", "nan", "null", "none", "-", "--", "unknown")
 _PICTURE = re.compile(r"\S.{0,1000}\.(?:jpe?g|png|tiff?|webp|dng|heic|arw|cr2)", re.IGNORECASE)
 # The end of a message about positions in a map's grid.
@@ -37,81 +37,53 @@ GRID = "Eastings and northings of a map are not read; export degrees of WGS 84."
 
 @dataclass(frozen=True)
 class LogTable:
-    """The lines of a log below its header.
+    """The known columns of a log.
 
     Attributes:
-        header: the names as they are written.
         columns: of the values that the table tells.
-        rows: cells with the number of their line, from 1.
+        texts: of each of these values, one a row; "" where it is unknown.
+        lines: the number of each row's line, from 1.
         name: of the file, for messages.
         commas: True if a comma may be the decimal sign, because it does not separate cells.
         notes: sentences about oddities.
     """
 
     dialect: Dialect
-    header: tuple[str, ...]
-    columns: dict[str, LogColumn]
-    rows: list[tuple[int, list[str]]]
+    columns: Mapping[str, LogColumn]
+    texts: Mapping[str, Sequence[str]]
+    lines: Sequence[int]
     name: str
     commas: bool
     notes: tuple[str, ...]
 
-    def texts(self, what: str) -> list[str]:
-        """Return the text of a value in each row, "" where it is unknown."""
-        column = self.columns.get(what)
-        if column is None:
-            return [""] * len(self.rows)
-        at = column.place
-        # Some programs write an apostrophe before a minus sign, against formulas in spreadsheets.
-        texts = [cells[at].strip().removeprefix("'") if at < len(cells) else "" for _, cells in self.rows]
-        return ["" if text.casefold() in _UNKNOWN else text for text in texts]
+    def text(self, what: str) -> Sequence[str]:
+        """Return the texts of a value, "" where it is unknown."""
+        return self.texts.get(what) or [""] * len(self.lines)
 
     def numbers(self, what: str) -> Float64Array:
         """Return a value of each row in metres, degrees, or seconds, (N,); NaN where it is unknown.
 
         Raises:
-            DataError: if a text is no number; the message names its line.
+            DataError: if a text other than a time is no number; the message names its line.
         """
-        return self._read(what, self.texts(what), lambda text: values.number(text, self.commas), "a number")
-
-    def places(self) -> Float64Array:
-        """Return latitude and longitude of each row in degrees, (N, 2); NaN where one is unknown, or both are 0.
-
-        Raises:
-            DataError: if a text is no angle.
-        """
-        axes = []
-        for i, (what, letters) in enumerate((("latitude", "NS"), ("longitude", "EW"))):
-            texts = self.texts(what)
-            if what not in self.columns:
-                pairs = [
-                    re.split(r",\s+" if "," in text else r"\s+", text, maxsplit=1) for text in self.texts("position")
-                ]
-                texts = [pair[i] if len(pair) == 2 else pair[0] for pair in pairs]
-            read = partial(values.angle, letters=letters, comma=self.commas)
-            axis = self._read(what, texts, read, "a number of degrees")
-            opposite = [text[:1].upper() == letters[1] for text in self.texts(f"{what}_letter")]
-            axes.append(np.where(opposite, -np.abs(axis), axis))
-        degrees = np.stack(axes, axis=1)
-        degrees[np.isnan(degrees).any(axis=1) | (degrees == 0).all(axis=1)] = np.nan
-        return degrees
-
-    def _read(
-        self, what: str, texts: Sequence[str], read: Callable[[str], float | None], expected: str
-    ) -> Float64Array:
-        factor = self.columns[what].factor if what in self.columns else 1.0
-        numbers = np.full(len(self.rows), math.nan)
-        for i, text in enumerate(texts):
+        letters = _LETTERS.get(what)
+        numbers = np.full(len(self.lines), math.nan)
+        for i, text in enumerate(self.text(what)):
             if not text:
                 continue
-            number = read(text)
-            if number is None:
+            number = values.angle(text, letters, self.commas) if letters else values.number(text, self.commas)
+            if number is not None:
+                # A unit in the cell counts in place of the column's.
+                is_converted = text[-1].isalpha() or text[-1] == "°"
+                numbers[i] = number if is_converted else number * (self.columns[what].factor or 1.0)
+            elif what not in ("time", "date"):
+                shown, expected = printable(text)[:80], "a number of degrees" if letters else "a number"
                 raise DataError(
-                    f"Line {self.rows[i][0]} of {self.name} has the {what.replace('_', ' ')} {printable(text)[:80]!r}; "
-                    f"expected {expected}."
+                    f"Line {self.lines[i]} of {self.name} has the {what.replace('_', ' ')} {shown!r}; expected {expected}."
                 )
-            # A unit in the cell counts in place of the column's.
-            numbers[i] = number if text[-1].isalpha() or text[-1] == "°" else number * factor
+        if letters and f"{what}_letter" in self.texts:
+            opposite = [text[:1].upper() == letters[1] for text in self.texts[f"{what}_letter"]]
+            numbers = np.where(opposite, -np.abs(numbers), numbers)
         return numbers
 
 
@@ -137,7 +109,7 @@ def table_of(text: str, name: str) -> LogTable:
         delimiter = _delimiter(row[1])
         header = [cell.strip() for cell in _rows([row], delimiter, name)[0][1]]
         header = header[1:] if header[0] in ("#", "%") else header
-        if _tells_positions(columns_of(header, name)[1]):
+        if {"latitude", "longitude"} <= (columns := columns_of(header, name)[1]).keys() or "position" in columns:
             below = lines[i + 1 :]
             break
     else:
@@ -157,7 +129,19 @@ def table_of(text: str, name: str) -> LogTable:
             f"Line {line} of {name} has {len(cells)} values below {len(header)} names, as decimal commas between commas give; "
             "save it with decimal points, or with semicolons between the values."
         )
-    return LogTable(dialect, tuple(header), columns, rows, name, delimiter != ",", (*more, *notes))
+    # Some programs write an apostrophe before a minus sign, against formulas in spreadsheets.
+    texts = {
+        what: ["" if len(cells) <= at else cells[at].strip().removeprefix("'") for _, cells in rows]
+        for what, (at, *_) in columns.items()
+    }
+    if "position" in columns:
+        pairs = [re.split(r",\s+" if "," in text else r"\s+", text, maxsplit=1) for text in texts.pop("position")]
+        for i, what in enumerate(_LETTERS):
+            columns[what] = columns["position"]
+            texts[what] = [pair[min(i, len(pair) - 1)] for pair in pairs]
+    texts = {what: ["" if text.casefold() in _UNKNOWN else text for text in told] for what, told in texts.items()}
+    lines_of_rows = [line for line, _ in rows]
+    return LogTable(dialect, columns, texts, lines_of_rows, name, delimiter != ",", (*more, *notes))
 
 
 def picture_name(text: str) -> str | None:
@@ -168,10 +152,6 @@ def picture_name(text: str) -> str | None:
 
 def _is_comment(line: str) -> bool:
     return line.startswith(("#", "%"))
-
-
-def _tells_positions(columns: dict[str, LogColumn]) -> bool:
-    return "position" in columns or {"latitude", "longitude"} <= columns.keys()
 
 
 def _delimiter(line: str) -> str | None:

@@ -11,7 +11,7 @@ import itertools
 import math
 import re
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC
 from pathlib import Path
@@ -34,8 +34,8 @@ _HEIGHTS = ("height_above_ground", "height_above_takeoff", "altitude")
 _ANGLES = {
     **dict.fromkeys(("heading", "gimbal_heading", "direction"), (-360.0, 360.0)),
     **dict.fromkeys(("gimbal_pitch", "gimbal_roll", "nose", "bank"), (-180.0, 180.0)),
-    "fov": cameras.FOV_RANGE,
 }
+_RANGES = {"latitude": (-90.0, 90.0), "longitude": (-180.0, 180.0), **_ANGLES, "fov": cameras.FOV_RANGE}
 _LOOKS_UP = 30.0
 # Share of positions, or of a column's angles, beyond their range above which all of them are in doubt.
 _MOST_BEYOND = 0.1
@@ -45,6 +45,7 @@ _LEAST_RECORDING = 1.5
 _EPOCHS = (1e9, 1e11)
 _DTD = re.compile(r"<!(?:DOCTYPE|ENTITY)", re.IGNORECASE)
 _DECLARATION = re.compile(r"^\s*<\?xml[^>]*\?>")
+_UTC = re.compile("utc|gmt", re.IGNORECASE)
 _DAY_OR_MONTH = re.compile(r"(\d{1,2})[-/](\d{1,2})")
 # Positions from here on are eastings and northings of a map, or degrees times 1e7.
 _LEAST_GRID, _LEAST_SCALED = 1e3, 2e7
@@ -107,32 +108,108 @@ def read_log(file: Path) -> Log:
 
 
 def _log_of(table: LogTable) -> Log:
-    name = table.name
+    name, count = table.name, len(table.lines)
     notes = list(table.notes)
-    degrees = _on_earth(table, notes)
-    columns = {what: table.numbers(what) for what in (*_HEIGHTS, *_ANGLES) if what in table.columns}
-    _clean_angles(table, columns, notes)
-    columns |= {"latitude": degrees[:, 0], "longitude": degrees[:, 1]}
+    columns = {what: table.numbers(what) for what in (*_HEIGHTS, *_RANGES) if what in table.columns}
+    for kinds, most in ((("latitude", "longitude"), math.pi), (_ANGLES, math.tau)):
+        unsaid = [what for what in kinds if what in columns and not table.columns[what].has_unit]
+        known = np.concatenate([np.zeros(1), *(columns[what] for what in unsaid)])
+        if 0 < np.nanmax(np.abs(known)) <= most:
+            names = [table.columns[what].name for what in unsaid]
+            notes.append(
+                f"All values of {', '.join(names)} in {name} lie within {most:.2f} of 0 and name no unit; they were read as "
+                f"degrees. If they are radians, say so in the header, as in {names[0]} (rad)."
+            )
+    _clean(table, columns, notes)
     clocks, utc = _clocks(table, notes)
-    times = _lenient(table, "time", table.texts("time")).tolist()
+    times = table.numbers("time").tolist()
     fixed = table.dialect.fixed
-    if unfixed := sum(text not in ("", fixed) for text in table.texts("quality")):
-        column = printable(table.header[table.columns["quality"].place])
+    if unfixed := sum(text not in ("", fixed) for text in table.text("quality")):
         notes.append(
-            f"{unfixed} of {len(table.rows)} rows of {name} have no fixed RTK solution ({column} is not {fixed}), so they may be "
-            "off by metres."
+            f"{unfixed} of {count} rows of {name} have no fixed RTK solution ({table.columns['quality'].name} is not {fixed}), "
+            "so they may be off by metres."
         )
     if "altitude" in columns:
-        below = [text == "1" or text.casefold().startswith("below") for text in table.texts("below")]
+        below = [text == "1" or text.casefold().startswith("below") for text in table.text("below")]
         columns["altitude"] = np.where(below, -np.abs(columns["altitude"]), columns["altitude"])
     rows = []
-    for i, (file_text, video) in enumerate(zip(table.texts("file"), table.texts("is_video"), strict=True)):
+    for i, (file, video) in enumerate(zip(table.text("file"), table.text("is_video"), strict=True)):
         entry = entry_of(times[i], clocks[i], {what: float(column[i]) for what, column in columns.items()})
         recording = video.casefold() in ("1", "true", "yes") if video else None
-        rows.append(LogRow(entry, file_text or None, recording, table.rows[i][0]))
+        rows.append(LogRow(entry, file or None, recording, table.lines[i]))
     if missing := sum(row.entry.latitude is None for row in rows):
-        notes.append(f"{missing} of {len(rows)} rows of {name} have no position.")
+        notes.append(f"{missing} of {count} rows of {name} have no position.")
     return Log(name, tuple(rows), utc, tuple(notes))
+
+
+def _clean(table: LogTable, columns: dict[str, Float64Array], notes: list[str]) -> None:
+    """Remove angles beyond their range, or their whole column, and a gimbal's pitch that always looks up, with notes.
+
+    Raises:
+        DataError: if more than a tenth of the positions are not on the Earth.
+    """
+    for what, (least, most) in _RANGES.items():
+        if what not in columns:
+            continue
+        angles = columns[what]
+        if what in _ANGLES and most == 180.0:
+            turned = (np.abs(angles) > 180.0) & (np.abs(angles) <= 360.0)
+            angles[turned] = wrap_degrees(angles[turned])
+        beyond = np.flatnonzero((angles < least) | (angles > most))
+        worst = max(angles[beyond].tolist(), key=abs, default=0.0)
+        known = int((~np.isnan(angles)).sum())
+        line = table.lines[beyond[0]] if len(beyond) else 0
+        column = f"column {table.columns[what].name} of {table.name}"
+        expected = f"from {least:g} to {most:g} degrees"
+        if what in ("latitude", "longitude") and len(beyond) > _MOST_BEYOND * known:
+            latitude, longitude = columns["latitude"][beyond[0]], columns["longitude"][beyond[0]]
+            largest = max(abs(latitude), abs(longitude))
+            hint = _SWAPPED if largest < _LEAST_GRID else f" {GRID}" if largest < _LEAST_SCALED else _SCALED
+            raise DataError(
+                f"Line {line} of {table.name} has the position {latitude:g}, {longitude:g}; expected degrees, latitude from -90 "
+                f"to 90.{hint}"
+            )
+        if len(beyond) > _MOST_BEYOND * known:
+            hint = "" if what == "fov" else "; another unit is named behind a column, as in (cdeg)"
+            notes.append(f"The {column} was left out: it holds {worst:g}, and expected are angles {expected}{hint}.")
+            del columns[what]
+            continue
+        if len(beyond):
+            notes.append(
+                f"{len(beyond)} of {known} values of the {column} are not {expected} and were not used, first in line {line}."
+            )
+            angles[beyond] = np.nan
+        if what == "gimbal_pitch" and known and (lowest := np.nanmin(angles)) > _LOOKS_UP:
+            notes.append(
+                f"The {column} was left out: it looks up by {lowest:g} degrees and more, where -90 should be straight down; "
+                "--pitch tells it."
+            )
+            del columns[what]
+
+
+def _clocks(table: LogTable, notes: list[str]) -> tuple[list[float | None], bool]:
+    """Return seconds since 1970-01-01 of the rows' dates, None where unknown, and whether they are in UTC."""
+    late = table.dialect.before_utc
+    utc = late is not None or ("date" in table.columns and bool(_UTC.search(table.columns["date"].name)))
+    numbers = table.numbers("date")
+    if not np.isnan(numbers).all():
+        least, most = _EPOCHS
+        while np.nanmax(np.abs(numbers)) > most:
+            numbers /= 1000.0
+        clocks = [float(number) if least < number < most else None for number in numbers]
+        return clocks, utc or any(clock is not None for clock in clocks)
+    pairs = zip(table.text("date"), table.text("clock"), strict=True)
+    texts = [f"{date} {clock}" if date and clock and ":" not in date else date for date, clock in pairs]
+    days = [(int(found[1]), int(found[2])) for text in texts if (found := _DAY_OR_MONTH.match(text))]
+    day_first = any(one > 12 for one, _ in days)
+    if days and not day_first and all(other <= 12 for _, other in days):
+        first = next(text for text in texts if text)
+        notes.append(f"The dates of {table.name}, such as {first}, count as month first; nothing in it rules that out.")
+    if late:
+        notes.append(f"The times of {table.name} are GPS time; {late:g} s were taken off for UTC.")
+    parsed = [values.moment(text, day_first) for text in texts]
+    clocks = [None if one is None else one.seconds - (late or 0.0) for one in parsed]
+    return clocks, utc or any(one is not None and one.zoned for one in parsed)
 
 
 def parse_track(text: str, name: str) -> Log:
@@ -265,105 +342,3 @@ def for_video(log: Log, number: int, began: float | None = None) -> tuple[list[T
     else:
         notes.append(f"{log.name} does not say when the video began; its first row counts as the beginning.")
     return _distinct([replace(row.entry, time=time - start) for row, time in timed]), notes
-
-
-def _on_earth(table: LogTable, notes: list[str]) -> Float64Array:
-    """Return the rows' positions in degrees, (N, 2); positions off the Earth become NaN, with a note."""
-    degrees = table.places()
-    known = ~np.isnan(degrees[:, 0])
-    beyond = np.flatnonzero((np.abs(degrees) > (90, 180)).any(axis=1))
-    if len(beyond):
-        line, (latitude, longitude) = table.rows[beyond[0]][0], degrees[beyond[0]]
-        if len(beyond) > _MOST_BEYOND * known.sum():
-            largest = max(abs(latitude), abs(longitude))
-            hint = _SWAPPED if largest < _LEAST_GRID else f" {GRID}" if largest < _LEAST_SCALED else _SCALED
-            raise DataError(
-                f"Line {line} of {table.name} has the position {latitude:g}, {longitude:g}; expected degrees, latitude from -90 "
-                f"to 90.{hint}"
-            )
-        degrees[beyond] = np.nan
-        notes.append(
-            f"{len(beyond)} positions of {table.name} are none on the Earth and were not used, first in line {line}."
-        )
-    notes += _radians_note(table, {"latitude": degrees[:, 0], "longitude": degrees[:, 1]}, math.pi)
-    return degrees
-
-
-def _radians_note(table: LogTable, columns: Mapping[str, Float64Array], most: float) -> list[str]:
-    """Return a note, if any, about columns without a unit that may be radians, because all values are at most `most`."""
-    unsaid = [what for what in columns if what in table.columns and not table.columns[what].has_unit]
-    known = np.concatenate([columns[what] for what in unsaid]) if unsaid else np.zeros(0)
-    if np.isnan(known).all() or not 0 < np.nanmax(np.abs(known)) <= most:
-        return []
-    names = [printable(table.header[table.columns[what].place]) for what in unsaid]
-    return [
-        f"All values of {', '.join(names)} in {table.name} lie within {most:.2f} of 0 and name no unit; they were read as "
-        f"degrees. If they are radians, say so in the header, as in {names[0]} (rad)."
-    ]
-
-
-def _clean_angles(table: LogTable, columns: dict[str, Float64Array], notes: list[str]) -> None:
-    """Remove angles beyond their range, or their whole column, and a gimbal's pitch that always looks up, with notes."""
-    notes += _radians_note(
-        table, {what: columns[what] for what in _ANGLES if what in columns and what != "fov"}, math.tau
-    )
-    for what in [what for what in _ANGLES if what in columns]:
-        angles = columns[what]
-        least, most = _ANGLES[what]
-        if most == 180.0:
-            turned = (np.abs(angles) > 180.0) & (np.abs(angles) <= 360.0)
-            angles[turned] = wrap_degrees(angles[turned])
-        beyond = (angles < least) | (angles > most)
-        count, known = int(beyond.sum()), int((~np.isnan(angles)).sum())
-        worst = max(angles[beyond].tolist(), key=abs, default=0.0)
-        angles[beyond] = np.nan
-        column = f"column {printable(table.header[table.columns[what].place])} of {table.name}"
-        expected = f"from {least:g} to {most:g} degrees"
-        if count > _MOST_BEYOND * known:
-            hint = "" if what == "fov" else "; another unit is named behind a column, as in (cdeg)"
-            why = f"holds {worst:g}, and expected are angles {expected}{hint}"
-        elif what == "gimbal_pitch" and known and np.nanmin(angles) > _LOOKS_UP:
-            why = f"looks up by {np.nanmin(angles):g} degrees and more, where -90 should be straight down; --pitch tells it"
-        else:
-            if count:
-                line = table.rows[int(beyond.argmax())][0]
-                notes.append(
-                    f"{count} of {known} values of the {column} are not {expected} and were not used, first in line {line}."
-                )
-            continue
-        notes.append(f"The {column} was left out: it {why}.")
-        del columns[what]
-
-
-def _clocks(table: LogTable, notes: list[str]) -> tuple[list[float | None], bool]:
-    """Return seconds since 1970-01-01 of the rows' dates, None where unknown, and whether they are in UTC."""
-    pairs = zip(table.texts("date"), table.texts("clock"), strict=True)
-    texts = [f"{date} {clock}" if date and clock and ":" not in date else date for date, clock in pairs]
-    late = table.dialect.before_utc
-    utc = late is not None or (
-        "date" in table.columns and re.search("utc|gmt", table.header[table.columns["date"].place], re.I) is not None
-    )
-    numbers = _lenient(table, "date", texts)
-    if not np.isnan(numbers).all():
-        least, most = _EPOCHS
-        while np.nanmax(np.abs(numbers)) > most:
-            numbers /= 1000.0
-        clocks = [float(number) if least < number < most else None for number in numbers]
-        return clocks, utc or any(clock is not None for clock in clocks)
-    days = [(int(found[1]), int(found[2])) for text in texts if (found := _DAY_OR_MONTH.match(text))]
-    day_first = any(one > 12 for one, _ in days)
-    if days and not day_first and all(other <= 12 for _, other in days):
-        first = next(text for text in texts if text)
-        notes.append(f"The dates of {table.name}, such as {first}, count as month first; nothing in it rules that out.")
-    if late:
-        notes.append(f"The times of {table.name} are GPS time; {late:g} s were taken off for UTC.")
-    parsed = [values.moment(text, day_first) for text in texts]
-    return [None if one is None else one.seconds - (late or 0.0) for one in parsed], utc or any(
-        one is not None and one.zoned for one in parsed
-    )
-
-
-def _lenient(table: LogTable, what: str, texts: Sequence[str]) -> Float64Array:
-    """Return texts of a column as numbers in its unit, NaN for those that are none."""
-    factor = table.columns[what].factor if what in table.columns else 1.0
-    return factor * np.array([values.number(text, table.commas) for text in texts], np.float64)

@@ -18,7 +18,7 @@ from lpn.flight.files.cameras import upright_values
 from lpn.flight.files.clock_fit import fit_clocks
 from lpn.flight.files.logs import Log, LogRow
 from lpn.flight.files.photos import Photo, turned_oddity
-from lpn.flight.files.telemetry import VALUES, Telemetry, TelemetryEntry
+from lpn.flight.files.telemetry import Telemetry, TelemetryEntry
 
 # A row belongs to one of several photos of its name if that photo is this many times nearer to it than the others.
 _CLEARLY = 3.0
@@ -111,14 +111,14 @@ def _metres_apart(frame: Frame, entry: TelemetryEntry) -> float:
 def _at_its_time(photo: Photo, telemetry: Telemetry, utc: bool, by_utc: bool, offset: float) -> Photo:
     """Return a photo with the telemetry at its time; the photo itself where that has no position."""
     time = photo.utc if by_utc else photo.local
-    known = {} if time is None else {k: v for k, v in telemetry.at(time + offset).items() if v is not None}
+    known = {} if time is None else telemetry.at(time + offset)
     if time is None or "latitude" not in known:
         return photo
     return replace(_with_values(photo, known), utc=time + offset if utc and photo.utc is None else photo.utc)
 
 
 def _with_entry(photo: Photo, entry: TelemetryEntry, utc: bool) -> Photo:
-    made = _with_values(photo, {name: value for name in VALUES if (value := getattr(entry, name)) is not None})
+    made = _with_values(photo, entry.values())
     if entry.clock is None:
         return made
     return replace(made, utc=entry.clock) if utc else replace(made, local=made.local or entry.clock)

@@ -213,7 +213,7 @@ def _written(best: tuple[float, float, UInt8Array], video: Path, folder: Path, t
     name = f"{video.stem}_{time:09.3f}s.jpg"
     encoded: np.ndarray[Any, Any] = cv2.imencode(".jpg", picture, (cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY))[1]
     write_atomic(folder / name, encoded.tobytes())
-    values: dict[str, Any] = {} if telemetry is None else dict(telemetry.at(time))
+    values: dict[str, Any] = {} if telemetry is None else telemetry.at(time)
     return Frame(name, folder / name, picture.shape[1], picture.shape[0], time, **values)
 
 

@@ -16,8 +16,8 @@ from lpn.flight.files.base import Frame
 from lpn.flight.files.cameras import upright_values
 from lpn.flight.files.sources import read_any_log
 from lpn.flight.files.subtitles import read_subtitles
-from lpn.flight.files.telemetry import VALUES, Telemetry, TelemetryEntry
-from lpn.flight.files.vehicles import Vehicle, mavlink_package
+from lpn.flight.files.telemetry import Telemetry, TelemetryEntry
+from lpn.flight.files.vehicle_logs import Vehicle, mavlink_package
 from lpn.flight.files.videos import SUBTITLES
 from lpn.flight.live.frames import ArrivedPicture, Say
 
@@ -49,8 +49,7 @@ class LiveTelemetry:
 
 def _with(picture: ArrivedPicture, told: dict[str, Any], across_longer_side: bool = False) -> Frame:
     """Return the picture's frame with known values of the telemetry, turned as the picture is."""
-    known = {name: value for name, value in told.items() if value is not None}
-    return replace(picture.frame, **upright_values(known, picture.turns, picture.frame, across_longer_side))
+    return replace(picture.frame, **upright_values(told, picture.turns, picture.frame, across_longer_side))
 
 
 class LogTelemetry(LiveTelemetry):
@@ -84,7 +83,7 @@ class LogTelemetry(LiveTelemetry):
             at = picture.received if at is None else at
             self._first = at if self._first is None else self._first
             told = self._elapsed.at(self._start + at - self._first)
-        if any(value is not None for value in told.values()):
+        if told:
             return TelemetryValue(_with(picture, told, self._across_longer_side), 0.0)
         if not self._warned:
             self._say(f"{self._name} has nothing at the time of {printable(picture.frame.name)}; it may have ended.")
@@ -145,8 +144,10 @@ class MavlinkLink(LiveTelemetry):
         elif self._late:
             self._late = False
             self._say("Telemetry is in time again.")
-        counts = VALUES if abs(age) <= FRESH else _SLOW if abs(age) <= _HEIGHT_HOLDS else ()
-        return TelemetryValue(_with(picture, {name: getattr(nearest, name) for name in counts}), age)
+        told = nearest.values() if abs(age) <= _HEIGHT_HOLDS else {}
+        if abs(age) > FRESH:
+            told = {name: told[name] for name in _SLOW if name in told}
+        return TelemetryValue(_with(picture, told), age)
 
     def _warn(self, sentence: str) -> None:
         if not self._late:

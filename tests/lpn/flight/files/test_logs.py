@@ -206,7 +206,7 @@ def test_a_few_positions_that_are_none_are_left_out_and_many_refuse_the_log(tmp_
     log = read_log(written(tmp_path, "lat,lon\n" + "".join(rows)))
     assert [row.line for row in log.rows if row.entry.latitude is None] == [9]
     assert log.notes == (
-        "1 positions of log.csv are none on the Earth and were not used, first in line 9.",
+        "1 of 30 values of the column lat of log.csv are not from -90 to 90 degrees and were not used, first in line 9.",
         "1 of 30 rows of log.csv have no position.",
     )
     with pytest.raises(DataError, match=r"Line 2 of log\.csv has the position 64\.0359, 407\.553; expected degrees"):

@@ -9,8 +9,7 @@ import pytest
 
 from lpn.core.errors import DataError
 from lpn.flight.files import make_flight
-from lpn.flight.files.vehicle_logs import read_vehicle_log
-from lpn.flight.files.vehicles import Vehicle, euler_degrees
+from lpn.flight.files.vehicle_logs import Vehicle, euler_degrees, read_vehicle_log
 from tools.fixtures import vehicle_logs
 from tools.fixtures.photos import exif, write_photo
 
