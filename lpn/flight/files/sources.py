@@ -18,7 +18,7 @@ from lpn.core.errors import DataError, InputError, OtherKindError, PictureError
 from lpn.core.files import first_few, printable
 from lpn.datasets.base import files_below
 from lpn.flight.files import cameras, logs, subtitles, vehicle_logs, videos
-from lpn.flight.files.base import Flight
+from lpn.flight.files.base import Flight, Frame
 from lpn.flight.files.folder import FRAMES, check_folder, write_flight
 from lpn.flight.files.lenses import Lens, read_camera
 from lpn.flight.files.logs import Log
@@ -26,7 +26,7 @@ from lpn.flight.files.photo_logs import with_log
 from lpn.flight.files.photos import DAMAGED, Photo, natural, read_photo, set_times
 from lpn.flight.files.quality import flight_notes, with_courses
 from lpn.flight.files.subtitles import GpsOrder, Subtitles
-from lpn.flight.files.telemetry import Telemetry
+from lpn.flight.files.telemetry import Telemetry, TelemetryEntry
 
 PHOTOS = (".jpg", ".jpeg", ".png", ".webp", ".tif", ".tiff")
 # Pictures of unsupported kinds, which a note names.
@@ -45,8 +45,10 @@ _INSTEAD = {
     **dict.fromkeys((".bag", ".db3", ".mcap"), "CSV, .ulg, .tlog, or .bin"),
 }  # fmt: skip
 _NAMED = 5
-# Least seconds between two frames of a video.
-_LEAST_EVERY = 0.04
+_OPTIONS = {
+    "every": (0.04, 86_400.0), "every_metres": (0.1, 1e6), "fov": cameras.FOV_RANGE, "pitch": (-180.0, 90.0),
+    "clock_offset": (-1e10, 1e10),
+}  # fmt: skip
 # Proportions of one camera's pictures differ by less than this share.
 _SAME_PROPORTIONS = 0.01
 
@@ -74,13 +76,7 @@ class FlightOptions:
     clock_offset: float | None = None
 
     def __post_init__(self) -> None:
-        for name, low, high in (
-            ("every", _LEAST_EVERY, 86_400.0),
-            ("every_metres", 0.1, 1e6),
-            ("fov", *cameras.FOV_RANGE),
-            ("pitch", -180, 90),
-            ("clock_offset", -1e10, 1e10),
-        ):
+        for name, (low, high) in _OPTIONS.items():
             value = getattr(self, name)
             if value is not None and not low <= value <= high:
                 raise InputError(
@@ -127,10 +123,11 @@ def make_flight(files: Sequence[Path], out: Path, options: FlightOptions | None 
                 f"Photos are all taken, and have no subtitles, so {' and '.join(given)} would not be used; leave it out."
             )
         flight = _flight_of_photos(photos, name, list(read.values()), options.clock_offset)
-    flight = _completed(flight, options)
+    frames, notes = list(flight.frames), list(flight.notes)
+    _complete(frames, notes, options)
     if camera is not None:
-        flight = _with_lens(flight, *camera)
-    flight = replace(flight, notes=(*flight.notes, *unread, *_left_out_notes(inputs)))
+        _set_lens(frames, notes, *camera)
+    flight = replace(flight, frames=tuple(frames), notes=(*notes, *unread, *_left_out_notes(inputs)))
     write_flight(flight, out)
     return flight
 
@@ -219,14 +216,12 @@ def _flight_of_photos(
     frames, is_utc, notes = set_times(photos)
     frames, course_notes = with_courses(frames)
     notes += log_notes + flight_notes(frames, [photo.oddities for photo in photos]) + course_notes
-    if broken:
-        notes.append(_left_out(broken, len(files), "photos"))
-    return Flight(name, tuple(frames), tuple(notes), is_utc)
+    return Flight(name, tuple(frames), (*notes, *_unread(broken, len(files), "photos")), is_utc)
 
 
-def _left_out(broken: Sequence[str], count: int, noun: str) -> str:
+def _unread(broken: Sequence[str], count: int, noun: str) -> list[str]:
     more = f" {len(broken) - _NAMED} more are left out, too." if len(broken) > _NAMED else ""
-    return f"{len(broken)} of {count} {noun} are left out: {' '.join(broken[:_NAMED])}{more}"
+    return [f"{len(broken)} of {count} {noun} are left out: {' '.join(broken[:_NAMED])}{more}"] if broken else []
 
 
 def _sorted_files(paths: Sequence[Path]) -> _Files:
@@ -265,11 +260,9 @@ def _is_map(file: Path) -> bool:
     if file.suffix.lower() not in (".tif", ".tiff"):
         return False
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            with Image.open(file) as picture:
-                tags = picture.getexif()
-                return any(tag in tags for tag in _GEOTIFF)
+        with warnings.catch_warnings(action="ignore"), Image.open(file) as picture:
+            tags = picture.getexif()
+            return any(tag in tags for tag in _GEOTIFF)
     except (*DAMAGED, Image.DecompressionBombError):
         return False  # its own reader tells why
 
@@ -287,11 +280,8 @@ def _no_pictures(files: _Files) -> str:
 
 def _named_by(log: Log, file: Path) -> list[Path]:
     rows = logs.rows_by_name(log)
-    return [
-        photo
-        for photo in (files_below(file.parent, PHOTOS) if rows else [])
-        if photo.name.casefold() in rows or photo.stem.casefold() in rows
-    ]
+    photos = files_below(file.parent, PHOTOS) if rows else []
+    return [photo for photo in photos if photo.name.casefold() in rows or photo.stem.casefold() in rows]
 
 
 def _with_names(photos: Sequence[Photo]) -> list[Photo]:
@@ -319,20 +309,21 @@ def _flight_of_videos(
     notes = [note for log in flight_logs for note in log.notes]
     broken: list[str] = []
     for number, video in enumerate(filmed):
+        notes_of_video: list[str] = []
         try:
-            telemetry, known_subtitles, telemetry_notes = _telemetry(video, files, flight_logs, number, options)
+            told, where = _telemetry(video, files, flight_logs, number, options, notes_of_video)
+            telemetry = Telemetry(told.entries if isinstance(told, Subtitles) else told)
             part = videos.read_frames(
-                video, folder, options.every, options.every_metres, telemetry, known_subtitles is not None
+                video, folder, options.every, options.every_metres, telemetry, isinstance(told, Subtitles)
             )
         except DataError as error:
             broken.append(str(error))
             continue
-        notes += telemetry_notes
-        if known_subtitles is not None and (note := videos.mismatch(*known_subtitles, video, part.duration)):
+        notes += notes_of_video
+        if isinstance(told, Subtitles) and (note := videos.mismatch(told, where, video, part.duration)):
             notes.append(note)
         notes += _turned_note(part, video)
-        entries = () if telemetry is None else telemetry.entries
-        starts = (entry.clock - entry.time for entry in entries if entry.clock is not None)
+        starts = (entry.clock - entry.time for entry in telemetry.entries if entry.clock is not None)
         parts.append((part, next(starts, None)))
     if not parts:
         raise DataError(f"No video of {len(filmed)} can be read. {broken[0]}")
@@ -349,9 +340,7 @@ def _flight_of_videos(
         for frame in part.frames
     ]
     frames, course_notes = with_courses(sorted(frames, key=lambda frame: (frame.time, natural(frame.name))))
-    notes += flight_notes(frames) + course_notes
-    if broken:
-        notes.append(_left_out(broken, len(filmed), "videos"))
+    notes += flight_notes(frames) + course_notes + _unread(broken, len(filmed), "videos")
     return Flight(name, tuple(frames), tuple(notes))
 
 
@@ -369,17 +358,17 @@ def _turned_note(part: videos.VideoFrames, video: Path) -> list[str]:
 
 
 def _telemetry(
-    video: Path, files: _Files, flight_logs: Sequence[Log], number: int, options: FlightOptions
-) -> tuple[Telemetry | None, tuple[Subtitles, str] | None, list[str]]:
-    """Return a video's telemetry from a log, else from its `.SRT` file, else from inside; its subtitles; and notes."""
-    notes: list[str] = []
+    video: Path, files: _Files, flight_logs: Sequence[Log], number: int, options: FlightOptions, notes: list[str]
+) -> tuple[Subtitles | Sequence[TelemetryEntry], str]:
+    """Return a video's telemetry from a log, else from its `.SRT` file, else from inside, and its place; add notes."""
     for log in flight_logs:
         try:
             entries, notes_of_log = logs.for_video(log, number, videos.began(video))
         except DataError as error:
             notes.append(str(error))
             continue
-        return Telemetry(entries), None, [*notes, *notes_of_log]
+        notes += notes_of_log
+        return entries, log.name
     given = files["subtitles"]
     file = given[0] if len(files["videos"]) == len(given) == 1 else videos.beside(video, given)
     can_look_inside = find_spec("av") is not None
@@ -392,40 +381,38 @@ def _telemetry(
     except DataError as error:
         notes.append(str(error))
     if found is not None:
-        where = "the subtitle stream" if file is None else file.name
-        return Telemetry(found.entries), (found, where), [*notes, *found.notes]
+        notes += found.notes
+        return found, "the subtitle stream" if file is None else file.name
     install = "; those inside of it need the package av: pip install 'lpn-explorer[maps]'"
     inside = "" if can_look_inside or file is not None else install
-    return None, None, [*notes, f"{printable(video.name)} has no subtitles with telemetry{inside}."]
+    notes.append(f"{printable(video.name)} has no subtitles with telemetry{inside}.")
+    return (), ""
 
 
-def _with_lens(flight: Flight, lens: Lens, proportions: float) -> Flight:
+def _set_lens(frames: list[Frame], notes: list[str], lens: Lens, proportions: float) -> None:
     """Set the lens of frames with these proportions (height over width), and add a note with their number."""
-    fits = [abs(frame.height / frame.width / proportions - 1) <= _SAME_PROPORTIONS for frame in flight.frames]
-    if not any(fits):
-        frame = flight.frames[0]
+    fits = [i for i, f in enumerate(frames) if abs(f.height / f.width / proportions - 1) <= _SAME_PROPORTIONS]
+    if not fits:
+        frame = frames[0]
         raise DataError(
             f"The camera's pictures are {proportions:.3f} times as high as wide, and those of the flight, such as "
             f"{printable(frame.name)}, {frame.height / frame.width:.3f} times; give the file of the flight's camera."
         )
-    frames = tuple(
-        replace(frame, lens=lens, fov=lens.fov) if fit else frame
-        for frame, fit in zip(flight.frames, fits, strict=True)
+    for i in fits:
+        frames[i] = replace(frames[i], lens=lens, fov=lens.fov)
+    notes.append(
+        f"The lens of {len(fits)} of {len(frames)} photos is the one given with --camera, as is their field of view."
     )
-    note = f"The lens of {sum(fits)} of {len(frames)} photos is the one given with --camera, as is their field of view."
-    return replace(flight, frames=frames, notes=(*flight.notes, note))
 
 
-def _completed(flight: Flight, options: FlightOptions) -> Flight:
+def _complete(frames: list[Frame], notes: list[str], options: FlightOptions) -> None:
     """Fill unknown fields of view and pitches by the options, and add notes."""
-    frames, notes = list(flight.frames), list(flight.notes)
     for name, value, noun in (("fov", options.fov, "field of view"), ("pitch", options.pitch, "pitch")):
+        if value is None:
+            continue
+        changed: dict[str, Any] = {name: value}
         missing = [i for i, frame in enumerate(frames) if getattr(frame, name) is None]
-        if value is not None and missing:
-            for i in missing:
-                changed: dict[str, Any] = {name: value}
-                frames[i] = replace(frames[i], **changed)
-            notes.append(f"The {noun} of {len(missing)} of {len(frames)} photos is the {value:g}° given with --{name}.")
-        elif value is not None:
-            notes.append(f"No file lacks the {noun}, so --{name} is not used.")
-    return replace(flight, frames=tuple(frames), notes=tuple(notes))
+        for i in missing:
+            frames[i] = replace(frames[i], **changed)
+        given = f"The {noun} of {len(missing)} of {len(frames)} photos is the {value:g}° given with --{name}."
+        notes.append(given if missing else f"No file lacks the {noun}, so --{name} is not used.")
