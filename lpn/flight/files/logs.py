@@ -24,7 +24,7 @@ from lpn.core.errors import DataError
 from lpn.core.files import printable
 from lpn.core.numbers import wrap_degrees
 from lpn.flight.files import cameras, values
-from lpn.flight.files.log_tables import GRID, LogTable, picture_name, table_of
+from lpn.flight.files.dialects import GRID, LogTable, picture_name, table_of
 from lpn.flight.files.telemetry import TelemetryEntry, entry_of
 
 SUFFIXES = (".csv", ".tsv", ".txt", ".pos", ".log", ".gpx")

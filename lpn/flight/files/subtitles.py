@@ -14,10 +14,9 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Literal
+from typing import Literal, NamedTuple
 
 from lpn.core.errors import DataError
 from lpn.core.files import printable
@@ -53,27 +52,20 @@ _MOST_LETTERS = 120
 _LEAST_SCALED, _ZOOM_SCALE = 100.0, 10_000.0
 
 
-@dataclass(frozen=True)
-class Subtitles:
-    """The telemetry of a subtitle file.
-
-    Attributes:
-        end: of the last entry in seconds.
-        notes: sentences about oddities.
-    """
+class Subtitles(NamedTuple):
+    """The telemetry of a subtitle file, the end of its last subtitle in seconds, and sentences about oddities."""
 
     entries: tuple[TelemetryEntry, ...]
     end: float
     notes: tuple[str, ...]
 
 
-@dataclass(frozen=True)
-class SubtitleBlock:
-    """One subtitle: its text and start in seconds; None in a file without time codes."""
+class SubtitleBlock(NamedTuple):
+    """One subtitle: its text, and its start and end in seconds."""
 
     text: str
-    start: float | None
-    end: float | None
+    start: float
+    end: float
 
 
 def read_subtitles(file: Path, gps_order: GpsOrder | None = None) -> Subtitles:
@@ -87,7 +79,10 @@ def read_subtitles(file: Path, gps_order: GpsOrder | None = None) -> Subtitles:
 
 
 def blocks_of(data: bytes) -> list[SubtitleBlock]:
-    """Split a file of subtitles at its time codes, or, without any, at lines that hold only an index."""
+    """Split a file of subtitles at its time codes.
+
+    Without any it is split at lines that hold only an index, and clocks in the text give the times.
+    """
     try:
         text = values.decoded(data, "").replace("\r\n", "\n").replace("\r", "\n")
     except DataError:  # without any text there is no subtitle
@@ -95,17 +90,18 @@ def blocks_of(data: bytes) -> list[SubtitleBlock]:
     codes = list(_CODES.finditer(text))
     begins = [match.start() for match in codes or _INDEX_LINE.finditer(text)]
     texts = [text[begin:end] for begin, end in zip(begins, [*begins[1:], len(text)], strict=False)]
-    if not codes:
-        return [SubtitleBlock(one, None, None) for one in texts]
-    times = [(_seconds(*match.groups()[:3]), _seconds(*match.groups()[3:])) for match in codes]
-    return [SubtitleBlock(one, *pair) for one, pair in zip(texts, times, strict=True)]
+    if codes:
+        times = [(_seconds(*match.groups()[:3]), _seconds(*match.groups()[3:])) for match in codes]
+        return [SubtitleBlock(one, *pair) for one, pair in zip(texts, times, strict=True)]
+    clocked = [(one, moment.seconds) for one in texts if (moment := values.moment_in(one)) is not None]
+    return [SubtitleBlock(one, clock - clocked[0][1], clock - clocked[0][1]) for one, clock in clocked]
 
 
 def _seconds(hours: str, minutes: str, seconds: str) -> float:
     return 3600.0 * int(hours) + 60 * int(minutes) + float(seconds.replace(",", "."))
 
 
-def parse_subtitles(blocks: Iterable[SubtitleBlock], name: str, gps_order: GpsOrder | None = None) -> Subtitles:
+def parse_subtitles(blocks: Sequence[SubtitleBlock], name: str, gps_order: GpsOrder | None = None) -> Subtitles:
     """Return the telemetry of subtitles in any known dialect; one file may mix them.
 
     Args:
@@ -116,28 +112,17 @@ def parse_subtitles(blocks: Iterable[SubtitleBlock], name: str, gps_order: GpsOr
     Raises:
         DataError: if no subtitle holds telemetry; the message quotes a line.
     """
-    texts: list[tuple[str, float, float | None]] = []
-    end, first_clock = 0.0, None
-    for block in blocks:
-        text = _SECOND_SIGN.sub(r"\1", values.plain(_TAG.sub(" ", block.text)))
-        moment = values.moment_in(text)
-        clock = None if moment is None else moment.seconds
-        first_clock = clock if first_clock is None else first_clock
-        start = block.start
-        if start is None and clock is not None and first_clock is not None:
-            start = clock - first_clock
-        if start is not None:
-            end = max(end, start if block.end is None else block.end)
-            texts.append((text, start, clock))
-    lists = [_listed(text) for text, _, _ in texts]
+    texts = [_SECOND_SIGN.sub(r"\1", values.plain(_TAG.sub(" ", block.text))) for block in blocks]
+    lists = [_listed(text) for text in texts]
     order, notes = _order([items for items in lists if items], gps_order, name)
-    rows = [_told(text, items, order) for (text, _, _), items in zip(texts, lists, strict=True)]
-    entries = [entry_of(start, clock, told) for (_, start, clock), told in zip(texts, rows, strict=True)]
+    rows = [_told(text, items, order) for text, items in zip(texts, lists, strict=True)]
     if not any(rows):
         raise DataError(
             f"{name} holds no telemetry of DJI or Autel in a known dialect; expected subtitles such as [latitude: 59.30], "
             f"GPS(18.2,59.3,16), or GPS(E: 18.2, N: 59.3, 45.0m){_a_line(texts)}."
         )
+    clocks = [None if (moment := values.moment_in(text)) is None else moment.seconds for text in texts]
+    entries = [entry_of(block.start, clock, told) for block, clock, told in zip(blocks, clocks, rows, strict=True)]
     known = [abs(degrees) for e in entries for degrees in (e.latitude, e.longitude) if degrees is not None]
     if known and max(known) <= math.pi:
         notes.append(
@@ -146,12 +131,12 @@ def parse_subtitles(blocks: Iterable[SubtitleBlock], name: str, gps_order: GpsOr
     if missing := sum(entry.latitude is None for entry in entries):
         unread = "" if any("latitude" in told for told in rows) else _a_line(texts)
         notes.append(f"{missing} of {len(entries)} entries of {name} have no position{unread}.")
-    return Subtitles(tuple(entries), end, tuple(notes))
+    return Subtitles(tuple(entries), max(block.end for block in blocks), tuple(notes))
 
 
-def _a_line(texts: Sequence[tuple[str, float, float | None]]) -> str:
+def _a_line(texts: Sequence[str]) -> str:
     """Return the end of a sentence that quotes the subtitles' line with the most digits."""
-    lines = [line.strip() for text, _, _ in texts for line in text.splitlines()]
+    lines = [line.strip() for text in texts for line in text.splitlines()]
     lines = [line for line in lines if not _CODES.search(line) and values.moment(line) is None]
     line = max(lines, key=lambda line: sum(map(str.isdigit, line)), default="")
     return f"; one of its lines is {printable(line)[:_MOST_LETTERS]!r}" if line else ""
@@ -161,7 +146,7 @@ def _listed(text: str) -> list[str]:
     """Return the three values of GPS or RTK, the last one "" if missing; an empty list without numbers."""
     for match in _POSITION.finditer(text):
         items = [item.strip() for item in match[1].split(",")]
-        if 2 <= len(items) <= 3 and all(values.angle(item) is not None for item in items[:2]):
+        if 2 <= len(items) <= 3 and None not in map(values.angle, items[:2]):
             return [*items, ""][:3]
     return []
 
@@ -171,10 +156,9 @@ def _order(lists: Sequence[list[str]], chosen: GpsOrder | None, name: str) -> tu
     plain = [items for items in lists if not _LETTER.search(items[0])]
     if chosen is not None or not plain:
         return chosen or "lat-lon", []
-    if any(abs(values.angle(a) or 0.0) > 90 for a, _, _ in plain):
-        return "lon-lat", []
-    if any(abs(values.angle(b) or 0.0) > 90 for _, b, _ in plain):
-        return "lat-lon", []
+    first, second = (max(abs(values.angle(items[i]) or 0.0) for items in plain) for i in (0, 1))
+    if max(first, second) > 90:
+        return "lon-lat" if first > 90 else "lat-lon", []
     if sum(_SATELLITES.fullmatch(third) is not None for _, _, third in plain) * 2 > len(plain):
         return "lon-lat", []
     return "lat-lon", [

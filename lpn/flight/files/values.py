@@ -62,26 +62,17 @@ _LONGEST = 100
 
 
 class Moment(NamedTuple):
-    """A date with a time of day.
-
-    Attributes:
-        seconds: since 1970-01-01, in UTC if the text has a zone, else on a clock of unknown zone.
-        zoned: whether the text has a zone.
-    """
+    """Seconds since 1970-01-01, in UTC if the text has a zone (`zoned`), else on a clock of unknown zone."""
 
     seconds: float
     zoned: bool
 
 
 def read_limited(file: Path, most_bytes: int, expected: str) -> bytes:
-    """Return the contents of a file of telemetry.
-
-    Args:
-        most_bytes: the size limit.
-        expected: name of the kind of file, for the message about a larger one.
+    """Return the contents of a file; `expected` names its kind, for the message about a larger one.
 
     Raises:
-        DataError: if it cannot be read, or is larger.
+        DataError: if it cannot be read, or has more than `most_bytes`.
     """
     name = printable(file.name)
     try:
@@ -152,16 +143,11 @@ def angle(text: str, letters: str = "NSEW", comma: bool = False) -> float | None
     degrees, minutes, seconds = (float(match[part] or 0) for part in ("degrees", "minutes", "seconds"))
     has_fraction = "." in match["degrees"] and match["minutes"]
     # East and north are never negative; a sign beside S or W repeats the letter.
-    if (
-        letter not in letters
-        or minutes >= 60
-        or seconds >= 60
-        or has_fraction
-        or (match["sign"] == "-" and letter in ("N", "E"))
-    ):
+    is_negative = match["sign"] == "-"
+    if letter not in letters or max(minutes, seconds) >= 60 or has_fraction or (is_negative and letter in ("N", "E")):
         return None
     value = degrees + minutes / 60 + seconds / 3600
-    return -value if match["sign"] == "-" or letter in ("S", "W") else value
+    return -value if is_negative or letter in ("S", "W") else value
 
 
 def _finite(value: float) -> float | None:
@@ -191,13 +177,12 @@ def _moment(match: re.Match[str] | None, day_first: bool) -> Moment | None:
     hour = int(match["hour"])
     if match["half"]:
         hour = hour % 12 + 12 * (match["half"].upper() == "PM")
+    minute, second = int(match["minute"]), int(match["second"] or 0)
     try:
-        date = datetime(
-            int(year), int(month), int(day), hour, int(match["minute"]), int(match["second"] or 0), tzinfo=UTC
-        )
-        seconds = date.timestamp() + float(f"0.{match['fraction'] or 0}{match['micro'] or ''}")
+        seconds = datetime(int(year), int(month), int(day), hour, minute, second, tzinfo=UTC).timestamp()
     except (ValueError, OverflowError):
         return None
+    seconds += float(f"0.{match['fraction'] or 0}{match['micro'] or ''}")
     zone = (match["zone"] or "").replace(":", "")
     if zone[:1] in ("+", "-") and zone[1:]:
         ahead = int(f"{zone[0]}1") * (int(zone[1:3]) * 3600 + int(zone[3:5] or 0) * 60)

@@ -8,8 +8,7 @@ from typing import Any
 import pytest
 
 from lpn.core.errors import DataError
-from lpn.flight.files.dialects import DIALECTS
-from lpn.flight.files.log_tables import table_of
+from lpn.flight.files.dialects import DIALECTS, table_of
 from lpn.flight.files.logs import read_log
 from lpn.flight.files.sources import read_any_log
 from lpn.flight.files.subtitles import read_subtitles
