@@ -246,7 +246,8 @@ def table_of(text: str, name: str) -> LogTable:
         delimiter = _delimiter(row[1])
         header = [cell.strip() for cell in _rows([row], delimiter, name)[0][1]]
         header = header[1:] if header[0] in ("#", "%") else header
-        if {"latitude", "longitude"} <= (columns := columns_of(header, name)[1]).keys() or "position" in columns:
+        columns = columns_of(header, name)[1]
+        if "position" in columns or {"latitude", "longitude"} <= columns.keys():
             below = lines[i + 1 :]
             break
     else:
@@ -286,9 +287,10 @@ def picture_name(text: str) -> str | None:
 
 
 def _delimiter(line: str) -> str | None:
-    """Return the most frequent of comma, semicolon, and tab; None for whitespace."""
-    delimiter = max("\t;,", key=line.count)
-    return delimiter if delimiter in line else None
+    """Return the most frequent of tab, semicolon, and comma outside of quotes; None for whitespace."""
+    bare = re.sub('"[^"]*"', "", line)
+    delimiter = max("\t;,", key=bare.count)
+    return delimiter if delimiter in bare else None
 
 
 def _rows(lines: Sequence[tuple[int, str]], delimiter: str | None, name: str) -> list[tuple[int, list[str]]]:

@@ -37,6 +37,7 @@ _NUMBER = r"[-+]?[0-9]+(?:\.[0-9]+)?"
 _BRACKET = re.compile(r"\[([^\[\]\n]{3,400})\]")
 _NAMED = re.compile(rf"([A-Za-z_][A-Za-z_ ]{{0,40}}?) ?: ?({_NUMBER})(?=\s|,\s|,?$)")
 _COLUMNS = {
+    "latitude": "latitude", "longitude": "longitude", "altitude": "altitude",
     "longtitude": "longitude", "abs_alt": "altitude", "rel_alt": "height_above_takeoff",
     "gb_yaw": "gimbal_heading", "gb_pitch": "gimbal_pitch", "gb_roll": "gimbal_roll",
 }  # fmt: skip
@@ -186,14 +187,11 @@ def _told(text: str, items: Sequence[str], order: GpsOrder) -> dict[str, float |
             told |= {"gimbal_heading": yaw, "gimbal_pitch": pitch, "gimbal_roll": roll}
         elif pitch or roll or yaw:
             told["heading"] = yaw
-    names = {_COLUMNS.get(key, key): float(number) for key, number in named.items()}
-    told |= {what: names[what] for what in ("latitude", "longitude", "altitude", *_COLUMNS.values()) if what in names}
-    if "focal_len" in named:
+    told |= {_COLUMNS[key]: float(number) for key, number in named.items() if key in _COLUMNS}
+    if focal_length := named.get("focal_len"):
         # A 35 mm equivalent focal length, "24.00" or, in tenths, "240".
-        equivalent = names["focal_len"] / (
-            10.0 if named["focal_len"].isdecimal() and names["focal_len"] >= 100 else 1.0
-        )
-        zoom = names.get("dzoom_ratio") or 1.0
+        equivalent = float(focal_length) / (10.0 if focal_length.isdecimal() and len(focal_length) > 2 else 1.0)
+        zoom = float(named.get("dzoom_ratio", 1.0)) or 1.0
         equivalent *= max(zoom / _ZOOM_SCALE if zoom >= _LEAST_SCALED else zoom, 1.0)
         if 5 <= equivalent <= 1000:
             told["fov"] = cameras.fov_of_equivalent(equivalent)

@@ -71,10 +71,10 @@ def entry_of(time: float, clock: float | None, told: Mapping[str, float | None])
         or abs(longitude) > 180
     ):
         latitude = longitude = None
-    heading, pitch, roll = (known.get(f"gimbal_{angle}") for angle in ("heading", "pitch", "roll"))
+    heading, pitch, roll = known.get("gimbal_heading"), known.get("gimbal_pitch"), known.get("gimbal_roll")
     source: HeadingSource = "gimbal"
     if heading is None or not (heading or pitch or roll):
-        looked, nose, bank = (known.get(what) for what in ("direction", "nose", "bank"))
+        looked, nose, bank = known.get("direction"), known.get("nose"), known.get("bank")
         if nose is not None and looked is not None and not (looked or nose or bank):
             looked = nose = bank = None
         heading, source = (known.get("heading"), "aircraft") if looked is None else (looked, "camera")

@@ -11,6 +11,7 @@ import contextlib
 import io
 import math
 import os
+from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -63,16 +64,20 @@ _RECEIVERS = {"GPS_RAW_INT": "fix_type", "GPS": "Status", "vehicle_gps_position"
 class Vehicle:
     """A converter of one vehicle's messages to entries.
 
+    Args:
+        needs_position: whether an attitude alone does not select the vehicle.
+
     Attributes:
-        system: MAVLink id of the vehicle: of the first system that sends a position or an attitude.
+        system: MAVLink id of the vehicle: of the first system that sends a position, or an attitude.
         others: ids of other systems that send positions, which are left out.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, needs_position: bool = False) -> None:
         self.system: int | None = None
         self.others: set[int] = set()
-        # The time and value of what was told last.
-        self._held: dict[str, tuple[float, float]] = {}
+        self._needs_position = needs_position
+        # The time and value of what each system told last.
+        self._held: defaultdict[int, dict[str, tuple[float, float]]] = defaultdict(dict)
         self._filtered = self._placed = self._last = -math.inf
 
     def take(
@@ -93,17 +98,18 @@ class Vehicle:
         told = {what: float(value) for what, value in told_by(kind, message).items() if math.isfinite(value)}
         if not told:
             return None
+        held = self._held[system]
+        turn = told.pop("gimbal_turn", math.nan) + _recent(held, time).get("heading", math.nan)
+        if "gimbal_heading" not in told and math.isfinite(turn):
+            told["gimbal_heading"] = turn
+        held |= {what: (time, value) for what, value in told.items() if what not in _POSITION[:3]}
         has_position = bool(told.get("latitude") or told.get("longitude"))
-        if self.system is None and (has_position or "heading" in told):
+        if self.system is None and (has_position or ("heading" in told and not self._needs_position)):
             self.system = system
         if self.system not in (None, system):
             self.others |= {system} if has_position else set()
             return None
-        turn = told.pop("gimbal_turn", math.nan) + self._now(time).get("heading", math.nan)
-        if "gimbal_heading" not in told and math.isfinite(turn):
-            told["gimbal_heading"] = turn
-        self._held |= {what: (time, value) for what, value in told.items() if what not in _POSITION[:3]}
-        entry = entry_of(time, clock, self._now(time) | told)
+        entry = entry_of(time, clock, _recent(held, time) | told)
         if entry.latitude is None:
             if 0 <= time - self._placed < _HOLD:
                 return None
@@ -119,8 +125,9 @@ class Vehicle:
         self._placed = self._placed if entry.latitude is None else time
         return entry
 
-    def _now(self, time: float) -> dict[str, float]:
-        return {what: value for what, (told, value) in self._held.items() if abs(time - told) <= _HOLD}
+
+def _recent(held: Mapping[str, tuple[float, float]], time: float) -> dict[str, float]:
+    return {what: value for what, (told, value) in held.items() if abs(time - told) <= _HOLD}
 
 
 def told_by(kind: str, message: Mapping[str, Any]) -> dict[str, float]:
@@ -206,7 +213,7 @@ def read_vehicle_log(file: Path) -> Log:
     if not begin.startswith(expected) or (suffix == ".tlog" and begin[8:9] not in (b"\xfe", b"\xfd")):
         found = "is empty" if not begin else f"begins with {begin[:8].hex(' ')}"
         raise OtherKindError(f"{name} {found}; expected {kind}.")
-    vehicle = Vehicle()
+    vehicle = Vehicle(needs_position=True)
     try:
         with contextlib.redirect_stderr(io.StringIO()), contextlib.redirect_stdout(io.StringIO()):
             entries = [entry for message in messages(file) if (entry := vehicle.take(*message)) is not None]

@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from lpn.core.errors import DataError, InputError
+from lpn.core.errors import InputError
 from lpn.core.files import printable
 from lpn.flight.files import logs
 from lpn.flight.files.base import Frame
@@ -69,8 +69,6 @@ class LogTelemetry(LiveTelemetry):
             log = read_any_log(file)
             self._by_clock = Telemetry(logs.moments(log) if log.utc else [])
             self._elapsed = Telemetry(logs.for_video(log, 0)[0])
-        if not self._elapsed.entries:
-            raise DataError(f"{printable(file.name)} has no moment with a position; expected the log of a flight.")
         self._start = self._elapsed.entries[0].time
         self._first: float | None = None
         self._say, self._name, self._warned = say, printable(file.name), False

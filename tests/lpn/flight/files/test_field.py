@@ -154,6 +154,7 @@ CASES = (
        "47.301,8.501,100,2024-05-01 14:00:00,2024-05-01 12:00:00\n", **HERE, altitude=30.48, clock=1714564800.0),
     by("spreadsheets", "semicolons.csv", "filename;latitude;longitude;altitude\na.jpg;47,301 N;8,501° W;512,5\n",
        **at(47.301, -8.501), altitude=512.5),
+    by("https://github.com/GPSBabel/gpsbabel/issues/1286", "quotes.csv", '"a;b;c;d",lat,lon\nx,47.301,8.501\n', **HERE),
     by("spreadsheets, which fear formulas", "apostrophes.csv", "name,lat,long\na.jpg,'-47.301,−8.501\n", **at(-47.301, -8.501)),
     by("an unknown unit", "fathoms.csv", "lat,lon,rel_alt(fathoms)\n47.301,8.501,3\n", "in an unknown unit and was left out",
        **HERE, height_above_takeoff=None),

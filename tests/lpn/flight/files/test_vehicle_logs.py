@@ -121,6 +121,17 @@ def test_what_was_told_last_completes_a_position(
     check(entries[-1], expected)
 
 
+def test_an_attitude_selects_the_vehicle_only_where_no_position_is_needed() -> None:
+    for needs_position, system in ((True, 9), (False, 7)):
+        vehicle = Vehicle(needs_position)
+        vehicle.take("ATT", ANGLES, 0.0, system=7)
+        vehicle.take("HEARTBEAT", {}, 0.0, system=8)
+        entry = vehicle.take("POS", PLACE, 0.0, system=9)
+        assert vehicle.system == system
+        assert (entry is not None) == needs_position
+        assert vehicle.others == (set() if needs_position else {9})
+
+
 def check(entry: TelemetryEntry | None, expected: dict[str, object] | None) -> None:
     assert (entry is None) == (expected is None)
     for name, value in (expected or {}).items():
