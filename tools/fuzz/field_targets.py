@@ -18,12 +18,12 @@ def flights(folder: Path) -> list[FuzzCase]:
     from lpn.core.images import header_error
     from lpn.flight.files import Frame, footprint, open_flight, write_flight
     from lpn.flight.files.clock_fit import fit_clocks
-    from lpn.flight.files.logs import Log, for_video, moments, read_log, rows_by_name
+    from lpn.flight.files.logs import Log, for_video, moments, parse_track, read_log, rows_by_name
     from lpn.flight.files.makers import Properties
     from lpn.flight.files.photos import Photo, photo_of
     from lpn.flight.files.subtitles import blocks_of, parse_subtitles
     from lpn.flight.files.telemetry import Telemetry
-    from lpn.flight.files.track_files import parse_track
+    from lpn.flight.files.values import decoded
     from tools.fixtures.field_photos import FIELD
     from tools.fixtures.photos import dji_xmp, exif, photo_bytes, sensefly_xmp, write_photo, xmp_packet
 
@@ -87,7 +87,7 @@ def flights(folder: Path) -> list[FuzzCase]:
 
     def fitted(found: Log) -> None:
         rows_by_name(found)
-        fit_clocks(photos, Telemetry(moments(found)[0]), found.utc)
+        fit_clocks(photos, Telemetry(moments(found)), found.utc)
         Telemetry(for_video(found, 0)[0]).at(0.5)
 
     gpx = (
@@ -105,7 +105,7 @@ def flights(folder: Path) -> list[FuzzCase]:
         FuzzCase(packets, packet),
         FuzzCase([lines.encode(), autel.encode()], subtitles),
         in_file(log, lambda: fitted(read_log(log)), *(text.encode() for text in logs)),
-        FuzzCase([gpx.encode()], lambda data: fitted(parse_track(data, "a.gpx"))),
+        FuzzCase([gpx.encode()], lambda data: fitted(parse_track(decoded(data, "a.gpx"), "a.gpx"))),
         *(in_file(flight / name, lambda: open_flight(flight).degrees) for name in ("flight.csv", "flight.json")),
     ]
 

@@ -1,4 +1,7 @@
-"""Dialects of telemetry as tables: the programs that write them, what marks each, and the meaning of its columns.
+"""Tables of telemetry: the dialects of programs, what marks each, the meaning of its columns, and the rows as numbers.
+
+The header is the first line, or one of the comments before it. Two formats have none: Pix4D's rows of pictures, and
+OpenDroneMap's geo.txt. Any other file is refused, and the message quotes its first line.
 
 Names of columns are compared without case and signs: "GPS.Lat [deg]" is gpslat in degrees. A unit follows the name in brackets,
 or after an underscore, a space, or a slash. Without one the dialect's unit counts, else metres, degrees, or seconds.
@@ -6,45 +9,49 @@ or after an underscore, a space, or a slash. Without one the dialect's unit coun
 
 from __future__ import annotations
 
+import csv
 import math
 import re
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
 
+import numpy as np
+
+from lpn.core.arrays import Float64Array
 from lpn.core.errors import DataError
 from lpn.core.files import printable
-from lpn.flight.files.values import FOOT
+from lpn.flight.files import values
+from lpn.flight.files.values import ANGLES, LENGTHS, TIMES
 
-_LENGTHS = {
-    **dict.fromkeys(("m", "meter", "meters", "metre", "metres", "amsl", "msl", "agl", "wgs84"), 1.0),
-    **dict.fromkeys(("ft", "feet", "foot"), FOOT), "mm": 0.001, "cm": 0.01, "km": 1000.0,
-}  # fmt: skip
-_ANGLES = {
-    **dict.fromkeys(("deg", "degree", "degrees", "°", "decimal", "dd", "wgs84"), 1.0), "ddeg": 0.1, "cdeg": 0.01, "dege7": 1e-7,
-    **dict.fromkeys(("rad", "radian", "radians"), math.degrees(1)),
-}  # fmt: skip
-_TIMES = {
-    **dict.fromkeys(("s", "sec", "secs", "second", "seconds"), 1.0), **dict.fromkeys(("ms", "millisecond", "milliseconds"), 1e-3),
-    **dict.fromkeys(("us", "µs", "microseconds"), 1e-6),
-}  # fmt: skip
-_DATES = _TIMES | {"utc": 1.0, "gmt": 1.0, "local": 1.0}
-# A column of time with another unit than these may hold another value of time.
-_OF_TIME = (_TIMES, _DATES)
+_DATES = TIMES | {"utc": 1.0, "gmt": 1.0, "local": 1.0}
 # The values of a row, with the possible units of each. `direction` is the camera's heading, `heading` the aircraft's, `nose` a
 # pitch with 0 for straight down, `bank` its roll, and `below` EXIF's GPSAltitudeRef.
 UNITS: Mapping[str, Mapping[str, float]] = {
-    **dict.fromkeys(("latitude", "longitude", "position"), _ANGLES),
-    **dict.fromkeys(("height_above_ground", "height_above_takeoff", "altitude"), _LENGTHS),
-    **dict.fromkeys(("gimbal_heading", "gimbal_pitch", "gimbal_roll", "heading", "direction", "nose", "bank", "fov"), _ANGLES),
-    "time": _TIMES, **dict.fromkeys(("date", "clock"), _DATES),
+    **dict.fromkeys(("latitude", "longitude", "position"), ANGLES),
+    **dict.fromkeys(("height_above_ground", "height_above_takeoff", "altitude"), LENGTHS),
+    **dict.fromkeys(("gimbal_heading", "gimbal_pitch", "gimbal_roll", "heading", "direction", "nose", "bank", "fov"), ANGLES),
+    "time": TIMES, **dict.fromkeys(("date", "clock"), _DATES),
     **{what: {} for what in ("file", "latitude_letter", "longitude_letter", "below", "is_video", "quality")},
 }  # fmt: skip
-_ALL_UNITS = _LENGTHS | _ANGLES | _DATES
+_ALL_UNITS = LENGTHS | ANGLES | _DATES
 _BRACKETED = re.compile(r"(.*?)\s*[\[(](.*)[\])]\s*", re.DOTALL)
-# No name of a column is longer.
-_LONGEST = 200
 # The group of tags that exiftool -G writes before a name.
 _GROUP = re.compile(r"(?:EXIF|XMP|GPS|File|Composite|IFD0|ExifIFD)[\w-]*:(?=\w)")
+_COMMENT = ("#", "%")
+# Most comments that are searched for the header.
+_MOST_COMMENTS = 200
+# The first line of OpenDroneMap's lists is a projection; only those of `_DEGREES` give degrees.
+_PROJECTION = re.compile(r"EPSG:\s*\d+|\+proj=.*|WGS84 UTM \d+[NS]?", re.IGNORECASE)
+_DEGREES = re.compile(r"EPSG:\s*(?:4326|4979)|\+proj=(?:longlat|latlong).*", re.IGNORECASE)
+_GEO_TXT = ["image_name", "geo_x", "geo_y", "geo_z"]
+_GEO_TXT_ANGLES = ["yaw", "pitch", "roll"]
+_PIX4D = ["imagename", "latitude", "longitude", "altitude"]
+_LETTERS = {"latitude": "NS", "longitude": "EW"}
+_UNKNOWN = ("", "n/a", "na", "nan", "null", "none", "-", "--", "unknown")
+_PICTURE = re.compile(r"\S.{0,1000}\.(?:jpe?g|png|tiff?|webp|dng|heic|arw|cr2)", re.IGNORECASE)
+# The end of a message about positions in a map's grid.
+GRID = "Eastings and northings of a map are not read; export degrees of WGS 84."
 
 
 @dataclass(frozen=True)
@@ -149,42 +156,189 @@ COMMON = Dialect("any", (), {
 # fmt: on
 
 
-@dataclass(frozen=True)
-class Columns:
-    """The columns of known meaning in a table.
+class LogColumn(NamedTuple):
+    """A column of known meaning.
 
     Attributes:
-        places: the index of each value in a row.
-        factors: from each value's unit to metres, degrees, or seconds.
-        unsaid: the values whose units neither the header nor the dialect names.
-        utc: True if the header names the date as UTC.
-        notes: sentences about columns that are left out or reinterpreted.
+        place: its index in a row.
+        name: as it is written, printable.
+        factor: from its unit to metres, degrees, or seconds; None if the unit is unknown.
+        has_unit: whether the header or the program's dialect names its unit.
+    """
+
+    place: int
+    name: str
+    factor: float | None
+    has_unit: bool
+
+
+@dataclass(frozen=True)
+class LogTable:
+    """The known columns of a log.
+
+    Attributes:
+        columns: of the values that the table tells.
+        texts: of each of these values, one a row; "" where it is unknown.
+        lines: the number of each row's line, from 1.
+        name: of the file, for messages.
+        commas: True if a comma may be the decimal sign, because it does not separate cells.
+        notes: sentences about oddities.
     """
 
     dialect: Dialect
-    places: Mapping[str, int]
-    factors: Mapping[str, float]
-    unsaid: frozenset[str]
-    utc: bool
+    columns: Mapping[str, LogColumn]
+    texts: Mapping[str, Sequence[str]]
+    lines: Sequence[int]
+    name: str
+    commas: bool
     notes: tuple[str, ...]
 
-    @property
-    def has_position(self) -> bool:
-        """True if a latitude and a longitude are among them."""
-        return {"latitude", "longitude"} <= self.places.keys() or "position" in self.places
+    def text(self, what: str) -> Sequence[str]:
+        """Return the texts of a value, "" where it is unknown."""
+        return self.texts.get(what) or [""] * len(self.lines)
+
+    def numbers(self, what: str) -> Float64Array:
+        """Return a value of each row in metres, degrees, or seconds, (N,); NaN where it is unknown.
+
+        Raises:
+            DataError: if a text other than a time is no number; the message names its line.
+        """
+        letters = _LETTERS.get(what)
+        numbers = np.full(len(self.lines), math.nan)
+        for i, text in enumerate(self.text(what)):
+            if not text:
+                continue
+            number = values.angle(text, letters, self.commas) if letters else values.number(text, self.commas)
+            if number is not None:
+                # A unit in the cell counts in place of the column's.
+                is_converted = text[-1].isalpha() or text[-1] == "°"
+                numbers[i] = number if is_converted else number * (self.columns[what].factor or 1.0)
+            elif what not in ("time", "date"):
+                shown, expected = printable(text)[:80], "a number of degrees" if letters else "a number"
+                raise DataError(
+                    f"Line {self.lines[i]} of {self.name} has the {what.replace('_', ' ')} {shown!r}; expected {expected}."
+                )
+        if letters and f"{what}_letter" in self.texts:
+            opposite = [text[:1].upper() == letters[1] for text in self.texts[f"{what}_letter"]]
+            numbers = np.where(opposite, -np.abs(numbers), numbers)
+        return numbers
 
 
-@dataclass(frozen=True)
-class _Name:
-    """A column's name without signs, and the words of its unit in lower case; a unit in brackets is surely one."""
+def table_of(text: str, name: str) -> LogTable:
+    """Find the header in a log's text, and split the lines below it into cells.
 
-    plain: str
-    units: tuple[str, ...] = field(default=(), compare=False)
-    bracketed: bool = field(default=False, compare=False)
+    Args:
+        name: the file's, for messages.
+
+    Raises:
+        DataError: if it is of no known dialect, or has no row; the message shows its first line, or names a damaged one.
+    """
+    lines = [
+        (number, line)
+        for number, line in enumerate(text.splitlines(), 1)
+        if line.strip() and not line.startswith("sep=")
+    ]
+    if not lines:
+        raise DataError(f"{name} is empty; expected a log with a line of column names.")
+    first = next((i for i, (_, line) in enumerate(lines) if not line.startswith(_COMMENT)), len(lines) - 1)
+    notes: list[str] = []
+    for i, row in enumerate(lines[: min(first + 1, _MOST_COMMENTS)]):
+        delimiter = _delimiter(row[1])
+        header = [cell.strip() for cell in _rows([row], delimiter, name)[0][1]]
+        header = header[1:] if header[0] in ("#", "%") else header
+        columns = columns_of(header, name)[1]
+        if "position" in columns or {"latitude", "longitude"} <= columns.keys():
+            below = lines[i + 1 :]
+            break
+    else:
+        below, delimiter, header, notes = _without_header(lines, name)
+    # RTKLIB has one name for two columns, date and time of day.
+    if delimiter is None and header[0].lstrip("%") in ("GPST", "UTC"):
+        header = [header[0], "time of day", *header[1:]]
+    dialect, columns, more = columns_of(header, name)
+    rows = _rows([row for row in below if not row[1].startswith(_COMMENT)], delimiter, name)
+    if not rows:
+        raise DataError(f"{name} has column names and no row; expected one row a picture or moment.")
+    longer = [(line, cells) for line, cells in rows if any(cells[len(header) :])]
+    if delimiter == "," and header is not _PIX4D and len(longer) * 2 > len(rows):
+        line, cells = longer[0]
+        raise DataError(
+            f"Line {line} of {name} has {len(cells)} values below {len(header)} names, as decimal commas between commas give; "
+            "save it with decimal points, or with semicolons between the values."
+        )
+    # Some programs write an apostrophe before a minus sign, against formulas in spreadsheets.
+    texts = {
+        what: ["" if len(cells) <= at else cells[at].strip().removeprefix("'") for _, cells in rows]
+        for what, (at, *_) in columns.items()
+    }
+    if "position" in columns:
+        pairs = [re.split(r",\s+" if "," in text else r"\s+", text, maxsplit=1) for text in texts.pop("position")]
+        for i, what in enumerate(_LETTERS):
+            columns[what] = columns["position"]
+            texts[what] = [pair[min(i, len(pair) - 1)] for pair in pairs]
+    texts = {what: ["" if text.casefold() in _UNKNOWN else text for text in told] for what, told in texts.items()}
+    return LogTable(dialect, columns, texts, [line for line, _ in rows], name, delimiter != ",", (*more, *notes))
 
 
-def columns_of(header: Sequence[str], name: str) -> Columns:
-    """Return the known columns of a header.
+def picture_name(text: str) -> str | None:
+    """Return the stripped text if it is the name of a picture, else None."""
+    text = text.strip()
+    return text if _PICTURE.fullmatch(text) else None
+
+
+def _delimiter(line: str) -> str | None:
+    """Return the most frequent of tab, semicolon, and comma outside of quotes; None for whitespace."""
+    bare = re.sub('"[^"]*"', "", line)
+    delimiter = max("\t;,", key=bare.count)
+    return delimiter if delimiter in bare else None
+
+
+def _rows(lines: Sequence[tuple[int, str]], delimiter: str | None, name: str) -> list[tuple[int, list[str]]]:
+    """Return the cells of each row with the number of its last line."""
+    if delimiter is None:
+        return [(number, line.split()) for number, line in lines]
+    reader = csv.reader((line for _, line in lines), delimiter=delimiter)
+    try:
+        return [(lines[reader.line_num - 1][0], cells) for cells in reader]
+    except csv.Error as error:
+        number = lines[min(reader.line_num, len(lines)) - 1][0]
+        raise DataError(f"Line {number} of {name} is not comma-separated values; correct it.") from error
+
+
+def _without_header(
+    lines: Sequence[tuple[int, str]], name: str
+) -> tuple[list[tuple[int, str]], str | None, list[str], list[str]]:
+    """Return the rows' lines, delimiter, names, and notes of a table of Pix4D or OpenDroneMap."""
+    line = lines[0][1].strip()
+    delimiter = _delimiter(line)
+    if _is_picture_row(row := _rows(lines[:1], delimiter, name)[0][1]):
+        note = f"{name} has no line of column names; latitude before longitude was taken, as in Pix4D's files."
+        more = " Further numbers in it were not read." if len(row) > len(_PIX4D) else ""
+        return list(lines), delimiter, _PIX4D, [note + more]
+    second = lines[1][1].split() if len(lines) > 1 and _PROJECTION.fullmatch(line) else []
+    if len(second) > 5 and picture_name(second[5]):
+        raise DataError(
+            f"{name} is a list of ground control points, which tells where points on the ground are seen, and not where photos "
+            "were taken; give a geo.txt, or a log with latitude and longitude."
+        )
+    if _is_picture_row(second):
+        if not _DEGREES.fullmatch(line):
+            raise DataError(f"{name} has positions in {printable(line)[:80]}. {GRID}")
+        return list(lines[1:]), None, _GEO_TXT + _GEO_TXT_ANGLES * (len(second) > 6), []
+    names = set(re.findall(r"[a-z]+", line.casefold()))
+    grid = f" {GRID}" if {"x", "y"} <= names or names & {"easting", "northing", "utm"} else ""
+    raise DataError(
+        f"{name} begins with {printable(line)[:200]!r}; expected a line of column names with latitude and longitude.{grid}"
+    )
+
+
+def _is_picture_row(cells: Sequence[str]) -> bool:
+    is_named = len(cells) > 2 and picture_name(cells[0]) is not None
+    return is_named and all(values.angle(cell) is not None for cell in cells[1:3])
+
+
+def columns_of(header: Sequence[str], name: str) -> tuple[Dialect, dict[str, LogColumn], list[str]]:
+    """Return the dialect of a header, the column of each known value, and notes about columns that are not read or in doubt.
 
     Args:
         name: the log's, for notes.
@@ -192,92 +346,77 @@ def columns_of(header: Sequence[str], name: str) -> Columns:
     Raises:
         DataError: if the column of a latitude or longitude has an unknown unit.
     """
-    cells = [list(_names(text)) for text in header]
-    plain = {cell.plain for names in cells for cell in names}
-    dialect = next((one for one in DIALECTS if all(_plain(mark) in plain for mark in one.marks)), COMMON)
-    places: dict[str, int] = {}
-    factors: dict[str, float] = {}
-    unsaid, notes, taken = set(), [], set[int]()
+    readings = [(plain, units, place) for place, text in enumerate(header) for plain, units in _readings(text)]
+    names = {plain for plain, _, _ in readings}
+    dialect = next((one for one in DIALECTS if {_plain(mark) for mark in one.marks} <= names), COMMON)
+    columns: dict[str, LogColumn] = {}
+    notes = []
     for table in (dialect, COMMON) if dialect is not COMMON else (COMMON,):
-        found = {}
-        for what, names in table.columns.items():
-            known = None if what in places else _best(cells, what, names, taken)
-            if known is None:
+        taken = {column.place for column in columns.values()}
+        free = [reading for reading in readings if reading[2] not in taken]
+        found = {what: _best(free, what, names) for what, names in table.columns.items() if what not in columns}
+        for what, column in ((what, column) for what, column in found.items() if column is not None):
+            written = printable(header[column.place])
+            if column.factor is not None:
+                columns[what] = column._replace(name=written, has_unit=column.has_unit or table is not COMMON)
                 continue
-            at, factor, said = known
-            if factor is None:
-                notes.append(f"The column {printable(header[at])} of {name} is in an unknown unit and was left out.")
-                if what in ("latitude", "longitude"):
-                    raise DataError(f"{notes[-1]} Expected degrees, as in {what} (deg).")
-                continue
-            found[what], factors[what] = at, factor
-            unsaid |= {what} if table is COMMON and not said else set()
-        places |= found
-        taken |= set(found.values())
-    if {"latitude", "longitude"} <= places.keys():
-        places.pop("position", None)
-    if "height_above_takeoff" in places and _plain(header[places["height_above_takeoff"]]) == "height":
+            notes.append(f"The column {written} of {name} is in an unknown unit and was left out.")
+            if what in ("latitude", "longitude"):
+                raise DataError(f"{notes[-1]} Expected degrees, as in {what} (deg).")
+    if {"latitude", "longitude"} <= columns.keys():
+        columns.pop("position", None)
+    read = {what: header[column.place] for what, column in columns.items()}
+    if _plain(read.get("height_above_takeoff", "")) == "height":
         notes.append(f"The column height of {name} does not say above what; it counts as height above take-off.")
-    if {"omega", "phi", "kappa"} <= plain:
+    if {"omega", "phi", "kappa"} <= names:
         notes.append(f"The columns omega, phi, and kappa of {name} are angles of photogrammetry, and were not read.")
-    if "ellips" in (header[places["altitude"]].casefold() if "altitude" in places else ""):
+    if "ellips" in read.get("altitude", "").casefold():
         notes.append(_ELLIPSOID.format(name=name))
-    tilts = [
-        printable(header[at])
-        for at, names in enumerate(cells)
-        if names[0].plain in ("pitch", "roll") and at not in taken
-    ]
-    if tilts and "gimbal_pitch" not in places:
+    tilts = [text for text in header if _readings(text)[0][0] in ("pitch", "roll") and text not in read.values()]
+    if tilts and "gimbal_pitch" not in columns:
         notes.append(
-            f"The columns {' and '.join(tilts)} of {name} do not say whether they are the camera's, and were not read; call them "
-            "gimbal_pitch and gimbal_roll if they are."
+            f"The columns {' and '.join(map(printable, tilts))} of {name} do not say whether they are the camera's, and were not "
+            "read; call them gimbal_pitch and gimbal_roll if they are."
         )
     if dialect.note:
         notes.append(dialect.note.format(name=name))
-    utc = dialect.before_utc is not None or (
-        "date" in places and re.search("utc|gmt", header[places["date"]], re.I) is not None
-    )
-    return Columns(dialect, places, factors, frozenset(unsaid), utc, tuple(notes))
+    return dialect, columns, notes
 
 
 def _plain(text: str) -> str:
     return "".join(letter for letter in text.casefold() if letter.isalnum())
 
 
-def _names(text: str) -> Iterator[_Name]:
-    """Yield the readings of a column's name: the whole without a unit in brackets, and the part before a unit."""
-    text = _GROUP.sub("", text.lstrip("#% ").strip()[:_LONGEST])
+def _readings(text: str) -> list[tuple[str, tuple[str, ...]]]:
+    """Return the readings of a column's name: the plain name, and the words of its unit in lower case."""
+    text = _GROUP.sub("", text.lstrip("#% ").strip()[:200])
     if match := _BRACKETED.fullmatch(text):
-        yield _Name(_plain(match[1]), tuple(re.split(r"[\s,;]+", match[2].casefold().strip())), True)
-        return
-    yield _Name(_plain(text))
+        return [(_plain(match[1]), tuple(re.split(r"[\s,;]+", match[2].casefold().strip())))]
+    readings: list[tuple[str, tuple[str, ...]]] = [(_plain(text), ())]
     parts = re.split(r"[\s_/]+", text)
-    for count in (1, 2):
+    for count in range(1, min(len(parts), 3)):
         units = tuple(part.casefold() for part in parts[-count:])
-        if len(parts) > count and set(units) <= _ALL_UNITS.keys():
-            yield _Name(_plain("".join(parts[:-count])), units)
+        if set(units) <= _ALL_UNITS.keys():
+            readings.append((_plain("".join(parts[:-count])), units))
+    return readings
 
 
-def _best(
-    cells: Sequence[Sequence[_Name]], what: str, names: str, taken: set[int]
-) -> tuple[int, float | None, bool] | None:
-    """Return the index of a value's best column, its unit's factor (None if unknown), and whether the unit is named.
+def _best(readings: Sequence[tuple[str, tuple[str, ...], int]], what: str, names: str) -> LogColumn | None:
+    """Return a value's best column without its name.
 
     Columns are ranked by the order of names, then by the unit: known, missing, unknown or local time.
     """
     ranked = []
     units = UNITS[what]
     for rank, written in enumerate(names.split("|")):
-        wanted = next(_names(written))
-        own = next((units[unit] for unit in wanted.units), 1.0)
-        for at, known in ((at, name) for at, names_of in enumerate(cells) for name in names_of if name == wanted):
-            unit = next((unit for unit in known.units if unit in units), None)
-            if at in taken or (known.units and unit is None and (units in _OF_TIME or not known.bracketed)):
+        wanted, wanted_units = _readings(written)[0]
+        own = units[wanted_units[0]] if wanted_units else 1.0
+        for words, place in ((words, place) for plain, words, place in readings if plain == wanted):
+            unit = next((word for word in words if word in units), "")
+            is_unknown = bool(units and words and not unit)
+            # A column of time in another unit may hold another value of time.
+            if is_unknown and what in ("time", "date", "clock"):
                 continue
-            is_unknown = bool(units and known.units and unit is None)
-            factor = None if is_unknown else own if unit is None else units[unit]
-            certainty = 2 if is_unknown or unit == "local" else 1 if unit is None else 0
-            ranked.append((rank, certainty, at, factor, unit is not None or bool(wanted.units)))
-    if not ranked:
-        return None
-    return min(ranked, key=lambda column: column[:3])[2:]
+            column = LogColumn(place, "", None if is_unknown else units.get(unit, own), bool(unit or wanted_units))
+            ranked.append((rank, 2 if is_unknown or unit == "local" else int(not unit), place, column))
+    return min(ranked, key=lambda found: found[:3])[3] if ranked else None

@@ -1,18 +1,21 @@
 """Logs of a flight as tables and tracks: one row a picture, or one row a moment.
 
-`lpn.flight.files.dialects` has the formats of tables; `lpn.flight.files.track_files` reads GPX. Positions must be degrees on the
-Earth. Without a unit, values are metres, degrees, and seconds.
+`lpn.flight.files.dialects` has the formats of tables. Positions must be degrees on the Earth; without a unit, values are metres,
+degrees, and seconds. Tracks are GPX, whose waypoints named like pictures are rows of these pictures.
 """
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import math
 import re
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from datetime import UTC
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -21,19 +24,18 @@ from lpn.core.errors import DataError
 from lpn.core.files import printable
 from lpn.core.numbers import wrap_degrees
 from lpn.flight.files import cameras, values
-from lpn.flight.files.log_tables import GRID, LogTable, table_of
-from lpn.flight.files.telemetry import TelemetryEntry
+from lpn.flight.files.dialects import GRID, LogTable, picture_name, table_of
+from lpn.flight.files.telemetry import TelemetryEntry, entry_of
 
-SUFFIXES = (".csv", ".tsv", ".txt", ".pos", ".log")
+SUFFIXES = (".csv", ".tsv", ".txt", ".pos", ".log", ".gpx")
 _MOST_BYTES = 200_000_000
 _HEIGHTS = ("height_above_ground", "height_above_takeoff", "altitude")
 # The range of each angle in degrees. A gimbal's pitch that is always larger follows another convention.
 _ANGLES = {
     **dict.fromkeys(("heading", "gimbal_heading", "direction"), (-360.0, 360.0)),
     **dict.fromkeys(("gimbal_pitch", "gimbal_roll", "nose", "bank"), (-180.0, 180.0)),
-    "fov": cameras.FOV_RANGE,
 }
-_TILTS = ("gimbal_pitch", "gimbal_roll", "nose", "bank")
+_RANGES = {"latitude": (-90.0, 90.0), "longitude": (-180.0, 180.0), **_ANGLES, "fov": cameras.FOV_RANGE}
 _LOOKS_UP = 30.0
 # Share of positions, or of a column's angles, beyond their range above which all of them are in doubt.
 _MOST_BEYOND = 0.1
@@ -41,6 +43,10 @@ _MOST_BEYOND = 0.1
 _LEAST_RECORDING = 1.5
 # Range of epochs in seconds. Larger ones are in milli-, micro-, or nanoseconds; smaller numbers count from a start.
 _EPOCHS = (1e9, 1e11)
+_DTD = re.compile(r"<!(?:DOCTYPE|ENTITY)", re.IGNORECASE)
+_DECLARATION = re.compile(r"^\s*<\?xml[^>]*\?>")
+_UTC = re.compile("utc|gmt", re.IGNORECASE)
+_DAY_OR_MONTH = re.compile(r"(\d{1,2})[-/](\d{1,2})")
 # Positions from here on are eastings and northings of a map, or degrees times 1e7.
 _LEAST_GRID, _LEAST_SCALED = 1e3, 2e7
 _SWAPPED = " Check that latitude and longitude are not exchanged."
@@ -80,11 +86,11 @@ class Log:
 
 
 def read_log(file: Path) -> Log:
-    """Read a log that is a table.
+    """Read a table or a GPX track.
 
     Raises:
-        DataError: if it is of no known dialect, or a value is no number or no position; the message quotes the first line, or
-            names the line of the value.
+        DataError: if it is damaged or of no known dialect, or a value is no number or no position; the message quotes the first
+            line, or names the line of the value.
     """
     name = printable(file.name)
     data = values.read_limited(file, _MOST_BYTES, "a log of one flight")
@@ -92,38 +98,164 @@ def read_log(file: Path) -> Log:
         raise DataError(
             f"{name} is no text. A flight record of DJI's app is encrypted; convert it to .csv with Airdata or PhantomHelp."
         )
-    table = table_of(values.decoded(data, name), name)
+    text = values.decoded(data, name)
+    if text.startswith("frame,stage,state,"):
+        raise DataError(
+            f"{name} is a track of lpn locate: it has places found on a map, and a flight needs what the drone told; give the "
+            "photos, with the drone's own log if there is one, and open the track in a map program."
+        )
+    return parse_track(text, name) if file.suffix.lower() == ".gpx" else _log_of(table_of(text, name))
+
+
+def _log_of(table: LogTable) -> Log:
+    name, count = table.name, len(table.lines)
     notes = list(table.notes)
-    places = _on_earth(table, notes)
-    columns = {what: table.numbers(what) for what in (*_HEIGHTS, *_ANGLES) if what in table.columns.places}
-    _clean_angles(table, columns, notes)
-    clocks, zoned = _clocks(table, notes)
-    times = (_numbers(table, table.texts("time")) * table.columns.factors.get("time", 1.0)).tolist()
-    fixed = table.columns.dialect.fixed
-    if unfixed := sum(text not in ("", fixed) for text in table.texts("quality")):
-        column = printable(table.header[table.columns.places["quality"]])
+    columns = {what: table.numbers(what) for what in (*_HEIGHTS, *_RANGES) if what in table.columns}
+    for kinds, most in ((("latitude", "longitude"), math.pi), (_ANGLES, math.tau)):
+        unsaid = [what for what in kinds if what in columns and not table.columns[what].has_unit]
+        known = np.concatenate([np.zeros(1), *(columns[what] for what in unsaid)])
+        if 0 < np.nanmax(np.abs(known)) <= most:
+            names = [table.columns[what].name for what in unsaid]
+            notes.append(
+                f"All values of {', '.join(names)} in {name} lie within {most:.2f} of 0 and name no unit; they were read as "
+                f"degrees. If they are radians, say so in the header, as in {names[0]} (rad)."
+            )
+    _clean(table, columns, notes)
+    clocks, utc = _clocks(table, notes)
+    times = table.numbers("time").tolist()
+    fixed = table.dialect.fixed
+    if unfixed := sum(text not in ("", fixed) for text in table.text("quality")):
         notes.append(
-            f"{unfixed} of {len(places)} rows of {name} have no fixed RTK solution ({column} is not {fixed}), so they may be off "
-            "by metres."
+            f"{unfixed} of {count} rows of {name} have no fixed RTK solution ({table.columns['quality'].name} is not {fixed}), "
+            "so they may be off by metres."
         )
-    below = [text == "1" or text.casefold().startswith("below") for text in table.texts("below")]
+    if "altitude" in columns:
+        below = [text == "1" or text.casefold().startswith("below") for text in table.text("below")]
+        columns["altitude"] = np.where(below, -np.abs(columns["altitude"]), columns["altitude"])
     rows = []
-    for i, (text, video, (line, _)) in enumerate(
-        zip(table.texts("file"), table.texts("is_video"), table.rows, strict=True)
-    ):
-        row = {what: None if math.isnan(column[i]) else float(column[i]) for what, column in columns.items()}
-        latitude, longitude = (None, None) if math.isnan(places[i, 0]) else places[i].tolist()
-        above_ground, above_takeoff, altitude = (row.get(what) for what in _HEIGHTS)
-        if below[i] and altitude is not None:
-            altitude = -abs(altitude)
-        entry = TelemetryEntry(
-            times[i], clocks[i], latitude, longitude, above_ground, above_takeoff, altitude, fov=row.get("fov")
+    for i, (file, video) in enumerate(zip(table.text("file"), table.text("is_video"), strict=True)):
+        entry = entry_of(times[i], clocks[i], {what: float(column[i]) for what, column in columns.items()})
+        recording = video.casefold() in ("1", "true", "yes") if video else None
+        rows.append(LogRow(entry, file or None, recording, table.lines[i]))
+    if missing := sum(row.entry.latitude is None for row in rows):
+        notes.append(f"{missing} of {count} rows of {name} have no position.")
+    return Log(name, tuple(rows), utc, tuple(notes))
+
+
+def _clean(table: LogTable, columns: dict[str, Float64Array], notes: list[str]) -> None:
+    """Remove angles beyond their range, or their whole column, and a gimbal's pitch that always looks up, with notes.
+
+    Raises:
+        DataError: if more than a tenth of the positions are not on the Earth.
+    """
+    for what, (least, most) in _RANGES.items():
+        if what not in columns:
+            continue
+        angles = columns[what]
+        if what in _ANGLES and most == 180.0:
+            turned = (np.abs(angles) > 180.0) & (np.abs(angles) <= 360.0)
+            angles[turned] = wrap_degrees(angles[turned])
+        beyond = np.flatnonzero((angles < least) | (angles > most))
+        worst = max(angles[beyond].tolist(), key=abs, default=0.0)
+        known = int((~np.isnan(angles)).sum())
+        line = table.lines[beyond[0]] if len(beyond) else 0
+        column = f"column {table.columns[what].name} of {table.name}"
+        expected = f"from {least:g} to {most:g} degrees"
+        if what in ("latitude", "longitude") and len(beyond) > _MOST_BEYOND * known:
+            latitude, longitude = columns["latitude"][beyond[0]], columns["longitude"][beyond[0]]
+            largest = max(abs(latitude), abs(longitude))
+            hint = _SWAPPED if largest < _LEAST_GRID else f" {GRID}" if largest < _LEAST_SCALED else _SCALED
+            raise DataError(
+                f"Line {line} of {table.name} has the position {latitude:g}, {longitude:g}; expected degrees, latitude from -90 "
+                f"to 90.{hint}"
+            )
+        if len(beyond) > _MOST_BEYOND * known:
+            hint = "" if what == "fov" else "; another unit is named behind a column, as in (cdeg)"
+            notes.append(f"The {column} was left out: it holds {worst:g}, and expected are angles {expected}{hint}.")
+            del columns[what]
+            continue
+        if len(beyond):
+            notes.append(
+                f"{len(beyond)} of {known} values of the {column} are not {expected} and were not used, first in line {line}."
+            )
+            angles[beyond] = np.nan
+        if what == "gimbal_pitch" and known and (lowest := np.nanmin(angles)) > _LOOKS_UP:
+            notes.append(
+                f"The {column} was left out: it looks up by {lowest:g} degrees and more, where -90 should be straight down; "
+                "--pitch tells it."
+            )
+            del columns[what]
+
+
+def _clocks(table: LogTable, notes: list[str]) -> tuple[list[float | None], bool]:
+    """Return seconds since 1970-01-01 of the rows' dates, None where unknown, and whether they are in UTC."""
+    late = table.dialect.before_utc
+    utc = late is not None or ("date" in table.columns and bool(_UTC.search(table.columns["date"].name)))
+    numbers = table.numbers("date")
+    if not np.isnan(numbers).all():
+        least, most = _EPOCHS
+        while np.nanmax(np.abs(numbers)) > most:
+            numbers /= 1000.0
+        clocks = [float(number) if least < number < most else None for number in numbers]
+        return clocks, utc or any(clock is not None for clock in clocks)
+    pairs = zip(table.text("date"), table.text("clock"), strict=True)
+    texts = [f"{date} {clock}" if date and clock and ":" not in date else date for date, clock in pairs]
+    days = [(int(found[1]), int(found[2])) for text in texts if (found := _DAY_OR_MONTH.match(text))]
+    day_first = any(one > 12 for one, _ in days)
+    if days and not day_first and all(other <= 12 for _, other in days):
+        first = next(text for text in texts if text)
+        notes.append(f"The dates of {table.name}, such as {first}, count as month first; nothing in it rules that out.")
+    if late:
+        notes.append(f"The times of {table.name} are GPS time; {late:g} s were taken off for UTC.")
+    parsed = [values.moment(text, day_first) for text in texts]
+    clocks = [None if one is None else one.seconds - (late or 0.0) for one in parsed]
+    return clocks, utc or any(one is not None and one.zoned for one in parsed)
+
+
+def parse_track(text: str, name: str) -> Log:
+    """Parse a GPX file's text; a DTD is refused before entities are expanded.
+
+    Args:
+        name: the file's, for messages.
+
+    Raises:
+        DataError: if it is no GPX file, is damaged, has a DTD, or has no point with a position.
+    """
+    import gpxpy  # its import takes a tenth of a second
+
+    if _DTD.search(text):
+        raise DataError(
+            f"{name} has a DTD or entities, which no track needs, so it was not read; save it without them."
         )
-        entry = _with_angles(entry, row)
-        rows.append(LogRow(entry, text or None, video.casefold() in ("1", "true", "yes") if video else None, line))
-    if missing := int(np.isnan(places[:, 0]).sum()):
-        notes.append(f"{missing} of {len(rows)} rows of {name} have no position.")
-    return Log(name, tuple(rows), table.columns.utc or zoned, tuple(notes))
+    if "<gpx" not in text:
+        raise DataError(f"{name} is no GPX; expected a track with <gpx> in it.")
+    try:
+        gpx = gpxpy.parse(_DECLARATION.sub("", text))
+    except (gpxpy.gpx.GPXException, ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
+        raise DataError(f"{name} is cut off or damaged, so it was not read; export the track again.") from error
+    points: list[Any] = [point for track in gpx.tracks for segment in track.segments for point in segment.points]
+    points += [*gpx.waypoints, *(point for route in gpx.routes for point in route.points)]
+    rows, utc = [], False
+    for point in points:
+        clock: float | None = None
+        if point.time is not None:
+            with contextlib.suppress(ValueError, OverflowError):
+                clock = point.time.replace(tzinfo=point.time.tzinfo or UTC).timestamp()
+                utc |= point.time.tzinfo is not None
+        told = {"latitude": point.latitude, "longitude": point.longitude, "altitude": point.elevation}
+        rows.append(LogRow(entry_of(math.nan, clock, told), picture_name(point.name or "")))
+    placed = [row for row in rows if row.entry.latitude is not None]
+    if not placed:
+        raise DataError(f"{name} has no point with a position on the Earth; expected a track.")
+    used = [row for row in placed if row.entry.clock is not None or row.file is not None]
+    notes: tuple[str, ...] = ()
+    if not used:
+        notes = (f"{name} has {len(placed)} points without a time, so it fits no picture; export a track with times.",)
+    elif left := len(rows) - len(used):
+        notes = (
+            f"{left} of {len(rows)} points of {name} have no time, or no position on the Earth, and were left out.",
+        )
+    return Log(name, tuple(used), utc, notes)
 
 
 def rows_by_name(log: Log) -> dict[str, list[LogRow]]:
@@ -147,11 +279,12 @@ def nearest_in_folders(path: Sequence[str], candidates: Sequence[Sequence[str]])
     """
     pairs = [zip(path[-2::-1], candidate[-2::-1], strict=False) for candidate in candidates]
     shared = [sum(1 for _ in itertools.takewhile(lambda two: two[0] == two[1], folders)) for folders in pairs]
-    return [i for i, count in enumerate(shared) if count == max(shared)]
+    most = max(shared, default=0)
+    return [i for i, count in enumerate(shared) if count == most]
 
 
-def moments(log: Log) -> tuple[list[TelemetryEntry], str | None]:
-    """Return the entries that have a clock, with it as their time, and a note about moments listed twice.
+def moments(log: Log) -> list[TelemetryEntry]:
+    """Return the entries that have a clock, with it as their time; of equal moments the first row with a position.
 
     A clock in whole seconds gets its fraction from the column of elapsed time.
     """
@@ -163,25 +296,14 @@ def moments(log: Log) -> tuple[list[TelemetryEntry], str | None]:
         lead = clocks - times
         if float(np.ptp(lead)) <= 1.0:
             clocks = times + lead.max()
-    return _distinct([replace(entry, time=float(clock)) for entry, clock in zip(known, clocks, strict=True)], log.name)
+    return _distinct([replace(entry, time=float(clock)) for entry, clock in zip(known, clocks, strict=True)])
 
 
-def _distinct(entries: Sequence[TelemetryEntry], name: str) -> tuple[list[TelemetryEntry], str | None]:
-    """Return the first entry of each moment in the order of time, and a note if another of one moment is elsewhere."""
+def _distinct(entries: Sequence[TelemetryEntry]) -> list[TelemetryEntry]:
     first: dict[float, TelemetryEntry] = {}
-    twice = set()
-    for entry in entries:
-        kept = first.setdefault(entry.time, entry)
-        if (kept.latitude, kept.longitude) != (entry.latitude, entry.longitude):
-            if kept.latitude is None:
-                first[entry.time] = entry
-            elif entry.latitude is not None:
-                twice.add(entry.time)
-    note = (
-        f"{len(twice)} of {len(first)} moments of {name} are listed more than once with different positions; the first row of "
-        "each was used."
-    )
-    return sorted(first.values(), key=lambda entry: entry.time), note if twice else None
+    for entry in sorted(entries, key=lambda entry: (entry.time, entry.latitude is None)):
+        first.setdefault(entry.time, entry)
+    return list(first.values())
 
 
 def for_video(log: Log, number: int, began: float | None = None) -> tuple[list[TelemetryEntry], list[str]]:
@@ -198,11 +320,10 @@ def for_video(log: Log, number: int, began: float | None = None) -> tuple[list[T
     timed = [(row, time) for row, time in zip(log.rows, clocks, strict=True) if time is not None]
     if not timed:
         raise DataError(f"{log.name} has no times, so it does not fit a video; expected a column time or datetime.")
-    notes, start = [], None
-    if all(row.recording is None for row, _ in timed):
-        start, note = _start(log, began, timed)
-        notes.append(note)
-    else:
+    notes = []
+    start = timed[0][1]
+    known = [(row.entry.clock, time) for row, time in timed if row.entry.clock is not None]
+    if any(row.recording is not None for row, _ in timed):
         starts = [i for i, (row, _) in enumerate(timed) if row.recording and not (i and timed[i - 1][0].recording)]
         if number >= len(starts):
             raise DataError(
@@ -210,130 +331,14 @@ def for_video(log: Log, number: int, began: float | None = None) -> tuple[list[T
             )
         following = timed[starts[number] : starts[number + 1] if number + 1 < len(starts) else None]
         timed = list(itertools.takewhile(lambda pair: pair[0].recording, following))
-        if timed[-1][1] - timed[0][1] < _LEAST_RECORDING:
+        start = timed[0][1]
+        if timed[-1][1] - start < _LEAST_RECORDING:
             timed = following
             notes.append(f"{log.name} has the start of the video but not its length; all rows from there on were used.")
-    start = timed[0][1] if start is None else start
-    entries, twice = _distinct([replace(row.entry, time=time - start) for row, time in timed], log.name)
-    return entries, notes if twice is None else [*notes, twice]
-
-
-def _start(log: Log, began: float | None, timed: Sequence[tuple[LogRow, float]]) -> tuple[float | None, str]:
-    known = [(row.entry.clock, time) for row, time in timed if row.entry.clock is not None]
-    if began is not None and log.utc and known and known[0][0] <= began <= known[-1][0]:
+    elif began is not None and log.utc and known and known[0][0] <= began <= known[-1][0]:
         clock, time = min(known, key=lambda pair: abs(pair[0] - began))
-        return (
-            time + began - clock,
-            f"The time in the video's file says where in {log.name} it began; that clock may be wrong.",
-        )
-    return None, f"{log.name} does not say when the video began; its first row counts as the beginning."
-
-
-def _on_earth(table: LogTable, notes: list[str]) -> Float64Array:
-    """Return the rows' positions in degrees, (N, 2); positions off the Earth become NaN, with a note."""
-    degrees = table.places()
-    known = ~np.isnan(degrees[:, 0])
-    beyond = np.flatnonzero((np.abs(degrees) > (90, 180)).any(axis=1))
-    if len(beyond) > _MOST_BEYOND * known.sum():
-        line, (latitude, longitude) = table.rows[beyond[0]][0], degrees[beyond[0]]
-        largest = np.abs(degrees[beyond[0]]).max()
-        hint = _SWAPPED if largest < _LEAST_GRID else f" {GRID}" if largest < _LEAST_SCALED else _SCALED
-        raise DataError(
-            f"Line {line} of {table.name} has the position {latitude:g}, {longitude:g}; expected degrees, latitude from -90 to "
-            f"90.{hint}"
-        )
-    if len(beyond):
-        degrees[beyond] = np.nan
-        first = table.rows[beyond[0]][0]
-        notes.append(
-            f"{len(beyond)} positions of {table.name} are none on the Earth and were not used, first in line {first}."
-        )
-    notes += _radians_note(table, {"latitude": degrees[:, 0], "longitude": degrees[:, 1]}, math.pi)
-    return degrees
-
-
-def _radians_note(table: LogTable, columns: Mapping[str, Float64Array], most: float) -> list[str]:
-    """Return a note, if any, about columns without a unit that may be radians, because all values are at most `most`."""
-    unsaid = [what for what in columns if what in table.columns.unsaid and what != "fov"]
-    known = np.concatenate([columns[what] for what in unsaid]) if unsaid else np.zeros(0)
-    if np.isnan(known).all() or not 0 < np.nanmax(np.abs(known)) <= most:
-        return []
-    names = [printable(table.header[table.columns.places[what]]) for what in unsaid]
-    return [
-        f"All values of {', '.join(names)} in {table.name} lie within {most:.2f} of 0 and name no unit; they were read as "
-        f"degrees. If they are radians, say so in the header, as in {names[0]} (rad)."
-    ]
-
-
-def _clean_angles(table: LogTable, columns: dict[str, Float64Array], notes: list[str]) -> None:
-    """Remove angles beyond their range, or their whole column, and a gimbal's pitch that always looks up, with notes."""
-    notes += _radians_note(table, {what: columns[what] for what in columns if what in _ANGLES}, math.tau)
-    for what in [what for what in _ANGLES if what in columns]:
-        angles = columns[what]
-        if what in _TILTS:
-            turned = (np.abs(angles) > 180.0) & (np.abs(angles) <= 360.0)
-            angles[turned] = wrap_degrees(angles[turned])
-        least, most = _ANGLES[what]
-        beyond = (angles < least) | (angles > most)
-        known, within = int((~np.isnan(angles)).sum()), angles[(angles >= least) & (angles <= most)]
-        column = f"column {printable(table.header[table.columns.places[what]])} of {table.name}"
-        expected = f"from {least:g} to {most:g} degrees"
-        if beyond.sum() > _MOST_BEYOND * known:
-            hint = "" if what == "fov" else "; another unit is named behind a column, as in (cdeg)"
-            why = f"holds {max(angles[beyond].tolist(), key=abs):g}, and expected are angles {expected}{hint}"
-        elif what == "gimbal_pitch" and len(within) and within.min() > _LOOKS_UP:
-            why = f"looks up by {within.min():g} degrees and more, where -90 should be straight down; --pitch tells it"
-        else:
-            if beyond.any():
-                first = table.rows[int(beyond.argmax())][0]
-                notes.append(
-                    f"{beyond.sum()} of {known} values of the {column} are not {expected} and were not used, first in line "
-                    f"{first}."
-                )
-                angles[beyond] = np.nan
-            continue
-        notes.append(f"The {column} was left out: it {why}.")
-        del columns[what]
-
-
-def _with_angles(entry: TelemetryEntry, row: Mapping[str, float | None]) -> TelemetryEntry:
-    """Return an entry with the angles of the gimbal, camera, or aircraft, in this order; three zeros are unknown."""
-    yaw, pitch, roll = (row.get(what) for what in ("gimbal_heading", "gimbal_pitch", "gimbal_roll"))
-    if yaw is not None and (yaw or pitch or roll):
-        if pitch is not None:
-            yaw, pitch, roll = cameras.from_gimbal(yaw, pitch, roll or 0.0)
-        return replace(entry, heading=yaw % 360.0, heading_source="gimbal", pitch=pitch, roll=roll)
-    looked, flown, nose, bank = (row.get(what) for what in ("direction", "heading", "nose", "bank"))
-    if nose is not None and looked is not None and not any((looked, nose, bank)):
-        looked = nose = bank = None
-    entry = replace(entry, pitch=(pitch or None) if nose is None else nose - 90.0, roll=bank)
-    if looked is not None:
-        return replace(entry, heading=looked % 360.0, heading_source="camera")
-    return entry if flown is None else replace(entry, heading=flown % 360.0, heading_source="aircraft")
-
-
-def _clocks(table: LogTable, notes: list[str]) -> tuple[list[float | None], bool]:
-    """Return seconds since 1970-01-01 of the rows' dates, None where unknown, and whether they have a zone."""
-    pairs = zip(table.texts("date"), table.texts("clock"), strict=True)
-    texts = [f"{date} {clock}" if date and clock and ":" not in date else date for date, clock in pairs]
-    numbers = _numbers(table, texts) * table.columns.factors.get("date", 1.0)
-    if not np.isnan(numbers).all():
-        least, most = _EPOCHS
-        while np.nanmax(np.abs(numbers)) > most:
-            numbers /= 1000.0
-        clocks = [float(number) if least < number < most else None for number in numbers]
-        return clocks, any(clock is not None for clock in clocks)
-    day_first = any(int(found[1]) > 12 for text in texts if (found := re.match(r"(\d{1,2})[-/]", text)))
-    parsed = [values.moment(text, day_first) for text in texts]
-    known = [moment for moment in parsed if moment is not None]
-    if known and all(moment.ambiguous for moment in known):
-        first = next(text for text in texts if text)
-        notes.append(f"The dates of {table.name}, such as {first}, count as month first; nothing in it rules that out.")
-    late = table.columns.dialect.before_utc or 0.0
-    if late:
-        notes.append(f"The times of {table.name} are GPS time; {late:g} s were taken off for UTC.")
-    return [None if one is None else one.seconds - late for one in parsed], any(moment.zoned for moment in known)
-
-
-def _numbers(table: LogTable, texts: Sequence[str]) -> Float64Array:
-    return np.array([values.number(text, table.commas) for text in texts], np.float64)
+        start = time + began - clock
+        notes.append(f"The time in the video's file says where in {log.name} it began; that clock may be wrong.")
+    else:
+        notes.append(f"{log.name} does not say when the video began; its first row counts as the beginning.")
+    return _distinct([replace(row.entry, time=time - start) for row, time in timed]), notes

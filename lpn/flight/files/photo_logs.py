@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any, get_args
 
@@ -18,7 +18,7 @@ from lpn.flight.files.cameras import upright_values
 from lpn.flight.files.clock_fit import fit_clocks
 from lpn.flight.files.logs import Log, LogRow
 from lpn.flight.files.photos import Photo, turned_oddity
-from lpn.flight.files.telemetry import VALUES, Telemetry, TelemetryEntry
+from lpn.flight.files.telemetry import Telemetry, TelemetryEntry
 
 # A row belongs to one of several photos of its name if that photo is this many times nearer to it than the others.
 _CLEARLY = 3.0
@@ -37,7 +37,18 @@ def with_log(photos: Sequence[Photo], log: Log, clock_offset: float | None = Non
         clock_offset: seconds to add to the photos' clock for the log's; None estimates it.
     """
     rows = logs.rows_by_name(log)
-    made, how, why_not, notes = _by_name(photos, log, rows) if rows else _by_time(photos, log, clock_offset)
+    how, why_not, notes = "by name", "", list[str]()
+    if rows:
+        made = _by_name(photos, log, rows, notes)
+    else:
+        telemetry = Telemetry(logs.moments(log))
+        fit = fit_clocks(photos, telemetry, log.utc, clock_offset)
+        how = f"by {fit.basis}"
+        if fit.offset is None:
+            made, why_not = list(photos), f": {fit.sentence}"
+        else:
+            made = [_at_its_time(photo, telemetry, log.utc, fit.basis == "UTC", fit.offset) for photo in photos]
+            how += f", {fit.sentence}" if fit.sentence else ""
     used = sum(after is not before for after, before in zip(made, photos, strict=True))
     if used:
         said = f"{log.name} gives the values of {used} of {len(photos)} photos, {how}; they replace those in the files."
@@ -46,55 +57,50 @@ def with_log(photos: Sequence[Photo], log: Log, clock_offset: float | None = Non
     return made, [*notes, said]
 
 
-_Matched = tuple[list[Photo], str, str, list[str]]
-
-
-def _by_name(photos: Sequence[Photo], log: Log, rows: dict[str, list[LogRow]]) -> _Matched:
-    """Return photos with the rows that name them, the kind of match, "", and notes about ambiguous names."""
+def _by_name(photos: Sequence[Photo], log: Log, rows: Mapping[str, Sequence[LogRow]], notes: list[str]) -> list[Photo]:
+    """Return photos with the rows that name them; add notes about ambiguous names."""
     paths = [logs.path_parts(str(photo.frame.file)) for photo in photos]
     claims: dict[LogRow, list[int]] = defaultdict(list)
     twice = []
     for i, photo in enumerate(photos):
-        file = photo.frame.file
-        named = rows.get(file.name.casefold()) or rows.get(file.stem.casefold(), [])
-        nearest = logs.nearest_in_folders(paths[i], [logs.path_parts(row.file or "") for row in named]) if named else []
-        if found := [named[j] for j in nearest]:
-            claims[min(found, key=lambda row: _metres_apart(photo.frame, row.entry))].append(i)
-            if any(replace(row.entry, time=0.0) != replace(found[0].entry, time=0.0) for row in found):
-                twice.append(
-                    f"{printable(photo.frame.name)} in lines {' and '.join(str(row.line) for row in found[:3])}"
-                )
-    made, notes = list(photos), []
-    for row, claiming in claims.items():
-        of = [
-            claiming[j] for j in logs.nearest_in_folders(logs.path_parts(row.file or ""), [paths[i] for i in claiming])
+        frame = photo.frame
+        named = rows.get(frame.file.name.casefold()) or rows.get(frame.file.stem.casefold(), [])
+        found = [
+            named[j] for j in logs.nearest_in_folders(paths[i], [logs.path_parts(row.file or "") for row in named])
         ]
-        apart = sorted((_metres_apart(photos[i].frame, row.entry), i) for i in of)
-        if len(of) == 1 or _CLEARLY * apart[0][0] < apart[1][0] <= apart[-1][0] < math.inf:
-            i = apart[0][1]
-            made[i] = _with_entry(photos[i], row.entry, log.utc)
+        if not found:
             continue
-        names = first_few([printable(photos[i].frame.name) for i in of], 3)
+        claims[min(found, key=lambda row: _metres_apart(frame, row.entry))].append(i)
+        if any(replace(row.entry, time=0.0) != replace(found[0].entry, time=0.0) for row in found):
+            twice.append(f"{printable(frame.name)} in lines {' and '.join(str(row.line) for row in found[:3])}")
+    made, moved = list(photos), []
+    for row, claiming in claims.items():
+        nearest = logs.nearest_in_folders(logs.path_parts(row.file or ""), [paths[i] for i in claiming])
+        apart = sorted((_metres_apart(photos[claiming[j]].frame, row.entry), claiming[j]) for j in nearest)
+        if len(apart) == 1 or _CLEARLY * apart[0][0] < apart[1][0] <= apart[-1][0] < math.inf:
+            metres, i = apart[0]
+            made[i] = _with_entry(photos[i], row.entry, log.utc)
+            moved += [metres] if metres < math.inf else []
+            continue
+        names = first_few([printable(photos[i].frame.name) for _, i in sorted(apart, key=lambda pair: pair[1])], 3)
         notes.append(
-            f"{log.name} names {printable(row.file or '')}, which {len(of)} photos are called ({names}), so none of them has its "
-            "values; write their folders in it."
+            f"{log.name} names {printable(row.file or '')}, which {len(apart)} photos are called ({names}), so none of them has "
+            "its values; write their folders in it."
         )
     if twice:
         notes.append(
             f"{len(twice)} of {len(photos)} photos are listed more than once in {log.name} with different values, such as "
             f"{twice[0]}; the row nearest to the photo's own position was used, or the first one without such a position."
         )
-    changes = [(photo.frame, after.frame) for photo, after in zip(photos, made, strict=True) if after is not photo]
-    moved = [metres for own, told in changes if (metres := _metres_apart(own, told)) < math.inf]
     if moved and (middle := float(np.median(moved))) > _ELSEWHERE:
         notes.append(
             f"The positions of {log.name} are {distance(middle)} from the photos' own in the median; check that it is of this "
             "flight, and that its latitude and longitude are not exchanged."
         )
-    return made, "by name", "", notes
+    return made
 
 
-def _metres_apart(frame: Frame, entry: Frame | TelemetryEntry) -> float:
+def _metres_apart(frame: Frame, entry: TelemetryEntry) -> float:
     """Return the metres between two positions, infinite if one is unknown."""
     if frame.latitude is None or entry.latitude is None:
         return math.inf
@@ -102,28 +108,17 @@ def _metres_apart(frame: Frame, entry: Frame | TelemetryEntry) -> float:
     return float(np.hypot(*local_metres(both)[1]))
 
 
-def _by_time(photos: Sequence[Photo], log: Log, clock_offset: float | None) -> _Matched:
-    """Return photos with the log's values at their times, the clocks' fit, the reason for none, and notes."""
-    moments, note = logs.moments(log)
-    telemetry = Telemetry(moments)
-    fit = fit_clocks(photos, telemetry, log.utc, clock_offset)
-    notes = [] if note is None else [note]
-    if fit.offset is None:
-        return list(photos), f"by {fit.basis}", f": {fit.sentence}", notes
-    made = []
-    for photo in photos:
-        time = photo.utc if fit.basis == "UTC" else photo.local
-        known = {} if time is None else {k: v for k, v in telemetry.at(time + fit.offset).items() if v is not None}
-        if time is not None and "latitude" in known:
-            utc = time + fit.offset if log.utc and photo.utc is None else photo.utc
-            made.append(replace(_with_values(photo, known), utc=utc))
-        else:
-            made.append(photo)
-    return made, f"by {fit.basis}" + (f", {fit.sentence}" if fit.sentence else ""), "", notes
+def _at_its_time(photo: Photo, telemetry: Telemetry, utc: bool, by_utc: bool, offset: float) -> Photo:
+    """Return a photo with the telemetry at its time; the photo itself where that has no position."""
+    time = photo.utc if by_utc else photo.local
+    known = {} if time is None else telemetry.at(time + offset)
+    if time is None or "latitude" not in known:
+        return photo
+    return replace(_with_values(photo, known), utc=time + offset if utc and photo.utc is None else photo.utc)
 
 
 def _with_entry(photo: Photo, entry: TelemetryEntry, utc: bool) -> Photo:
-    made = _with_values(photo, {name: value for name in VALUES if (value := getattr(entry, name)) is not None})
+    made = _with_values(photo, entry.values())
     if entry.clock is None:
         return made
     return replace(made, utc=entry.clock) if utc else replace(made, local=made.local or entry.clock)

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import os
-import re
 import warnings
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -18,7 +17,7 @@ from lpn.core import images
 from lpn.core.errors import DataError, InputError, OtherKindError, PictureError
 from lpn.core.files import first_few, printable
 from lpn.datasets.base import files_below
-from lpn.flight.files import cameras, logs, subtitles, track_files, vehicle_logs, videos
+from lpn.flight.files import cameras, logs, subtitles, vehicle_logs, videos
 from lpn.flight.files.base import Flight, Frame
 from lpn.flight.files.folder import FRAMES, check_folder, write_flight
 from lpn.flight.files.lenses import Lens, read_camera
@@ -27,28 +26,29 @@ from lpn.flight.files.photo_logs import with_log
 from lpn.flight.files.photos import DAMAGED, Photo, natural, read_photo, set_times
 from lpn.flight.files.quality import flight_notes, with_courses
 from lpn.flight.files.subtitles import GpsOrder, Subtitles
-from lpn.flight.files.telemetry import Telemetry
+from lpn.flight.files.telemetry import Telemetry, TelemetryEntry
 
 PHOTOS = (".jpg", ".jpeg", ".png", ".webp", ".tif", ".tiff")
 # Pictures of unsupported kinds, which a note names.
 _OTHER_PICTURES = (*images.OTHER_SUFFIXES, ".bmp", ".gif")
+# The kind of a file by its suffix. Maps, georeferenced pictures of survey programs, and all others are left out.
+_KINDS = {
+    **dict.fromkeys(PHOTOS, "photos"), **dict.fromkeys(videos.SUFFIXES, "videos"), **dict.fromkeys(videos.SUBTITLES, "subtitles"),
+    **dict.fromkeys((*logs.SUFFIXES, *vehicle_logs.SUFFIXES), "logs"),
+}  # fmt: skip
+_Files = dict[str, list[Path]]
 # The georeferencing tags of GeoTIFF.
 _GEOTIFF = (33550, 34264)
-# The beginning of a track by lpn locate: CSV, GeoJSON, or GPX.
-_OWN_TRACK = re.compile(
-    rb'(?:\xef\xbb\xbf)?frame,stage,state,|.*creator="lpn locate"|'
-    rb'.*"properties":\s*\{\s*"frame":.*?"stage":.*?"state":',
-    re.DOTALL,
-)
 # Supported formats that replace unsupported kinds.
 _INSTEAD = {
-    **dict.fromkeys((".kml", ".kmz"), "GPX or CSV"),
+    **dict.fromkeys((".kml", ".kmz", ".geojson"), "GPX or CSV"), **dict.fromkeys((".ass", ".vtt"), "SRT"),
     **dict.fromkeys((".bag", ".db3", ".mcap"), "CSV, .ulg, .tlog, or .bin"),
-    **dict.fromkeys((".ass", ".vtt"), "SRT"),
-}
+}  # fmt: skip
 _NAMED = 5
-# Least seconds between two frames of a video.
-_LEAST_EVERY = 0.04
+_OPTIONS = {
+    "every": (0.04, 86_400.0), "every_metres": (0.1, 1e6), "fov": cameras.FOV_RANGE, "pitch": (-180.0, 90.0),
+    "clock_offset": (-1e10, 1e10),
+}  # fmt: skip
 # Proportions of one camera's pictures differ by less than this share.
 _SAME_PROPORTIONS = 0.01
 
@@ -76,40 +76,12 @@ class FlightOptions:
     clock_offset: float | None = None
 
     def __post_init__(self) -> None:
-        for name, low, high in (
-            ("every", _LEAST_EVERY, 86_400.0),
-            ("every_metres", 0.1, 1e6),
-            ("fov", *cameras.FOV_RANGE),
-            ("pitch", -180, 90),
-            ("clock_offset", -1e10, 1e10),
-        ):
+        for name, (low, high) in _OPTIONS.items():
             value = getattr(self, name)
             if value is not None and not low <= value <= high:
                 raise InputError(
                     f"--{name.replace('_', '-')} is {value:g}; expected a number from {low:g} to {high:g}."
                 )
-
-
-@dataclass(frozen=True)
-class _Files:
-    """Files of a flight by kind; `maps` are georeferenced pictures of survey programs."""
-
-    photos: list[Path] = field(default_factory=list)
-    videos: list[Path] = field(default_factory=list)
-    subtitles: list[Path] = field(default_factory=list)
-    logs: list[Path] = field(default_factory=list)
-    maps: list[Path] = field(default_factory=list)
-    others: list[Path] = field(default_factory=list)
-
-    @property
-    def notes(self) -> list[str]:
-        """Notes that name the files that are left out."""
-        kinds = (("their kind is not supported", self.others), ("they are maps, not photos", self.maps))
-        return [
-            f"Left out, because {why}: {first_few([printable(file.name) for file in files], _NAMED)}."
-            for why, files in kinds
-            if files
-        ]
 
 
 def make_flight(files: Sequence[Path], out: Path, options: FlightOptions | None = None) -> Flight:
@@ -133,14 +105,15 @@ def make_flight(files: Sequence[Path], out: Path, options: FlightOptions | None 
     inputs = _sorted_files(files)
     read, unread = _read_logs(inputs)
     name = out.resolve().name
-    if inputs.photos and inputs.videos:
+    photos, filmed = inputs["photos"], inputs["videos"]
+    if photos and filmed:
         raise DataError(
-            f"Photos ({len(inputs.photos)}) and videos ({len(inputs.videos)}) have different clocks; make one flight of each."
+            f"Photos ({len(photos)}) and videos ({len(filmed)}) have different clocks; make one flight of each."
         )
-    if inputs.videos:
+    if filmed:
         flight = _flight_of_videos(inputs, list(read.values()), out / FRAMES, name, options)
     else:
-        photos = inputs.photos or [photo for file, log in read.items() for photo in _named_by(log, file)]
+        photos = photos or [photo for file, log in read.items() for photo in _named_by(log, file)]
         if not photos:
             raise DataError(_no_pictures(inputs))
         usual = FlightOptions()
@@ -150,10 +123,11 @@ def make_flight(files: Sequence[Path], out: Path, options: FlightOptions | None 
                 f"Photos are all taken, and have no subtitles, so {' and '.join(given)} would not be used; leave it out."
             )
         flight = _flight_of_photos(photos, name, list(read.values()), options.clock_offset)
-    flight = _completed(flight, options)
+    frames, notes = list(flight.frames), list(flight.notes)
+    _complete(frames, notes, options)
     if camera is not None:
-        flight = _with_lens(flight, *camera)
-    flight = replace(flight, notes=(*flight.notes, *unread, *inputs.notes))
+        _set_lens(frames, notes, *camera)
+    flight = replace(flight, frames=tuple(frames), notes=(*notes, *unread, *_left_out_notes(inputs)))
     write_flight(flight, out)
     return flight
 
@@ -165,17 +139,14 @@ def read_any_log(file: Path) -> Log:
         DataError: if it is damaged, of an unsupported kind, or a track by lpn locate.
     """
     _refuse([file])
-    suffix = file.suffix.lower()
-    if vehicle_logs.is_vehicle_log(file):
-        return vehicle_logs.read_vehicle_log(file)
-    return track_files.read_track(file) if suffix in track_files.SUFFIXES else logs.read_log(file)
+    return vehicle_logs.read_vehicle_log(file) if vehicle_logs.is_vehicle_log(file) else logs.read_log(file)
 
 
 def _read_logs(inputs: _Files) -> tuple[dict[Path, Log], list[str]]:
-    """Return the logs and tracks, and a note for each file that is nearly a log; move other files to `inputs.others`."""
+    """Return the logs and tracks, and a note for each file that is nearly a log; move other files to the others."""
     read: dict[Path, Log] = {}
     notes = []
-    for file in list(inputs.logs):
+    for file in list(inputs["logs"]):
         suffix = file.suffix.lower()
         try:
             read[file] = read_any_log(file)
@@ -184,31 +155,19 @@ def _read_logs(inputs: _Files) -> tuple[dict[Path, Log], list[str]]:
             # Cards of DJI's cameras have .bin files of satellites beside the photos.
             if suffix not in (".txt", ".log") and not (is_other and suffix == ".bin"):
                 raise
-            inputs.logs.remove(file)
-            inputs.others.append(file)
+            inputs["logs"].remove(file)
+            inputs["others"].append(file)
             notes += [] if is_other else [str(error)]
     return read, notes
 
 
 def _refuse(files: Sequence[Path]) -> None:
-    """Raise DataError for a track or log of an unsupported kind, or a track by lpn locate."""
+    """Raise DataError for a track or log of an unsupported kind."""
     for file in files:
         suffix = file.suffix.lower()
         if suffix in _INSTEAD:
             raise DataError(
                 f"{printable(str(file))} is {suffix.upper()}, which is not read; give the flight as {_INSTEAD[suffix]}."
-            )
-        if suffix not in (".csv", ".geojson", ".gpx") or not file.is_file():
-            continue
-        try:
-            with file.open("rb") as opened:
-                head = opened.read(4096)
-        except OSError:
-            continue  # its own reader tells why
-        if _OWN_TRACK.match(head):
-            raise DataError(
-                f"{printable(file.name)} is a track of lpn locate: it has places found on a map, and a flight needs what the "
-                "drone told; give the photos, with the drone's own log if there is one, and open the track in a map program."
             )
 
 
@@ -222,15 +181,15 @@ def photos_of(paths: Sequence[Path], name: str) -> Flight:
         DataError: if a path is missing, or no photo can be read.
     """
     inputs = _sorted_files(paths)
-    if not inputs.photos:
+    if not inputs["photos"]:
         where = ", ".join(printable(str(path)) for path in paths) or "what was named"
         instead = f"expected {', '.join(PHOTOS)}, or a folder that lpn flight wrote"
-        if inputs.videos:
-            filmed = printable(inputs.videos[0].name)
+        if inputs["videos"]:
+            filmed = printable(inputs["videos"][0].name)
             instead = f"make a flight of its videos ({filmed}) with lpn flight {where} --out FLIGHT, and give FLIGHT"
         raise DataError(f"There is no photo in {where}; {instead}.")
-    flight = _flight_of_photos(inputs.photos, name)
-    return replace(flight, notes=(*flight.notes, *inputs.notes))
+    flight = _flight_of_photos(inputs["photos"], name)
+    return replace(flight, notes=(*flight.notes, *_left_out_notes(inputs)))
 
 
 def _flight_of_photos(
@@ -257,38 +216,40 @@ def _flight_of_photos(
     frames, is_utc, notes = set_times(photos)
     frames, course_notes = with_courses(frames)
     notes += log_notes + flight_notes(frames, [photo.oddities for photo in photos]) + course_notes
-    if broken:
-        notes.append(_left_out(broken, len(files), "photos"))
-    return Flight(name, tuple(frames), tuple(notes), is_utc)
+    return Flight(name, tuple(frames), (*notes, *_unread(broken, len(files), "photos")), is_utc)
 
 
-def _left_out(broken: Sequence[str], count: int, noun: str) -> str:
+def _unread(broken: Sequence[str], count: int, noun: str) -> list[str]:
     more = f" {len(broken) - _NAMED} more are left out, too." if len(broken) > _NAMED else ""
-    return f"{len(broken)} of {count} {noun} are left out: {' '.join(broken[:_NAMED])}{more}"
+    return [f"{len(broken)} of {count} {noun} are left out: {' '.join(broken[:_NAMED])}{more}"] if broken else []
 
 
 def _sorted_files(paths: Sequence[Path]) -> _Files:
-    inputs = _Files()
-    kinds = (
-        (PHOTOS, inputs.photos),
-        (videos.SUFFIXES, inputs.videos),
-        (videos.SUBTITLES, inputs.subtitles),
-        ((*logs.SUFFIXES, *track_files.SUFFIXES, *vehicle_logs.SUFFIXES), inputs.logs),
-    )
+    inputs: _Files = defaultdict(list)
     in_folders = (*PHOTOS, *videos.SUFFIXES, *videos.SUBTITLES, *_OTHER_PICTURES)
     for path in paths:
         if not path.exists():
             raise DataError(f"There is no {path}; give photos, videos, subtitles, logs, tracks, or folders of them.")
         for file in files_below(path, in_folders) if path.is_dir() else [path]:
-            kind = next((kept for suffixes, kept in kinds if file.suffix.lower() in suffixes), inputs.others)
-            kind.append(file)
-    maps = {file.with_suffix("") for file in inputs.photos if _is_map(file)}
-    inputs.maps.extend(file for file in inputs.photos if file.with_suffix("") in maps)
-    inputs.photos[:] = sorted(
-        (f for f in inputs.photos if f.with_suffix("") not in maps), key=lambda f: natural(f.name)
-    )
-    inputs.videos.sort(key=lambda file: natural(file.name))
+            inputs[_KINDS.get(file.suffix.lower(), "others")].append(file)
+    # Survey programs write other formats of a map beside it.
+    maps = {file.with_suffix("") for file in inputs["photos"] if _is_map(file)}
+    pictures = inputs["photos"]
+    inputs["maps"] = [file for file in pictures if file.with_suffix("") in maps]
+    inputs["photos"] = [file for file in pictures if file.with_suffix("") not in maps]
+    for kind in ("photos", "videos"):
+        inputs[kind].sort(key=lambda file: natural(file.name))
     return inputs
+
+
+def _left_out_notes(inputs: _Files) -> list[str]:
+    """Return notes that name the files that are left out."""
+    kinds = (("their kind is not supported", inputs["others"]), ("they are maps, not photos", inputs["maps"]))
+    return [
+        f"Left out, because {why}: {first_few([printable(file.name) for file in files], _NAMED)}."
+        for why, files in kinds
+        if files
+    ]
 
 
 def _is_map(file: Path) -> bool:
@@ -299,84 +260,87 @@ def _is_map(file: Path) -> bool:
     if file.suffix.lower() not in (".tif", ".tiff"):
         return False
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            with Image.open(file) as picture:
-                tags = picture.getexif()
-                return any(tag in tags for tag in _GEOTIFF)
+        with warnings.catch_warnings(action="ignore"), Image.open(file) as picture:
+            tags = picture.getexif()
+            return any(tag in tags for tag in _GEOTIFF)
     except (*DAMAGED, Image.DecompressionBombError):
         return False  # its own reader tells why
 
 
 def _no_pictures(files: _Files) -> str:
-    if files.subtitles:
-        return f"There is no video for {len(files.subtitles)} .SRT file{'s' * (len(files.subtitles) > 1)}; give the video, too."
-    if files.logs:
-        return f"No photo that {files.logs[0].name} names is below its folder; give the photos, or the video, beside the log."
-    others = f" ({printable(files.others[0].name)} is neither)" if files.others else ""
-    if files.maps:
-        others = f" ({printable(files.maps[0].name)} is a map, which lpn map takes)"
-    return f"There is no photo and no video{others}; expected {', '.join((*PHOTOS, *videos.SUFFIXES))}."
+    if count := len(files["subtitles"]):
+        return f"There is no video for {count} .SRT file{'s' * (count > 1)}; give the video, too."
+    if files["logs"]:
+        return f"No photo that {files['logs'][0].name} names is below its folder; give the photos, or the video, beside the log."
+    others = [(file, "is neither") for file in files["others"]]
+    others = [(file, "is a map, which lpn map takes") for file in files["maps"]] + others
+    named = f" ({printable(others[0][0].name)} {others[0][1]})" if others else ""
+    return f"There is no photo and no video{named}; expected {', '.join((*PHOTOS, *videos.SUFFIXES))}."
 
 
 def _named_by(log: Log, file: Path) -> list[Path]:
     rows = logs.rows_by_name(log)
-    return [
-        photo
-        for photo in (files_below(file.parent, PHOTOS) if rows else [])
-        if photo.name.casefold() in rows or photo.stem.casefold() in rows
-    ]
+    photos = files_below(file.parent, PHOTOS) if rows else []
+    return [photo for photo in photos if photo.name.casefold() in rows or photo.stem.casefold() in rows]
 
 
 def _with_names(photos: Sequence[Photo]) -> list[Photo]:
     """Make names unique: if names repeat, use paths below the common folder."""
-    counts = Counter(photo.frame.name for photo in photos)
-    if len(counts) == len(photos):
+    if len({photo.frame.name for photo in photos}) == len(photos):
         return list(photos)
     files = [photo.frame.file.resolve() for photo in photos]
     common = os.path.commonpath([file.parent for file in files])
     names = [file.relative_to(common).as_posix() for file in files]
-    if len(set(names)) < len(names):
-        twice = next(name for name, count in Counter(names).items() if count > 1)
-        raise DataError(f"{printable(twice)} is given twice; give each photo once.")
+    if twice := [name for name, count in Counter(names).items() if count > 1]:
+        raise DataError(f"{printable(twice[0])} is given twice; give each photo once.")
     return [replace(photo, frame=replace(photo.frame, name=name)) for photo, name in zip(photos, names, strict=True)]
 
 
 def _flight_of_videos(
     files: _Files, flight_logs: Sequence[Log], folder: Path, name: str, options: FlightOptions
 ) -> Flight:
-    parts: list[tuple[videos.VideoFrames, float | None]] = []
-    notes = [note for log in flight_logs for note in log.notes]
-    broken: list[str] = []
-    stems = Counter(video.stem.casefold() for video in files.videos)
+    filmed = files["videos"]
+    stems = Counter(video.stem.casefold() for video in filmed)
     if twice := [stem for stem, count in stems.items() if count > 1]:
         raise DataError(
             f"Two videos are named {printable(twice[0])}; their frames would replace each other, so rename one."
         )
-    for number, video in enumerate(files.videos):
+    parts: list[tuple[videos.VideoFrames, float | None]] = []
+    notes = [note for log in flight_logs for note in log.notes]
+    broken: list[str] = []
+    for number, video in enumerate(filmed):
+        notes_of_video: list[str] = []
         try:
-            telemetry, known_subtitles, subtitle_notes = _telemetry(video, files, flight_logs, number, options)
+            told, where = _telemetry(video, files, flight_logs, number, options, notes_of_video)
+            telemetry = Telemetry(told.entries if isinstance(told, Subtitles) else told)
             part = videos.read_frames(
-                video, folder, options.every, options.every_metres, telemetry, known_subtitles is not None
+                video, folder, options.every, options.every_metres, telemetry, isinstance(told, Subtitles)
             )
         except DataError as error:
             broken.append(str(error))
             continue
-        notes += subtitle_notes
-        if known_subtitles is not None:
-            subtitle, where = known_subtitles
-            note = videos.mismatch(subtitle, where, video, part.duration)
-            notes += [] if note is None else [note]
+        notes += notes_of_video
+        if isinstance(told, Subtitles) and (note := videos.mismatch(told, where, video, part.duration)):
+            notes.append(note)
         notes += _turned_note(part, video)
-        first = next((entry for entry in telemetry.entries if entry.clock is not None), None) if telemetry else None
-        parts.append((part, None if first is None or first.clock is None else first.clock - first.time))
+        starts = (entry.clock - entry.time for entry in telemetry.entries if entry.clock is not None)
+        parts.append((part, next(starts, None)))
     if not parts:
-        raise DataError(f"No video of {len(files.videos)} can be read. {broken[0]}")
-    frames, clock_notes = _on_one_clock(parts)
-    frames, course_notes = with_courses(frames)
-    notes += clock_notes + flight_notes(frames) + course_notes
-    if broken:
-        notes.append(_left_out(broken, len(files.videos), "videos"))
+        raise DataError(f"No video of {len(filmed)} can be read. {broken[0]}")
+    known_starts = [start for _, start in parts if start is not None]
+    if len(known_starts) == len(parts):
+        offsets = [start - min(known_starts) for start in known_starts]
+    else:
+        offsets = [sum(part.duration for part, _ in parts[:i]) for i in range(len(parts))]
+        if len(parts) > 1:
+            notes.append(f"Not all of the {len(parts)} videos have a start time; their times follow one another.")
+    frames = [
+        replace(frame, time=(frame.time or 0.0) + offset)
+        for (part, _), offset in zip(parts, offsets, strict=True)
+        for frame in part.frames
+    ]
+    frames, course_notes = with_courses(sorted(frames, key=lambda frame: (frame.time, natural(frame.name))))
+    notes += flight_notes(frames) + course_notes + _unread(broken, len(filmed), "videos")
     return Flight(name, tuple(frames), tuple(notes))
 
 
@@ -394,81 +358,61 @@ def _turned_note(part: videos.VideoFrames, video: Path) -> list[str]:
 
 
 def _telemetry(
-    video: Path, files: _Files, flight_logs: Sequence[Log], number: int, options: FlightOptions
-) -> tuple[Telemetry | None, tuple[Subtitles, str] | None, list[str]]:
-    """Return a video's telemetry from a log, else from its `.SRT` file, else from inside; its subtitles; and notes."""
-    notes: list[str] = []
+    video: Path, files: _Files, flight_logs: Sequence[Log], number: int, options: FlightOptions, notes: list[str]
+) -> tuple[Subtitles | Sequence[TelemetryEntry], str]:
+    """Return a video's telemetry from a log, else from its `.SRT` file, else from inside, and its place; add notes."""
     for log in flight_logs:
         try:
             entries, notes_of_log = logs.for_video(log, number, videos.began(video))
         except DataError as error:
             notes.append(str(error))
             continue
-        return Telemetry(entries), None, [*notes, *notes_of_log]
-    only = files.subtitles if len(files.videos) == len(files.subtitles) == 1 else []
-    file = only[0] if only else videos.beside(video, files.subtitles)
-    known_subtitles = None
+        notes += notes_of_log
+        return entries, log.name
+    given = files["subtitles"]
+    file = given[0] if len(files["videos"]) == len(given) == 1 else videos.beside(video, given)
+    can_look_inside = find_spec("av") is not None
+    found = None
     try:
         if file is not None:
-            known_subtitles = subtitles.read_subtitles(file, options.gps_order)
-        elif find_spec("av") is not None:
-            known_subtitles = videos.embedded_subtitles(video, options.gps_order)
+            found = subtitles.read_subtitles(file, options.gps_order)
+        elif can_look_inside:
+            found = videos.embedded_subtitles(video, options.gps_order)
     except DataError as error:
         notes.append(str(error))
-    if known_subtitles is None:
-        inside = "" if find_spec("av") is not None or file is not None else (
-            "; those inside of it need the package av: pip install 'lpn-explorer[maps]'"
-        )  # fmt: skip
-        return None, None, [*notes, f"{printable(video.name)} has no subtitles with telemetry{inside}."]
-    where = file.name if file is not None else "the subtitle stream"
-    return Telemetry(known_subtitles.entries), (known_subtitles, where), [*notes, *known_subtitles.notes]
+    if found is not None:
+        notes += found.notes
+        return found, "the subtitle stream" if file is None else file.name
+    install = "; those inside of it need the package av: pip install 'lpn-explorer[maps]'"
+    inside = "" if can_look_inside or file is not None else install
+    notes.append(f"{printable(video.name)} has no subtitles with telemetry{inside}.")
+    return (), ""
 
 
-def _on_one_clock(parts: Sequence[tuple[videos.VideoFrames, float | None]]) -> tuple[list[Frame], list[str]]:
-    """Put the frames of several videos on one clock from the first on; `parts` have each video's start, if known."""
-    starts = [start for _, start in parts if start is not None]
-    notes = []
-    if len(starts) == len(parts):
-        offsets = [start - min(starts) for start in starts]
-    else:
-        offsets = [sum(part.duration for part, _ in parts[:i]) for i in range(len(parts))]
-        if len(parts) > 1:
-            notes.append(f"Not all of the {len(parts)} videos have a start time; their times follow one another.")
-    frames = [
-        replace(frame, time=(frame.time or 0.0) + offset)
-        for (part, _), offset in zip(parts, offsets, strict=True)
-        for frame in part.frames
-    ]
-    return sorted(frames, key=lambda frame: (frame.time, natural(frame.name))), notes
-
-
-def _with_lens(flight: Flight, lens: Lens, proportions: float) -> Flight:
+def _set_lens(frames: list[Frame], notes: list[str], lens: Lens, proportions: float) -> None:
     """Set the lens of frames with these proportions (height over width), and add a note with their number."""
-    fits = [abs(frame.height / frame.width / proportions - 1) <= _SAME_PROPORTIONS for frame in flight.frames]
-    if not any(fits):
-        frame = flight.frames[0]
+    fits = [i for i, f in enumerate(frames) if abs(f.height / f.width / proportions - 1) <= _SAME_PROPORTIONS]
+    if not fits:
+        frame = frames[0]
         raise DataError(
             f"The camera's pictures are {proportions:.3f} times as high as wide, and those of the flight, such as "
             f"{printable(frame.name)}, {frame.height / frame.width:.3f} times; give the file of the flight's camera."
         )
-    frames = tuple(
-        replace(frame, lens=lens, fov=lens.fov) if fit else frame
-        for frame, fit in zip(flight.frames, fits, strict=True)
+    for i in fits:
+        frames[i] = replace(frames[i], lens=lens, fov=lens.fov)
+    notes.append(
+        f"The lens of {len(fits)} of {len(frames)} photos is the one given with --camera, as is their field of view."
     )
-    note = f"The lens of {sum(fits)} of {len(frames)} photos is the one given with --camera, as is their field of view."
-    return replace(flight, frames=frames, notes=(*flight.notes, note))
 
 
-def _completed(flight: Flight, options: FlightOptions) -> Flight:
+def _complete(frames: list[Frame], notes: list[str], options: FlightOptions) -> None:
     """Fill unknown fields of view and pitches by the options, and add notes."""
-    frames, notes = list(flight.frames), list(flight.notes)
     for name, value, noun in (("fov", options.fov, "field of view"), ("pitch", options.pitch, "pitch")):
+        if value is None:
+            continue
+        changed: dict[str, Any] = {name: value}
         missing = [i for i, frame in enumerate(frames) if getattr(frame, name) is None]
-        if value is not None and missing:
-            for i in missing:
-                changed: dict[str, Any] = {name: value}
-                frames[i] = replace(frames[i], **changed)
-            notes.append(f"The {noun} of {len(missing)} of {len(frames)} photos is the {value:g}° given with --{name}.")
-        elif value is not None:
-            notes.append(f"No file lacks the {noun}, so --{name} is not used.")
-    return replace(flight, frames=tuple(frames), notes=tuple(notes))
+        for i in missing:
+            frames[i] = replace(frames[i], **changed)
+        given = f"The {noun} of {len(missing)} of {len(frames)} photos is the {value:g}° given with --{name}."
+        notes.append(given if missing else f"No file lacks the {noun}, so --{name} is not used.")

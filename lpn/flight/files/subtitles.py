@@ -14,22 +14,20 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Literal
+from typing import Literal, NamedTuple
 
 from lpn.core.errors import DataError
 from lpn.core.files import printable
 from lpn.flight.files import cameras, values
-from lpn.flight.files.base import HeadingSource
-from lpn.flight.files.telemetry import TelemetryEntry
+from lpn.flight.files.telemetry import TelemetryEntry, entry_of
 
 GpsOrder = Literal["lat-lon", "lon-lat"]
 
 _MOST_BYTES = 500_000_000
 _INDEX_LINE = re.compile(r"^[ \t]*[0-9]+[ \t]*$", re.MULTILINE)
-_CODE = r"([0-9]{1,3}):([0-9]{2}):([0-9]{2})[,.]([0-9]{2,3})"
+_CODE = r"([0-9]{1,3}):([0-9]{2}):([0-9]{2}[,.][0-9]{2,3})"
 _CODES = re.compile(rf"{_CODE} *--> *{_CODE}")
 _TAG = re.compile(r"<[^<>\n]{0,200}>")
 # Some firmware of Autel writes a second sign behind the point: -117.-9605.
@@ -38,7 +36,13 @@ _NUMBER = r"[-+]?[0-9]+(?:\.[0-9]+)?"
 # [name: 1.0 name: 2.0, name: 3.0]; an unclosed bracket at the file's end does not count.
 _BRACKET = re.compile(r"\[([^\[\]\n]{3,400})\]")
 _NAMED = re.compile(rf"([A-Za-z_][A-Za-z_ ]{{0,40}}?) ?: ?({_NUMBER})(?=\s|,\s|,?$)")
+_COLUMNS = {
+    "latitude": "latitude", "longitude": "longitude", "altitude": "altitude",
+    "longtitude": "longitude", "abs_alt": "altitude", "rel_alt": "height_above_takeoff",
+    "gb_yaw": "gimbal_heading", "gb_pitch": "gimbal_pitch", "gb_roll": "gimbal_roll",
+}  # fmt: skip
 _POSITION = re.compile(r"\b(?:GPS|RTK) ?\(([^()\n]{3,100})\)")
+_LETTER = re.compile("[NSEW]")
 _HEIGHT = re.compile(
     rf"(?<![A-Za-z.])(?:BAROMETER|ReH|Hb|H) ?[:(]? ?({_NUMBER} ?(?:m|ft|feet)?)(?=[\s)]|,\s)", re.IGNORECASE
 )
@@ -49,27 +53,20 @@ _MOST_LETTERS = 120
 _LEAST_SCALED, _ZOOM_SCALE = 100.0, 10_000.0
 
 
-@dataclass(frozen=True)
-class Subtitles:
-    """The telemetry of a subtitle file.
-
-    Attributes:
-        end: of the last entry in seconds.
-        notes: sentences about oddities.
-    """
+class Subtitles(NamedTuple):
+    """The telemetry of a subtitle file, the end of its last subtitle in seconds, and sentences about oddities."""
 
     entries: tuple[TelemetryEntry, ...]
     end: float
     notes: tuple[str, ...]
 
 
-@dataclass(frozen=True)
-class SubtitleBlock:
-    """One subtitle: its text and start in seconds; None in a file without time codes."""
+class SubtitleBlock(NamedTuple):
+    """One subtitle: its text, and its start and end in seconds."""
 
     text: str
-    start: float | None
-    end: float | None
+    start: float
+    end: float
 
 
 def read_subtitles(file: Path, gps_order: GpsOrder | None = None) -> Subtitles:
@@ -83,24 +80,29 @@ def read_subtitles(file: Path, gps_order: GpsOrder | None = None) -> Subtitles:
 
 
 def blocks_of(data: bytes) -> list[SubtitleBlock]:
-    """Split a file of subtitles at lines that hold only an index, or, without such lines, at its time codes."""
+    """Split a file of subtitles at its time codes.
+
+    Without any it is split at lines that hold only an index, and clocks in the text give the times.
+    """
     try:
         text = values.decoded(data, "").replace("\r\n", "\n").replace("\r", "\n")
     except DataError:  # without any text there is no subtitle
         return []
-    parts = _INDEX_LINE.split(text)[1:]
-    if not parts:
-        starts = [match.start() for match in _CODES.finditer(text)]
-        parts = [text[start:end] for start, end in zip(starts, [*starts[1:], len(text)], strict=False)]
-    blocks = []
-    for part in parts:
-        codes = _CODES.search(part)
-        start, end = (None, None) if codes is None else (_seconds(codes.groups()[:4]), _seconds(codes.groups()[4:]))
-        blocks.append(SubtitleBlock(part, start, end))
-    return blocks
+    codes = list(_CODES.finditer(text))
+    begins = [match.start() for match in codes or _INDEX_LINE.finditer(text)]
+    texts = [text[begin:end] for begin, end in zip(begins, [*begins[1:], len(text)], strict=False)]
+    if codes:
+        times = [(_seconds(*match.groups()[:3]), _seconds(*match.groups()[3:])) for match in codes]
+        return [SubtitleBlock(one, *pair) for one, pair in zip(texts, times, strict=True)]
+    clocked = [(one, moment.seconds) for one in texts if (moment := values.moment_in(one)) is not None]
+    return [SubtitleBlock(one, clock - clocked[0][1], clock - clocked[0][1]) for one, clock in clocked]
 
 
-def parse_subtitles(blocks: Iterable[SubtitleBlock], name: str, gps_order: GpsOrder | None = None) -> Subtitles:
+def _seconds(hours: str, minutes: str, seconds: str) -> float:
+    return 3600.0 * int(hours) + 60 * int(minutes) + float(seconds.replace(",", "."))
+
+
+def parse_subtitles(blocks: Sequence[SubtitleBlock], name: str, gps_order: GpsOrder | None = None) -> Subtitles:
     """Return the telemetry of subtitles in any known dialect; one file may mix them.
 
     Args:
@@ -111,74 +113,53 @@ def parse_subtitles(blocks: Iterable[SubtitleBlock], name: str, gps_order: GpsOr
     Raises:
         DataError: if no subtitle holds telemetry; the message quotes a line.
     """
-    texts: list[tuple[str, float, float | None]] = []
-    end, first_clock = 0.0, None
-    for block in blocks:
-        text = _SECOND_SIGN.sub(r"\1", values.plain(_TAG.sub(" ", block.text)))
-        moment = values.moment_in(text)
-        clock = None if moment is None else moment.seconds
-        first_clock = clock if first_clock is None else first_clock
-        start = block.start
-        if start is None and clock is not None and first_clock is not None:
-            start = clock - first_clock
-        if start is not None:
-            end = max(end, start if block.end is None else block.end)
-            texts.append((text, start, clock))
-    named = [
-        {key.strip(): float(number) for inside in _BRACKET.findall(text) for key, number in _NAMED.findall(inside)}
-        for text, _, _ in texts
-    ]
-    lists = [_listed(text) for text, _, _ in texts]
+    texts = [_SECOND_SIGN.sub(r"\1", values.plain(_TAG.sub(" ", block.text))) for block in blocks]
+    lists = [_listed(text) for text in texts]
     order, notes = _order([items for items in lists if items], gps_order, name)
-    entries = [_entry(*row, values, items, order) for row, values, items in zip(texts, named, lists, strict=True)]
-    is_known = any(lists) or any("latitude" in values for values in named)
-    if not is_known and all((e.height_above_takeoff, e.altitude, e.heading, e.fov) == (None,) * 4 for e in entries):
+    rows = [_told(text, items, order) for text, items in zip(texts, lists, strict=True)]
+    if not any(rows):
         raise DataError(
             f"{name} holds no telemetry of DJI or Autel in a known dialect; expected subtitles such as [latitude: 59.30], "
             f"GPS(18.2,59.3,16), or GPS(E: 18.2, N: 59.3, 45.0m){_a_line(texts)}."
         )
+    clocks = [None if (moment := values.moment_in(text)) is None else moment.seconds for text in texts]
+    entries = [entry_of(block.start, clock, told) for block, clock, told in zip(blocks, clocks, rows, strict=True)]
     known = [abs(degrees) for e in entries for degrees in (e.latitude, e.longitude) if degrees is not None]
     if known and max(known) <= math.pi:
         notes.append(
             f"All positions of {name} lie within 3.14 degrees of 0, 0; if the camera wrote radians, they are wrong."
         )
     if missing := sum(entry.latitude is None for entry in entries):
-        unread = "" if is_known else _a_line(texts)
+        unread = "" if any("latitude" in told for told in rows) else _a_line(texts)
         notes.append(f"{missing} of {len(entries)} entries of {name} have no position{unread}.")
-    return Subtitles(tuple(entries), end, tuple(notes))
+    return Subtitles(tuple(entries), max(block.end for block in blocks), tuple(notes))
 
 
-def _a_line(texts: Sequence[tuple[str, float, float | None]]) -> str:
+def _a_line(texts: Sequence[str]) -> str:
     """Return the end of a sentence that quotes the subtitles' line with the most digits."""
-    lines = [line.strip() for text, _, _ in texts for line in text.splitlines()]
+    lines = [line.strip() for text in texts for line in text.splitlines()]
     lines = [line for line in lines if not _CODES.search(line) and values.moment(line) is None]
     line = max(lines, key=lambda line: sum(map(str.isdigit, line)), default="")
     return f"; one of its lines is {printable(line)[:_MOST_LETTERS]!r}" if line else ""
-
-
-def _seconds(parts: Sequence[str]) -> float:
-    hours, minutes, seconds = map(int, parts[:3])
-    return 3600.0 * hours + 60 * minutes + seconds + float(f"0.{parts[3]}")
 
 
 def _listed(text: str) -> list[str]:
     """Return the three values of GPS or RTK, the last one "" if missing; an empty list without numbers."""
     for match in _POSITION.finditer(text):
         items = [item.strip() for item in match[1].split(",")]
-        if 2 <= len(items) <= 3 and all(values.angle(item) is not None for item in items[:2]):
+        if 2 <= len(items) <= 3 and None not in map(values.angle, items[:2]):
             return [*items, ""][:3]
     return []
 
 
 def _order(lists: Sequence[list[str]], chosen: GpsOrder | None, name: str) -> tuple[GpsOrder, list[str]]:
     """Return the order of GPS(a, b, c) without letters, and a note if it is a guess."""
-    plain = [items for items in lists if not _letter(items[0])]
+    plain = [items for items in lists if not _LETTER.search(items[0])]
     if chosen is not None or not plain:
         return chosen or "lat-lon", []
-    if any(abs(values.angle(a) or 0.0) > 90 for a, _, _ in plain):
-        return "lon-lat", []
-    if any(abs(values.angle(b) or 0.0) > 90 for _, b, _ in plain):
-        return "lat-lon", []
+    first, second = (max(abs(values.angle(items[i]) or 0.0) for items in plain) for i in (0, 1))
+    if max(first, second) > 90:
+        return "lon-lat" if first > 90 else "lat-lon", []
     if sum(_SATELLITES.fullmatch(third) is not None for _, _, third in plain) * 2 > len(plain):
         return "lon-lat", []
     return "lat-lon", [
@@ -187,65 +168,31 @@ def _order(lists: Sequence[list[str]], chosen: GpsOrder | None, name: str) -> tu
     ]
 
 
-def _letter(item: str) -> str:
-    found = re.search(r"[NSEW]", item)
-    return "" if found is None else found[0]
-
-
-def _entry(
-    text: str, start: float, clock: float | None, named: Mapping[str, float], items: list[str], order: GpsOrder
-) -> TelemetryEntry:
-    """Parse one subtitle from its text, its named numbers in brackets, and its GPS list."""
-    latitude, longitude = named.get("latitude"), _first(named, "longitude", "longtitude")
-    altitude, takeoff = _first(named, "abs_alt", "altitude"), named.get("rel_alt")
-    if items and (latitude is None or longitude is None):
-        latitude, longitude = _of_list(items, order)
-        if altitude is None and (_letter(items[0]) or not _SATELLITES.fullmatch(items[2])):
-            altitude = values.number(items[2]) or None
-    is_unknown = latitude is None or longitude is None or latitude == longitude == 0
-    if is_unknown or abs(latitude or 0.0) > 90 or abs(longitude or 0.0) > 180:
-        latitude = longitude = None
-    if takeoff is None and (height := _HEIGHT.search(text)):
-        takeoff = values.number(height[1])
-    angles, fov = _angles(text, named), _fov(text, named.get("dzoom_ratio"))
-    return TelemetryEntry(start, clock, latitude, longitude, None, takeoff, altitude, *angles, fov)
-
-
-def _first(named: Mapping[str, float], *names: str) -> float | None:
-    return next((named[name] for name in names if name in named), None)
-
-
-def _of_list(items: Sequence[str], order: GpsOrder) -> tuple[float | None, float | None]:
-    """Return latitude and longitude from the first two values of a list, by their letters, else by `order`."""
-    letters = _letter(items[0]), _letter(items[1])
-    if any(letters):
-        order = "lat-lon" if letters[0] in ("N", "S") else "lon-lat"
-    latitude, longitude = items[:2] if order == "lat-lon" else items[1::-1]
-    return values.angle(latitude, "NS"), values.angle(longitude, "EW")
-
-
-def _angles(
-    text: str, named: Mapping[str, float]
-) -> tuple[float | None, HeadingSource | None, float | None, float | None]:
-    """Return heading, its source, pitch, and roll; angles of a gimbal that are all 0 are unknown."""
-    turns = {letter: tuple(map(float, angles)) for letter, *angles in _ANGLES.findall(text)}
-    if {"gb_yaw", "gb_pitch"} <= named.keys():
-        turns["G"] = named["gb_pitch"], named.get("gb_roll", 0.0), named["gb_yaw"]
-    if any(turns.get("G", ())):
-        pitch, roll, yaw = turns["G"]
-        heading, pitch, roll = cameras.from_gimbal(yaw, pitch, roll)
-        return heading, "gimbal", pitch, roll
-    if any(turns.get("F", ())):
-        return turns["F"][2] % 360.0, "aircraft", None, None
-    return None, None, None, None
-
-
-def _fov(text: str, zoom: float | None) -> float | None:
-    """Return the field of view of a 35 mm equivalent focal length, "24.00" or, in tenths, "240"."""
-    match = re.search(rf"\[focal_len ?: ?({_NUMBER})[\s\]]", text)
-    if match is None:
-        return None
-    equivalent = float(match[1]) / (10.0 if match[1].isdecimal() and len(match[1]) > 2 else 1.0)
-    zoom = zoom or 1.0
-    equivalent *= max(zoom / _ZOOM_SCALE if zoom >= _LEAST_SCALED else zoom, 1.0)
-    return cameras.fov_of_equivalent(equivalent) if 5 <= equivalent <= 1000 else None
+def _told(text: str, items: Sequence[str], order: GpsOrder) -> dict[str, float | None]:
+    """Return what one subtitle tells, named as in `lpn.flight.files.dialects.UNITS`; `items` are those of its GPS list."""
+    named = {key.strip(): number for inside in _BRACKET.findall(text) for key, number in _NAMED.findall(inside)}
+    told: dict[str, float | None] = {}
+    if items:
+        if letter := _LETTER.search(items[0]):
+            order = "lat-lon" if letter[0] in "NS" else "lon-lat"
+        latitude, longitude = items[:2] if order == "lat-lon" else items[1::-1]
+        told = {"latitude": values.angle(latitude, "NS"), "longitude": values.angle(longitude, "EW")}
+        if letter or not _SATELLITES.fullmatch(items[2]):
+            told["altitude"] = values.number(items[2]) or None
+    if height := _HEIGHT.search(text):
+        told["height_above_takeoff"] = values.number(height[1])
+    for letter_of, *angles in _ANGLES.findall(text):
+        pitch, roll, yaw = map(float, angles)
+        if letter_of == "G":
+            told |= {"gimbal_heading": yaw, "gimbal_pitch": pitch, "gimbal_roll": roll}
+        elif pitch or roll or yaw:
+            told["heading"] = yaw
+    told |= {_COLUMNS[key]: float(number) for key, number in named.items() if key in _COLUMNS}
+    if focal_length := named.get("focal_len"):
+        # A 35 mm equivalent focal length, "24.00" or, in tenths, "240".
+        equivalent = float(focal_length) / (10.0 if focal_length.isdecimal() and len(focal_length) > 2 else 1.0)
+        zoom = float(named.get("dzoom_ratio", 1.0)) or 1.0
+        equivalent *= max(zoom / _ZOOM_SCALE if zoom >= _LEAST_SCALED else zoom, 1.0)
+        if 5 <= equivalent <= 1000:
+            told["fov"] = cameras.fov_of_equivalent(equivalent)
+    return told

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
-from lpn.core.arrays import Float64Array
+from lpn.core.arrays import BoolArray, Float64Array
 from lpn.core.errors import DataError
 from lpn.core.numbers import wrap_degrees
+from lpn.flight.files import cameras
 from lpn.flight.files.base import HeadingSource, local_metres
 
 # Values are not interpolated between entries more than `_GAP` seconds and more than `_GAPS` median steps apart.
@@ -45,6 +48,54 @@ class TelemetryEntry:
     roll: float | None = None
     fov: float | None = None
 
+    def values(self) -> dict[str, Any]:
+        """Return those of `VALUES` that are known."""
+        return {name: value for name in VALUES if (value := getattr(self, name)) is not None}
+
+
+def entry_of(time: float, clock: float | None, told: Mapping[str, float | None]) -> TelemetryEntry:
+    """Return the entry of a row, subtitle, or message, with the angles of the gimbal, camera, or aircraft, in this order.
+
+    A position off the Earth or at (0, 0), and a gimbal's or camera's three angles of 0, are unknown.
+
+    Args:
+        told: values in metres and degrees by their names in `lpn.flight.files.dialects.UNITS`; None or NaN where unknown.
+    """
+    known = {what: value for what, value in told.items() if value is not None and math.isfinite(value)}
+    latitude, longitude = known.get("latitude"), known.get("longitude")
+    if (
+        latitude is None
+        or longitude is None
+        or not (latitude or longitude)
+        or abs(latitude) > 90
+        or abs(longitude) > 180
+    ):
+        latitude = longitude = None
+    heading, pitch, roll = known.get("gimbal_heading"), known.get("gimbal_pitch"), known.get("gimbal_roll")
+    source: HeadingSource = "gimbal"
+    if heading is None or not (heading or pitch or roll):
+        looked, nose, bank = known.get("direction"), known.get("nose"), known.get("bank")
+        if nose is not None and looked is not None and not (looked or nose or bank):
+            looked = nose = bank = None
+        heading, source = (known.get("heading"), "aircraft") if looked is None else (looked, "camera")
+        pitch, roll = (pitch or None) if nose is None else nose - 90.0, bank
+    elif pitch is not None:
+        heading, pitch, roll = cameras.from_gimbal(heading, pitch, roll or 0.0)
+    return TelemetryEntry(
+        time,
+        clock,
+        latitude,
+        longitude,
+        known.get("height_above_ground"),
+        known.get("height_above_takeoff"),
+        known.get("altitude"),
+        None if heading is None else heading % 360.0,
+        None if heading is None else source,
+        pitch,
+        roll,
+        known.get("fov"),
+    )
+
 
 class Telemetry:
     """Entries in the order of their times, interpolated linearly.
@@ -55,32 +106,28 @@ class Telemetry:
 
     def __init__(self, entries: Sequence[TelemetryEntry]) -> None:
         self.entries = tuple(sorted(entries, key=lambda entry: entry.time))
-        self._times = np.array([entry.time for entry in self.entries], np.float64)
-        steps = np.diff(self._times)
-        self._gap = max(_GAP, _GAPS * float(np.median(steps))) if len(steps) else _GAP
+        times = np.array([entry.time for entry in self.entries], np.float64)
+        self._gap = max(_GAP, _GAPS * float(np.median(np.diff(times)))) if len(times) > 1 else _GAP
+        moved = _changes(times, [(entry.latitude, entry.longitude) for entry in self.entries])
         # Times at which each value is known; then times and values for interpolation.
-        self._known_times: dict[str, Float64Array] = {}
-        self._known: dict[str, tuple[Float64Array, Float64Array]] = {}
+        self._known: dict[str, tuple[Float64Array, Float64Array, Float64Array]] = {}
         for name in (*_LINEAR, *_ANGLES):
             values = np.array([getattr(entry, name) for entry in self.entries], np.float64)
-            keep = ~np.isnan(values)
-            self._known_times[name] = self._times[keep]
+            keep = known = ~np.isnan(values)
             if name in ("latitude", "longitude"):
-                keep &= self._changes()
-            angle = name in _ANGLES
-            self._known[name] = self._times[keep], np.unwrap(values[keep], period=360.0) if angle else values[keep]
-
+                keep = known & moved
+            kept = np.unwrap(values[keep], period=360.0) if name in _ANGLES else values[keep]
+            self._known[name] = times[known], times[keep], kept
         self._sources = [entry.heading_source for entry in self.entries if entry.heading is not None]
 
-    def at(self, time: float) -> dict[str, float | HeadingSource | None]:
-        """Return the value of each of `VALUES` at a time in seconds."""
-        values: dict[str, float | HeadingSource | None] = {name: self._value(name, time) for name in self._known}
-        if (longitude := values["longitude"]) is not None:
-            values["longitude"] = wrap_degrees(float(longitude))
-        values["heading_source"] = None
-        if (heading := values["heading"]) is not None:
-            values["heading"] = float(heading) % 360.0
-            values["heading_source"] = self._sources[int(np.abs(self._known_times["heading"] - time).argmin())]
+    def at(self, time: float) -> dict[str, Any]:
+        """Return those of `VALUES` that are known at a time in seconds."""
+        values: dict[str, Any] = {name: value for name in self._known if (value := self._value(name, time)) is not None}
+        if "longitude" in values:
+            values["longitude"] = wrap_degrees(values["longitude"])
+        if "heading" in values:
+            values["heading"] %= 360.0
+            values["heading_source"] = self._sources[int(np.abs(self._known["heading"][0] - time).argmin())]
         return values
 
     def times_by_distance(self, metres: float) -> list[float]:
@@ -89,12 +136,11 @@ class Telemetry:
         Raises:
             DataError: if there are more than a million.
         """
-        times, latitudes = self._known["latitude"]
-        longitudes = self._known["longitude"][1]
+        _, times, latitudes = self._known["latitude"]
         if not len(times):
             return []
-        flown = np.cumsum(np.hypot(*np.diff(local_metres(np.stack([latitudes, longitudes], axis=1)), axis=0).T))
-        flown = np.concatenate([[0.0], flown])
+        places = np.stack([latitudes, self._known["longitude"][2]], axis=1)
+        flown = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(local_metres(places), axis=0).T))])
         # A hovering drone keeps its distance; the first time counts.
         flown, first = np.unique(flown, return_index=True)
         if flown[-1] > _MOST_MARKS * metres:
@@ -105,30 +151,28 @@ class Telemetry:
         marks = np.arange(0.0, flown[-1] + 1e-9, metres)
         return [float(time) for time in np.interp(marks, flown, times[first])]
 
-    def _changes(self) -> np.typing.NDArray[np.bool_]:
-        """Return a mask of the entries at which the position changes, and of the last entry of each hover."""
-        places = [(entry.latitude, entry.longitude) for entry in self.entries]
-        keep = np.zeros(len(places), bool)
-        start = 0
-        for i in range(1, len(places) + 1):
-            if i == len(places) or places[i] != places[start]:
-                keep[start] = True
-                # A hovering drone moves off at the end of the hover, not during it.
-                keep[i - 1] |= self._times[i - 1] - self._times[start] > _HOLD or i == len(places)
-                start = i
-        return keep
-
     def _value(self, name: str, time: float) -> float | None:
-        times = self._known_times[name]
-        after = int(np.searchsorted(times, time, "right"))
-        around = times[max(after - 1, 0) : after + 1]
-        if not len(around) or (np.abs(around - time).min() > _HOLD and not self._between(around, time)):
-            return None
-        if len(around) == 2 and not self._between(around, time):
-            # In a gap the nearer entry's value holds.
-            time = float(around[np.abs(around - time).argmin()])
-        return float(np.interp(time, *self._known[name]))
+        known, times, values = self._known[name]
+        after = int(np.searchsorted(known, time, "right"))
+        around = known[max(after - 1, 0) : after + 1]
+        is_between = len(around) == 2 and around[0] <= time <= around[1] and around[1] - around[0] <= self._gap
+        if not is_between:
+            # Before, after, and in a gap the nearer entry's value holds.
+            nearest = float(min(around, key=lambda other: abs(other - time), default=math.inf))
+            if abs(nearest - time) > _HOLD:
+                return None
+            time = nearest if len(around) == 2 else time
+        return float(np.interp(time, times, values))
 
-    def _between(self, around: Float64Array, time: float) -> bool:
-        """Tell whether a time lies between two entries without a gap."""
-        return len(around) == 2 and around[0] <= time <= around[1] and around[1] - around[0] <= self._gap
+
+def _changes(times: Float64Array, places: Sequence[tuple[float | None, float | None]]) -> BoolArray:
+    """Return a mask of the entries at which the position changes, and of the last entry of each hover."""
+    keep = np.zeros(len(places), bool)
+    start = 0
+    for i in range(1, len(places) + 1):
+        if i == len(places) or places[i] != places[start]:
+            keep[start] = True
+            # A hovering drone moves off at the end of the hover, not during it.
+            keep[i - 1] |= times[i - 1] - times[start] > _HOLD or i == len(places)
+            start = i
+    return keep

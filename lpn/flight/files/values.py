@@ -12,7 +12,20 @@ from lpn.core.csv_cells import decode_text
 from lpn.core.errors import DataError
 from lpn.core.files import printable
 
-FOOT = 0.3048
+# Factors to metres, degrees, and seconds.
+LENGTHS = {
+    **dict.fromkeys(("m", "meter", "meters", "metre", "metres", "amsl", "msl", "agl", "wgs84"), 1.0),
+    **dict.fromkeys(("ft", "feet", "foot"), 0.3048), "mm": 0.001, "cm": 0.01, "km": 1000.0,
+}  # fmt: skip
+ANGLES = {
+    **dict.fromkeys(("deg", "degree", "degrees", "°", "decimal", "dd", "wgs84"), 1.0), "ddeg": 0.1, "cdeg": 0.01, "dege7": 1e-7,
+    **dict.fromkeys(("rad", "radian", "radians"), math.degrees(1)),
+}  # fmt: skip
+TIMES = {
+    **dict.fromkeys(("s", "sec", "secs", "second", "seconds"), 1.0), **dict.fromkeys(("ms", "millisecond", "milliseconds"), 1e-3),
+    **dict.fromkeys(("us", "µs", "microseconds"), 1e-6),
+}  # fmt: skip
+_UNITS = {"": 1.0} | LENGTHS | ANGLES | TIMES
 # Signs and their ASCII equivalents.
 _SIGNS = str.maketrans(
     {
@@ -20,10 +33,6 @@ _SIGNS = str.maketrans(
         **dict.fromkeys("\u00a0\u2009\u202f", " "),
     }
 )  # fmt: skip
-_UNITS = {
-    **dict.fromkeys(("", "m", "meter", "meters", "metre", "metres", "°", "deg", "degree", "degrees", "s", "sec"), 1.0),
-    **dict.fromkeys(("ft", "feet", "foot"), FOOT), "mm": 0.001, "cm": 0.01, "km": 1000.0,
-}  # fmt: skip
 # The format of most numbers, which skips the full parser.
 _SIMPLE = re.compile(r"[-+]?\d{1,15}(?:\.\d{1,20})?(?:[eE][-+]\d{1,3})?", re.ASCII)
 _NUMBER = re.compile(
@@ -38,10 +47,7 @@ _ANGLE = re.compile(
     re.ASCII | re.IGNORECASE,
 )
 # XMP writes degrees and minutes as "47,18.074N" and "47,18,4.4N".
-_XMP_ANGLE = re.compile(
-    rf"(?P<sign>)(?P<before>)(?P<degrees>\d+),(?P<minutes>{_PART})(?:,(?P<seconds>{_PART}))?(?P<after>[NSEW])",
-    re.ASCII | re.IGNORECASE,
-)
+_XMP_ANGLE = re.compile(r"\d+,[\d.,]+[NSEW]", re.ASCII | re.IGNORECASE)
 # The patterns of a moment: its beginning in a longer text, and the whole.
 _CLOCK = (
     r"(?P<hour>\d{1,2}):(?P<minute>\d{2})(?::(?P<second>\d{2})(?:[.,](?P<fraction>\d{1,9}))?(?:,(?P<micro>\d{3}))?)?"
@@ -56,28 +62,17 @@ _LONGEST = 100
 
 
 class Moment(NamedTuple):
-    """A date with a time of day.
-
-    Attributes:
-        seconds: since 1970-01-01, in UTC if the text has a zone, else on a clock of unknown zone.
-        zoned: whether the text has a zone.
-        ambiguous: whether day and month could be exchanged.
-    """
+    """Seconds since 1970-01-01, in UTC if the text has a zone (`zoned`), else on a clock of unknown zone."""
 
     seconds: float
     zoned: bool
-    ambiguous: bool = False
 
 
 def read_limited(file: Path, most_bytes: int, expected: str) -> bytes:
-    """Return the contents of a file of telemetry.
-
-    Args:
-        most_bytes: the size limit.
-        expected: name of the kind of file, for the message about a larger one.
+    """Return the contents of a file; `expected` names its kind, for the message about a larger one.
 
     Raises:
-        DataError: if it cannot be read, or is larger.
+        DataError: if it cannot be read, or has more than `most_bytes`.
     """
     name = printable(file.name)
     try:
@@ -140,23 +135,19 @@ def angle(text: str, letters: str = "NSEW", comma: bool = False) -> float | None
     if len(text) > _LONGEST:
         return None
     text = plain(text).strip()
-    match = _ANGLE.fullmatch(text.replace(",", ".")) if comma else _XMP_ANGLE.fullmatch(text) or _ANGLE.fullmatch(text)
+    instead = "." if comma else ":" if _XMP_ANGLE.fullmatch(text) else ","
+    match = _ANGLE.fullmatch(text.replace(",", instead))
     if match is None or (match["before"] and match["after"]):
         return None
     letter = (match["before"] or match["after"] or "").upper()
     degrees, minutes, seconds = (float(match[part] or 0) for part in ("degrees", "minutes", "seconds"))
     has_fraction = "." in match["degrees"] and match["minutes"]
     # East and north are never negative; a sign beside S or W repeats the letter.
-    if (
-        letter not in letters
-        or minutes >= 60
-        or seconds >= 60
-        or has_fraction
-        or (match["sign"] == "-" and letter in ("N", "E"))
-    ):
+    is_negative = match["sign"] == "-"
+    if letter not in letters or max(minutes, seconds) >= 60 or has_fraction or (is_negative and letter in ("N", "E")):
         return None
     value = degrees + minutes / 60 + seconds / 3600
-    return -value if match["sign"] == "-" or letter in ("S", "W") else value
+    return -value if is_negative or letter in ("S", "W") else value
 
 
 def _finite(value: float) -> float | None:
@@ -181,19 +172,17 @@ def _moment(match: re.Match[str] | None, day_first: bool) -> Moment | None:
     if match is None:
         return None
     year, month, day = match["year"] or match["late"], match["month"] or match["one"], match["day"] or match["other"]
-    ambiguous = match["sign"] in ("/", "-") and max(int(month), int(day)) <= 12 and month != day
     if match["sign"] and (match["sign"] == "." or day_first or int(month) > 12):
         month, day = day, month
     hour = int(match["hour"])
     if match["half"]:
         hour = hour % 12 + 12 * (match["half"].upper() == "PM")
+    minute, second = int(match["minute"]), int(match["second"] or 0)
     try:
-        date = datetime(
-            int(year), int(month), int(day), hour, int(match["minute"]), int(match["second"] or 0), tzinfo=UTC
-        )
-        seconds = date.timestamp() + float(f"0.{match['fraction'] or 0}{match['micro'] or ''}")
+        seconds = datetime(int(year), int(month), int(day), hour, minute, second, tzinfo=UTC).timestamp()
     except (ValueError, OverflowError):
         return None
+    seconds += float(f"0.{match['fraction'] or 0}{match['micro'] or ''}")
     zone = (match["zone"] or "").replace(":", "")
     if zone[:1] in ("+", "-") and zone[1:]:
         ahead = int(f"{zone[0]}1") * (int(zone[1:3]) * 3600 + int(zone[3:5] or 0) * 60)
@@ -201,4 +190,4 @@ def _moment(match: re.Match[str] | None, day_first: bool) -> Moment | None:
         if abs(ahead) > 14 * 3600:
             return None
         seconds -= ahead
-    return Moment(seconds, bool(zone), ambiguous)
+    return Moment(seconds, bool(zone))

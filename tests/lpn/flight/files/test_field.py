@@ -8,8 +8,7 @@ from typing import Any
 import pytest
 
 from lpn.core.errors import DataError
-from lpn.flight.files.dialects import DIALECTS
-from lpn.flight.files.log_tables import table_of
+from lpn.flight.files.dialects import DIALECTS, table_of
 from lpn.flight.files.logs import read_log
 from lpn.flight.files.sources import read_any_log
 from lpn.flight.files.subtitles import read_subtitles
@@ -155,6 +154,7 @@ CASES = (
        "47.301,8.501,100,2024-05-01 14:00:00,2024-05-01 12:00:00\n", **HERE, altitude=30.48, clock=1714564800.0),
     by("spreadsheets", "semicolons.csv", "filename;latitude;longitude;altitude\na.jpg;47,301 N;8,501° W;512,5\n",
        **at(47.301, -8.501), altitude=512.5),
+    by("https://github.com/GPSBabel/gpsbabel/issues/1286", "quotes.csv", '"a;b;c;d",lat,lon\nx,47.301,8.501\n', **HERE),
     by("spreadsheets, which fear formulas", "apostrophes.csv", "name,lat,long\na.jpg,'-47.301,−8.501\n", **at(-47.301, -8.501)),
     by("an unknown unit", "fathoms.csv", "lat,lon,rel_alt(fathoms)\n47.301,8.501,3\n", "in an unknown unit and was left out",
        **HERE, height_above_takeoff=None),
@@ -239,9 +239,7 @@ def test_text_of_the_field_is_read(tmp_path: Path, file: str, text: str, expecte
 
 
 def test_every_dialect_has_a_case_and_a_source() -> None:
-    tables = [
-        table_of(text, file).columns.dialect for _, file, text, _, _ in CASES if not file.endswith((".srt", ".log"))
-    ]
+    tables = [table_of(text, file).dialect for _, file, text, _, _ in CASES if not file.endswith((".srt", ".log"))]
     assert {dialect.program for dialect in DIALECTS} <= {dialect.program for dialect in tables}
     assert all(dialect.source.startswith("https://") for dialect in DIALECTS)
 

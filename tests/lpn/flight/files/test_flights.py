@@ -85,16 +85,12 @@ def test_the_command_prints_what_is_known(tmp_path: Path, capsys: pytest.Capture
     assert len(open_flight(tmp_path / "monday").frames) == 3
 
 
-@pytest.mark.parametrize("suffix", [".csv", ".geojson"])
-@pytest.mark.parametrize("stage", ["registration", "by hand"])
-def test_a_track_that_lpn_locate_wrote_is_no_log(tmp_path: Path, suffix: str, stage: str) -> None:
+def test_a_track_that_lpn_locate_wrote_is_no_log(tmp_path: Path) -> None:
     write_photo(tmp_path / "photos" / "a.jpg", exif(47.0, 8.0))
-    track = tmp_path / f"track{suffix}"
-    write_track(
-        track, "monday", [TrackPoint(frame="a.jpg", stage=stage, state="accepted", latitude=47.0, longitude=8.0)]
-    )
-    with pytest.raises(DataError, match=rf"^track\{suffix} is a track of lpn locate: .* give the photos, with the"):
-        make_flight([tmp_path / "photos", track], tmp_path / "monday")
+    point = TrackPoint(frame="a.jpg", stage="registration", state="accepted", latitude=47.0, longitude=8.0)
+    write_track(tmp_path / "track.csv", "monday", [point])
+    with pytest.raises(DataError, match=r"^track\.csv is a track of lpn locate: .* give the photos, with the"):
+        make_flight([tmp_path / "photos", tmp_path / "track.csv"], tmp_path / "monday")
     assert not (tmp_path / "monday").exists()
 
 

@@ -1,15 +1,16 @@
-"""Logs of the programs that people use, their units, and logs that fit nothing."""
+"""Logs and tracks beside photos and videos, values that are none, and logs that fit nothing."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 import pytest
-from PIL import ExifTags
+from PIL import ExifTags, Image
 
 from lpn.core.errors import DataError
 from lpn.flight.files import make_flight
-from lpn.flight.files.logs import for_video, moments, nearest_in_folders, path_parts, read_log
+from lpn.flight.files.logs import for_video, moments, nearest_in_folders, parse_track, path_parts, read_log
+from lpn.flight.files.sources import read_any_log
 from tools.fixtures.photos import dji_xmp, exif, write_photo
 from tools.fixtures.videos import write_video
 
@@ -21,7 +22,8 @@ VISLOC = (
 AIRDATA = "time(millisecond),datetime(utc),latitude,longitude,isVideo\n" + "".join(
     f"{1000 * i},2024-05-01 12:00:{i:02d},{47 + i / 10_000},8.0,{int(i in (3, 4, 5) or i > 7)}\n" for i in range(12)
 )
-NAMED = "filename,lat,lon\n1.jpg,60.403241,22.462133\n"
+NOON = 1714564800.0
+POINT = '<trkpt lat="{}" lon="8.5"><ele>{}</ele>{}</trkpt>\n'
 
 
 def written(folder: Path, text: str, name: str = "log.csv") -> Path:
@@ -30,13 +32,106 @@ def written(folder: Path, text: str, name: str = "log.csv") -> Path:
     return folder / name
 
 
+def time(second: int, zone: str = "Z") -> str:
+    return f"<time>2024-05-01T12:00:{second:02d}{zone}</time>"
+
+
+def gpx(inside: str) -> str:
+    return (
+        '<?xml version="1.0" encoding="UTF-8"?>\n<gpx version="1.1" creator="a &amp; b" '
+        f'xmlns="http://www.topografix.com/GPX/1/1"><trk><name>x</name><trkseg>\n{inside}</trkseg></trk></gpx>'
+    )
+
+
+# One point a second to the north.
+TRACK = gpx("".join(POINT.format(47.3 + i / 1000, 500 + i, time(i)) for i in range(20)))
+UNTIMED = gpx("".join(POINT.format(47.3 + i / 1000, 500 + i, "") for i in range(2)))
+
+
+def taken(second: int, hour: int = 12, place: tuple[float, float] | None = None) -> Image.Exif:
+    """EXIF of a photo at noon in UTC, or at another hour of an unknown zone."""
+    utc = {ExifTags.GPS.GPSDateStamp: "2024:05:01", ExifTags.GPS.GPSTimeStamp: (12.0, 0.0, float(second))}
+    clock = {ExifTags.Base.DateTimeOriginal: f"2024:05:01 {hour}:00:{second:02d}"}
+    return exif(*(place or (None, None)), camera=clock, gps=utc if hour == 12 else None)
+
+
+def waypoint(name: str) -> str:
+    return f'<gpx version="1.1"><wpt lat="47.1" lon="8.1"><ele>512</ele><name>{name}</name></wpt></gpx>'
+
+
+ONE, TWO = "100MEDIA/DJI_0001.JPG", "101MEDIA/DJI_0001.JPG"
+NOT_TOLD = "so none of them has its values; write their folders in it."
+FAR = "km from the photos' own in the median; check that it is of this flight"
+TWICE = (
+    "1 of 1 photos are listed more than once in log.csv with different values, such as a.jpg in lines 2 and 3 and 4;"
+)
+BARE = "file,lat,lon\nDJI_0001.JPG,47.1,8\n"
+LISTED = "filename,lat,lon\na.jpg,47.4,8.5\na.jpg,47.3,8.5\na.jpg,47.4,8.6\n"
+
+
+# The log; the photos with their EXIF; their latitudes with it; a part of a note, and a part of none.
+@pytest.mark.parametrize(
+    ("name", "text", "photos", "latitudes", "note", "no_note"),
+    [
+        ("log.csv", "file,lat,lon\nD:\\DCIM\\101MEDIA\\DJI_0001.JPG,47.2,8\nD:\\DCIM\\100MEDIA\\DJI_0001.JPG,47.1,8\n",
+         {ONE: None, TWO: None}, (47.1, 47.2), "gives the values of 2 of 2 photos, by name", NOT_TOLD),
+        # A row of one folder does not match a photo in another.
+        ("log.csv", "file,lat,lon\n100MEDIA/DJI_0001.JPG,47.1,8\n", {ONE: None, TWO: None}, (47.1, None), "1 of 2", NOT_TOLD),
+        ("log.csv", BARE + "DJI_0002.JPG,47.3,8\n", {ONE: None, TWO: None}, (None, None), NOT_TOLD, "gives the"),
+        ("log.csv", "file,lat,lon\nDJI_0001,47.1,8\n", {ONE: None, TWO: None}, (None, None), NOT_TOLD, "gives the"),
+        ("geo.txt", "EPSG:4326\nDJI_0001.JPG 8.1 47.1 500\n", {ONE: None, TWO: None}, (None, None), NOT_TOLD, "gives the"),
+        ("track.gpx", waypoint("DJI_0001.JPG"), {ONE: None, TWO: None}, (None, None), NOT_TOLD, "gives the"),
+        # The photos' own positions decide.
+        ("log.csv", BARE, {ONE: exif(47.10001, 8.0), TWO: exif(47.2, 8.0)}, (47.1, 47.2), "gives the values of 1", NOT_TOLD),
+        ("log.csv", BARE, {ONE: exif(47.10001, 8.0), TWO: exif(47.10002, 8.0)}, (47.10001, 47.10002), NOT_TOLD, "gives the"),
+        ("log.csv", BARE, {ONE: exif(47.10001, 8.0), TWO: None}, (47.10001, None), NOT_TOLD, "gives the"),
+        ("log.csv", LISTED, {"a.jpg": exif(47.30001, 8.5)}, (47.3,), TWICE, FAR),
+        ("log.csv", LISTED, {"a.jpg": None}, (47.4,), TWICE, FAR),
+        ("log.csv", "filename,lat,lon\na.jpg,47.4,8.5\na.jpg,47.4,8.5\n", {"a.jpg": None}, (47.4,), "by name", "more than once"),
+        ("log.csv", "filename,lat,lon\na.jpg,47.301,8.5\n", {"a.jpg": exif(47.3, 8.5)}, (47.301,), "by name", FAR),
+        ("log.csv", "filename,lat,lon\na.jpg,8.5,47.3\n", {"a.jpg": exif(47.3, 8.5)}, (8.5,), FAR, "fits none"),
+        ("log.csv", "#Label,X/Longitude,Y/Latitude\na,8.5,47.3\n", {"a.JPG": None}, (47.3,), "by name", "fits none"),
+        ("track.gpx", waypoint("a.jpg"), {"a.jpg": None}, (47.1,), "by name", "fits none"),
+        ("log.csv", "filename,lat,lon\n1.jpg,60.4,22.4\n", {"a.jpg": exif(1.0, 2.0)}, (1.0,),
+         "log.csv fits none of the 1 photos by name, and was not used.", "gives the"),
+        # By time
+        ("log.csv", AIRDATA, {"a.jpg": taken(4, place=(1.0, 2.0)), "b.jpg": exif(1.0, 2.0)}, (47.0004, 1.0),
+         "gives the values of 1 of 2 photos, by UTC", "constant offset"),
+        ("track.gpx", TRACK, {"a.jpg": taken(3), "b.jpg": taken(12)}, (47.303, 47.312),
+         "track.gpx gives the values of 2 of 2 photos, by UTC; they replace those in the files.", "constant offset"),
+        ("track.gpx", TRACK, {"a.jpg": taken(3, 14), "b.jpg": taken(12, 14)}, (47.303, 47.312),
+         "2 photos, by their clock, with a constant offset: the log's clock is 2 h behind the photos'; they replace", "by UTC"),
+        ("track.gpx", UNTIMED, {"a.jpg": exif(47.3, 8.5)}, (47.3,),
+         "track.gpx has 2 points without a time, so it fits no picture; export a track with times.", "gives the"),
+    ],
+)  # fmt: skip
+def test_photos_take_the_rows_that_are_theirs(
+    tmp_path: Path, name: str, text: str, photos: dict[str, Image.Exif | None], latitudes: tuple[float | None, ...],
+    note: str, no_note: str,
+) -> None:  # fmt: skip
+    for file, tags in photos.items():
+        write_photo(tmp_path / "photos" / file, tags)
+    flight = make_flight([tmp_path / "photos", written(tmp_path, text, name)], tmp_path / "flight")
+    found = {frame.name: frame.latitude for frame in flight.frames}
+    assert found == {
+        file: latitude if latitude is None else pytest.approx(latitude)
+        for file, latitude in zip(photos, latitudes, strict=True)
+    }
+    assert any(note in one for one in flight.notes)
+    assert not any(no_note in one for one in flight.notes)
+    if note is NOT_TOLD:
+        assert all(file in next(one for one in flight.notes if note in one) for file in photos)
+
+
 def test_a_log_alone_brings_its_photos(tmp_path: Path) -> None:
     for name in ("01_0001.JPG", "01_0002.JPG", "other.JPG"):
         write_photo(tmp_path / "drone" / name)
     flight = make_flight([written(tmp_path, VISLOC, "01.csv")], tmp_path / "flight")
     assert [frame.name for frame in flight.frames] == ["01_0001.JPG", "01_0002.JPG"]
-    assert [frame.latitude for frame in flight.frames] == [29.774065, 29.775065]
     assert flight.times.tolist() == [0.0, 4.0]
+    alone = written(tmp_path / "alone", "filename,lat,lon\n1.jpg,60.4,22.4\n")
+    with pytest.raises(DataError, match=r"No photo that log\.csv names is below its folder"):
+        make_flight([alone], tmp_path / "none")
 
 
 def test_a_log_s_aircraft_does_not_replace_the_gimbal_s_heading(tmp_path: Path) -> None:
@@ -47,88 +142,145 @@ def test_a_log_s_aircraft_does_not_replace_the_gimbal_s_heading(tmp_path: Path) 
     flight = make_flight([tmp_path, written(tmp_path, log)], tmp_path / "flight")
     found = {frame.name: (frame.latitude, frame.heading, frame.heading_source, frame.pitch) for frame in flight.frames}
     assert found == {"gimbal.jpg": (47.0, 190.0, "gimbal", -80.0), "bare.jpg": (47.0, 10.0, "aircraft", None)}
-    assert any(
-        "keeps the heading of its gimbal, which is better than that of the aircraft" in note for note in flight.notes
-    )
+    said = "keeps the heading of its gimbal, which is better than that of the aircraft"
+    assert any(said in note for note in flight.notes)
 
 
 @pytest.mark.parametrize(("orientation", "heading"), [(1, 40.0), (3, 220.0), (6, 310.0), (8, 130.0)])
-def test_a_log_s_heading_turns_with_the_picture(tmp_path: Path, orientation: int, heading: float) -> None:
+@pytest.mark.parametrize(
+    ("columns", "cells", "pitch"),
+    [("heading,hfov", "40,45", None), ("gimbal_yaw,gimbal_pitch,hfov", "40,-90,45", pytest.approx(-90.0))],
+)
+def test_a_log_s_heading_turns_with_the_picture(
+    tmp_path: Path, orientation: int, heading: float, columns: str, cells: str, pitch: object
+) -> None:
     write_photo(tmp_path / "a.jpg", exif(1.0, 2.0, main={ExifTags.Base.Orientation: orientation}), size=(64, 48))
-    fov = 34.51 if orientation > 4 else 45.0
-    for columns, values, pitch in (
-        ("heading,hfov", "40,45", None),
-        ("gimbal_yaw,gimbal_pitch,hfov", "40,-90,45", -90.0),
+    log = written(tmp_path, f"filename,latitude,longitude,{columns}\na.jpg,47,8,{cells}\n")
+    flight = make_flight([tmp_path / "a.jpg", log], tmp_path / "flight")
+    frame, fov = flight.frames[0], 34.51 if orientation > 4 else 45.0
+    assert (frame.heading, frame.fov) == (pytest.approx(heading), pytest.approx(fov, abs=0.01))
+    assert frame.pitch == pitch
+    assert any("by its EXIF orientation" in note for note in flight.notes) == (orientation != 1)
+
+
+FROM_FIRST = "log.csv does not say when the video began; its first row counts as the beginning."
+ONLY_START = "log.csv has the start of the video but not its length; all rows from there on were used."
+STARTS = "time(millisecond),latitude,longitude,isVideo\n" + "".join(
+    f"{1000 * i},{47 + i / 10_000},8.5,{int(i in (3, 12))}\n" for i in range(20)
+)
+
+
+@pytest.mark.parametrize(
+    ("text", "number", "first", "count", "note"),
+    [
+        (AIRDATA, 0, 47.0003, 3, None),
+        (AIRDATA, 1, 47.0008, 4, None),
+        (STARTS, 0, 47.0003, 9, ONLY_START),
+        (STARTS, 1, 47.0012, 8, ONLY_START),
+        ("timestamp,lat,lon\n1714564800.5,1,2\n1714564801.5,1.1,2\n", 0, 1.0, 2, FROM_FIRST),
+        ("date,lat,lon\n2024-05-01T12:00:00+02:00,1,2\n", 0, 1.0, 1, FROM_FIRST),
+    ],
+)
+def test_recordings_of_a_log_begin_with_the_video(
+    tmp_path: Path, text: str, number: int, first: float, count: int, note: str | None
+) -> None:
+    log = read_log(written(tmp_path, text))
+    entries, notes = for_video(log, number)
+    assert [entry.time for entry in entries] == [float(i) for i in range(count)]
+    assert entries[0].latitude == pytest.approx(first)
+    assert notes == ([] if note is None else [note])
+    assert log.utc == (text is not STARTS)
+    if "isVideo" in text:
+        with pytest.raises(DataError, match=r"log\.csv has 2 recordings, and this is video 3"):
+            for_video(log, 2)
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "begins", "start", "note"),
+    [
+        ("log.csv", AIRDATA, None, 47.0003, ""),
+        ("log.csv", "filename,lat,lon\n1.jpg,60.4,22.4\n", None, None, "log.csv has no times"),
+        ("track.gpx", TRACK, None, 47.3, "track.gpx does not say when the video began; its first row counts as the beginning"),
+        ("track.gpx", TRACK, 10, 47.31, "The time in the video's file says where in track.gpx it began"),
+    ],
+)  # fmt: skip
+def test_a_video_takes_its_positions_from_a_log(
+    tmp_path: Path, name: str, text: str, begins: int | None, start: float | None, note: str
+) -> None:
+    av = pytest.importorskip("av")
+    with (
+        av.open(str(write_video(tmp_path / "plain.mp4", 3))) as source,
+        av.open(str(tmp_path / "a.mp4"), "w") as target,
     ):
-        log = written(tmp_path, f"filename,latitude,longitude,{columns}\na.jpg,47,8,{values}\n")
-        flight = make_flight([tmp_path / "a.jpg", log], tmp_path / "flight")
-        assert (flight.frames[0].heading, flight.frames[0].fov) == (
-            pytest.approx(heading),
-            pytest.approx(fov, abs=0.01),
-        )
-        assert flight.frames[0].pitch == (None if pitch is None else pytest.approx(pitch))
-        assert any("by its EXIF orientation" in note for note in flight.notes) == (orientation != 1)
+        target.metadata.update({} if begins is None else {"creation_time": f"2024-05-01T12:00:{begins:02d}Z"})
+        pictures = target.add_stream_from_template(source.streams.video[0])
+        for packet in source.demux(source.streams.video[0]):
+            if packet.dts is not None:
+                packet.stream = pictures
+                target.mux(packet)
+    flight = make_flight([tmp_path / "a.mp4", written(tmp_path, text, name)], tmp_path / "flight")
+    step = 1 / 1000 if name == "track.gpx" else 1 / 10_000
+    for frame in flight.frames:
+        expected = None if start is None else pytest.approx(start + step * (frame.time or 0))
+        assert frame.latitude == expected
+    assert any(note in one for one in flight.notes)
 
 
-def test_recordings_of_a_log_begin_with_the_video(tmp_path: Path) -> None:
-    log = read_log(written(tmp_path, AIRDATA))
-    assert log.utc
-    entries, notes = for_video(log, 0)
-    assert notes == []
-    assert [entry.time for entry in entries] == [0.0, 1.0, 2.0]
-    assert entries[0].latitude == pytest.approx(47.0003)
-    assert [entry.time for entry in for_video(log, 1)[0]] == [0.0, 1.0, 2.0, 3.0]
-    with pytest.raises(DataError, match=r"log\.csv has 2 recordings, and this is video 3"):
-        for_video(log, 2)
-    video = write_video(tmp_path / "a.mp4", 3)
-    flight = make_flight([video, tmp_path / "log.csv"], tmp_path / "flight")
-    assert [frame.latitude for frame in flight.frames] == pytest.approx(
-        [47.0003 + (f.time or 0) / 10_000 for f in flight.frames]
-    )
+@pytest.mark.parametrize("zone", ["Z", "+00:00", ".0000Z", ""])
+def test_a_gpx_track_is_a_log_of_moments_in_utc(zone: str) -> None:
+    log = parse_track(gpx("".join(POINT.format(47.3, 500 + i, time(i, zone)) for i in range(3))), "a.gpx")
+    found = [(row.entry.clock, row.entry.latitude, row.entry.longitude, row.entry.altitude) for row in log.rows]
+    assert found == [(NOON + i, 47.3, 8.5, 500.0 + i) for i in range(3)]
+    assert log.utc == (zone != "")
+    assert log.notes == ()
 
 
-def test_a_log_that_tells_only_when_the_recording_began_is_used_from_there_on(tmp_path: Path) -> None:
-    rows = [f"{1000 * i},{47 + i / 1000},8.5,{int(i in (3, 12))}\n" for i in range(20)]
-    log = read_log(written(tmp_path, "time(millisecond),latitude,longitude,isVideo\n" + "".join(rows)))
-    entries, notes = for_video(log, 0)
-    assert [(entry.time, entry.latitude) for entry in entries] == [
-        (float(i), pytest.approx(47.003 + i / 1000)) for i in range(9)
-    ]
-    assert notes == ["log.csv has the start of the video but not its length; all rows from there on were used."]
-    assert [entry.time for entry in for_video(log, 1)[0]] == [float(i) for i in range(8)]
-    with pytest.raises(DataError, match=r"log\.csv has 2 recordings, and this is video 3"):
-        for_video(log, 2)
+def test_points_that_are_none_on_the_earth_are_left_out() -> None:
+    log = parse_track(gpx(POINT.format("nan", 5, time(1)) + POINT.format(47.3, "nan", time(2))), "a.gpx")
+    assert [(row.entry.latitude, row.entry.altitude) for row in log.rows] == [(47.3, None)]
+    assert log.notes == ("1 of 2 points of a.gpx have no time, or no position on the Earth, and were left out.",)
 
 
-def test_a_log_of_moments_fits_photos_by_utc(tmp_path: Path) -> None:
-    gps = {ExifTags.GPS.GPSDateStamp: "2024:05:01", ExifTags.GPS.GPSTimeStamp: (12.0, 0.0, 4.0)}
-    write_photo(tmp_path / "a.jpg", exif(1.0, 2.0, gps=gps))
-    write_photo(tmp_path / "b.jpg", exif(1.0, 2.0))
-    flight = make_flight([tmp_path / "a.jpg", tmp_path / "b.jpg", written(tmp_path, AIRDATA)], tmp_path / "flight")
-    assert [frame.latitude for frame in flight.frames] == pytest.approx([47.0004, 1.0])
-    assert any("gives the values of 1 of 2 photos, by UTC" in note for note in flight.notes)
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "is no GPX"),
+        ("PK\x03\x04damaged", "is no GPX"),
+        ("<gpx>", "is cut off or damaged, so it was not read; export the track again"),
+        (TRACK[:300], "is cut off or damaged"),
+        (TRACK.replace("47.3", "47,3"), "is cut off or damaged"),
+        (gpx(""), "has no point with a position"),
+        (gpx(POINT.format(147.3, 5, time(1))), "has no point with a position on the Earth"),
+        ('<!DOCTYPE x [<!ENTITY a "b">]><gpx>&a;</gpx>', "has a DTD or entities"),
+        ("<!DOCTYPE x SYSTEM 'file:///etc/passwd'><gpx></gpx>", "has a DTD or entities"),
+    ],
+)
+def test_files_that_are_no_tracks_are_refused_in_one_sentence(text: str, message: str) -> None:
+    with pytest.raises(DataError) as error:
+        parse_track(text, "a.gpx")
+    assert message in str(error.value)
 
 
-def test_a_log_that_fits_nothing_is_told_and_the_run_goes_on(tmp_path: Path) -> None:
-    photo = write_photo(tmp_path / "other.jpg", exif(1.0, 2.0))
-    flight = make_flight([photo, written(tmp_path, NAMED)], tmp_path / "flight")
-    assert flight.frames[0].latitude == 1.0
-    assert "log.csv fits none of the 1 photos by name, and was not used." in flight.notes
-    with pytest.raises(DataError, match=r"No photo that log\.csv names is below its folder"):
-        make_flight([written(tmp_path / "alone", NAMED)], tmp_path / "none")
-    video = write_video(tmp_path / "a.mp4", 1)
-    flight = make_flight([video, tmp_path / "log.csv"], tmp_path / "flight")
-    assert any("log.csv has no times" in note for note in flight.notes)
-
-
-def test_a_log_without_a_recording_begins_with_the_video_and_says_so(tmp_path: Path) -> None:
-    log = read_log(written(tmp_path, "timestamp,lat,lon\n1714564800.5,1,2\n1714564802.5,1.1,2\n"))
-    entries, notes = for_video(log, 0)
-    assert [entry.time for entry in entries] == [0.0, 2.0]
-    assert "its first row counts as the beginning" in notes[0]
-    dated = read_log(written(tmp_path, "date,lat,lon\n2024-05-01T12:00:00+02:00,1,2\n"))
-    assert dated.utc
-    assert dated.rows[0].entry.clock == 1714557600.0
+@pytest.mark.parametrize(
+    ("name", "instead"),
+    [
+        ("track.kml", "GPX or CSV"),
+        ("track.geojson", "GPX or CSV"),
+        ("flight.bag", "CSV, .ulg, .tlog, or .bin"),
+        ("CLIP.ASS", "SRT"),
+    ],
+)
+def test_a_file_of_a_kind_that_is_not_read_is_refused_wherever_it_is_named(
+    tmp_path: Path, name: str, instead: str
+) -> None:
+    file = written(tmp_path, "<kml/>", name)
+    told = f"{file} is {file.suffix.upper()}, which is not read; give the flight as {instead}."
+    for given in ([write_photo(tmp_path / "a.jpg"), file], [file]):
+        with pytest.raises(DataError) as error:
+            make_flight(given, tmp_path / "flight")
+        assert str(error.value) == told
+    with pytest.raises(DataError, match="which is not read"):
+        read_any_log(file)
 
 
 # The column, and its cells; the headings, pitches, or fields of view that are read; a part of a note.
@@ -160,15 +312,25 @@ def test_angles_beyond_their_range_are_not_used(
     assert any(note in line for line in log.notes) if note else not log.notes
 
 
+def test_a_few_positions_that_are_none_are_left_out(tmp_path: Path) -> None:
+    rows = [f"{'-5.797e+148' if i == 7 else 47 + i / 1000},8.5\n" for i in range(30)]
+    log = read_log(written(tmp_path, "lat,lon\n" + "".join(rows)))
+    assert [row.line for row in log.rows if row.entry.latitude is None] == [9]
+    assert log.notes == (
+        "1 of 30 values of the column lat of log.csv are not from -90 to 90 degrees and were not used, first in line 9.",
+        "1 of 30 rows of log.csv have no position.",
+    )
+
+
 @pytest.mark.parametrize(
     ("dates", "clock", "says"),
     [
         (("5/13/2024 12:00:00", "5/1/2024 12:00:00"), 1715601600.0, False),
         (("13/5/2024 12:00:00", "1/5/2024 12:00:00"), 1715601600.0, False),
-        (("5/1/2024 12:00 PM", "5/1/2024 12:00 AM"), 1714564800.0, True),
-        (("01.05.2024 12:00:00", "02.05.2024 12:00:00"), 1714564800.0, False),
-        (("1714564800000", ""), 1714564800.0, False),
-        (("1714564800000000", ""), 1714564800.0, False),
+        (("5/1/2024 12:00 PM", "5/1/2024 12:00 AM"), NOON, True),
+        (("01.05.2024 12:00:00", "02.05.2024 12:00:00"), NOON, False),
+        (("1714564800000", ""), NOON, False),
+        (("1714564800000000", ""), NOON, False),
     ],
 )
 def test_dates_of_every_spelling_are_read_for_the_file_as_a_whole(
@@ -179,61 +341,29 @@ def test_dates_of_every_spelling_are_read_for_the_file_as_a_whole(
     assert any("nothing in it rules that out" in note for note in log.notes) == says
 
 
-def test_labels_without_an_ending_name_their_pictures(tmp_path: Path) -> None:
-    write_photo(tmp_path / "DJI_0001.JPG")
-    log = written(tmp_path, "#Label,X/Longitude,Y/Latitude\nDJI_0001,8.5,47.3\n")
-    assert make_flight([log], tmp_path / "flight").frames[0].latitude == 47.3
-
-
-def test_a_moment_listed_twice_is_said_and_fractions_of_seconds_come_from_the_elapsed_time(tmp_path: Path) -> None:
-    rows = ["2024-05-01 12:00:00,47.0,8", "2024-05-01 12:00:00,47.9,8", "2024-05-01 12:00:01,47.1,8"]
-    log = read_log(written(tmp_path, "datetime(utc),lat,lon\n" + "\n".join(rows)))
-    entries, note = moments(log)
-    assert [entry.latitude for entry in entries] == [47.0, 47.1]
-    assert note is not None
-    assert note.startswith(
-        "1 of 2 moments of log.csv are listed more than once with different positions; the first row"
+def test_the_first_row_of_a_moment_counts_and_fractions_of_seconds_come_from_the_elapsed_time(tmp_path: Path) -> None:
+    noon = "2024-05-01 12:00:0"
+    log = read_log(
+        written(tmp_path, f"datetime(utc),lat,lon\n{noon}0,,8\n{noon}0,47.0,8\n{noon}0,47.9,8\n{noon}1,47.1,8")
     )
-    entries, notes = for_video(log, 0)
-    assert [entry.latitude for entry in entries] == [47.0, 47.1]
-    assert any("1 of 2 moments" in note for note in notes)
+    for entries in (moments(log), for_video(log, 0)[0]):
+        assert [entry.latitude for entry in entries] == [47.0, 47.1]
     # Airdata has ten rows a second, whole seconds of UTC, and milliseconds from the start, here 0.3 s past a second.
-    rows = [f"{100 * i},2024-05-01 12:00:0{(3 + i) // 10},{47 + i / 1000},8" for i in range(30)]
-    entries, note = moments(read_log(written(tmp_path, "time(millisecond),datetime(utc),lat,lon\n" + "\n".join(rows))))
-    assert note is None
-    assert [round(entry.time - 1714564800.0, 3) for entry in entries[:3]] == [0.3, 0.4, 0.5]
-
-
-def test_a_few_positions_that_are_none_are_left_out_and_many_refuse_the_log(tmp_path: Path) -> None:
-    rows = [f"{'-5.797e+148' if i == 7 else 47 + i / 1000},8.5\n" for i in range(30)]
-    log = read_log(written(tmp_path, "lat,lon\n" + "".join(rows)))
-    assert [row.line for row in log.rows if row.entry.latitude is None] == [9]
-    assert log.notes == (
-        "1 positions of log.csv are none on the Earth and were not used, first in line 9.",
-        "1 of 30 rows of log.csv have no position.",
-    )
-    with pytest.raises(DataError, match=r"Line 2 of log\.csv has the position 64\.0359, 407\.553; expected degrees"):
-        read_log(written(tmp_path, "Lat,Lng\n64.0359128,407.5528816\n64.0359138,407.5528816\n"))
-
-
-def test_logs_that_were_joined_have_the_line_of_names_again(tmp_path: Path) -> None:
-    log = read_log(written(tmp_path, "name,lat,lon\na.jpg,47.3,8.5\nname,lat,lon\nb.jpg,47.4,8.5\n"))
-    assert [(row.file, row.entry.latitude, row.line) for row in log.rows] == [("a.jpg", 47.3, 2), ("b.jpg", 47.4, 4)]
+    rows = [f"{100 * i},{noon}{(3 + i) // 10},{47 + i / 1000},8" for i in range(30)]
+    entries = moments(read_log(written(tmp_path, "time(millisecond),datetime(utc),lat,lon\n" + "\n".join(rows))))
+    assert [round(entry.time - NOON, 3) for entry in entries[:3]] == [0.3, 0.4, 0.5]
 
 
 def test_text_that_is_no_log_is_left_out_and_the_run_goes_on(tmp_path: Path) -> None:
-    photo = write_photo(tmp_path / "a.jpg", exif(47.3, 8.5))
-    files = [
-        photo,
-        written(tmp_path, "hello\n", "readme.txt"),
-        written(tmp_path, "\x00\x01\x02", "DJIFlightRecord.txt"),
-    ]
-    notes = make_flight(files, tmp_path / "flight").notes
-    assert "Left out, because their kind is not supported: readme.txt, DJIFlightRecord.txt." in notes
-    assert any(note.startswith("readme.txt begins with 'hello'; expected a line of column names") for note in notes)
-    assert any(
-        note.startswith("DJIFlightRecord.txt is no text. A flight record of DJI's app is encrypted") for note in notes
-    )
+    readme = written(tmp_path, "hello\n", "readme.txt")
+    record = written(tmp_path, "\x00\x01\x02", "DJIFlightRecord.txt")
+    notes = make_flight([write_photo(tmp_path / "a.jpg"), readme, record], tmp_path / "flight").notes
+    for expected in (
+        "Left out, because their kind is not supported: readme.txt, DJIFlightRecord.txt.",
+        "readme.txt begins with 'hello'; expected a line of column names",
+        "DJIFlightRecord.txt is no text. A flight record of DJI's app is encrypted",
+    ):
+        assert any(note.startswith(expected) for note in notes)
 
 
 def test_folders_tell_apart_names_with_and_without_a_suffix() -> None:

@@ -499,10 +499,6 @@ def test_a_link_gives_frames_heading_height_and_position_and_says_what_is_odd(fl
         assert link.value(arrived(frame, 50.0)).frame.flying_height is None
         other.tell(frame)
         wait_until(lambda: any("System 9" in sentence for sentence in said))
-        vehicle.boot += 300
-        time.sleep(0.11)  # entries closer together count as one
-        vehicle.tell(frame)
-        wait_until(lambda: any("clock has jumped" in sentence for sentence in said))
     finally:
         for one in (link, vehicle, other):
             one.close()
@@ -643,7 +639,7 @@ def test_a_vehicle_without_positions_gives_heading_and_height(flight: Flight) ->
             return frame.heading == pytest.approx(90) and frame.flying_height == HEIGHT
 
         wait_until(known)
-        assert link.system == 7
+        assert link.vehicle.system == 7
         assert link.value(arrived(lost)).frame.latitude is None
     finally:
         link.close()
