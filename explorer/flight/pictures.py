@@ -18,8 +18,8 @@ from lpn.core import images
 from lpn.core.arrays import BoolArray, Float32Array, UInt8Array
 from lpn.core.errors import DataError
 from lpn.core.homography import apply_homography, middle_pixel
-from lpn.flight.locate.belief import belief
 from lpn.flight.locate.located import LocatedFlight, LocatedFrame
+from lpn.flight.locate.verdict import judge
 from lpn.flight.maps import Map, Window
 from lpn.flight.maps.map import OVERVIEW
 
@@ -179,7 +179,7 @@ def middle_square(picture: UInt8Array) -> UInt8Array:
 
 def ground(basemap: Map, located: LocatedFrame) -> EncodedPicture:
     """Return the map at a frame's answer; one transparent pixel without an answer."""
-    window = ground_window(located, belief(located).stage)
+    window = ground_window(located, judge(located).stage)
     if window is None:
         return encoded(np.zeros((1, 1, 3), np.uint8), np.zeros((1, 1), bool))
     return encoded(*basemap.read(window, _PAIR))

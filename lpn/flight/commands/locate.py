@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from lpn.flight.locate.located import LocatedFlight
     from lpn.flight.locate.options import LocateOptions
     from lpn.flight.locate.surveyed import MatchedSurvey, SurveyedPoint
-    from lpn.flight.locate.tracks import TrackPoint
+    from lpn.flight.locate.tracks import TrackRow
     from lpn.flight.maps import Map
 
 
@@ -148,13 +148,13 @@ class LocateCommand(ModelOptions):
         return survey, locate(basemap, flight, network, options, kept, indexed)
 
     def _survey(self, basemap: Map, flight: Flight, console: Console) -> MatchedSurvey | None:
-        from lpn.flight.locate.surveyed import match_surveyed, read_surveyed, strangers_sentence
+        from lpn.flight.locate.surveyed import match_surveyed, read_surveyed
 
         if self.positions is None:
             return None
         positions = read_surveyed(self.positions, basemap.frame, self.crs)
-        survey = match_surveyed([frame.name for frame in flight.frames], positions, basemap)
-        if sentence := strangers_sentence(survey):
+        survey, sentence = match_surveyed([frame.name for frame in flight.frames], positions, basemap)
+        if sentence:
             console.print(sentence, highlight=False, soft_wrap=True, markup=False)
         return survey
 
@@ -204,9 +204,9 @@ def _measures(located: LocatedFlight, surveyed: Mapping[str, Mapping[SurveyedPoi
     return result
 
 
-def unverified_sentence(track: Sequence[TrackPoint]) -> str:
+def unverified_sentence(track: Sequence[TrackRow]) -> str:
     """Count the points of a track with an unverified coordinate in a sentence; "" if none."""
-    guesses = sum(point.state == "not verified" and point.latitude is not None for point in track)
+    guesses = sum(row["state"] == "not verified" and row.get("latitude") is not None for row in track)
     if not guesses:
         return ""
     return f"Best guesses that nothing has verified: {guesses} of its {len(track)} points, state 'not verified'."
@@ -215,7 +215,6 @@ def unverified_sentence(track: Sequence[TrackPoint]) -> str:
 def print_summary(located: LocatedFlight, console: Console) -> None:
     """Print a table of the stages against the tags, first against tags without their lag, and the findings below it."""
     from lpn.core.text_tables import TextTable
-    from lpn.flight.locate.pose_errors import pose_errors
 
     errors = located.errors()
     named = {stage: (stage, one) for stage, one in errors.items()}
@@ -236,8 +235,6 @@ def print_summary(located: LocatedFlight, console: Console) -> None:
         flat = located.basemap.elevation is None
         ground = "flat ground, as the map has no elevation" if flat else "the map's elevation"
         findings.append(f"{posed} of {len(located.frames)} photos have a pose of the camera, over {ground}.")
-    if (poses := pose_errors(located)) is not None:
-        findings.append(poses.sentence)
     if measured := located.field_measures():
         findings.append("Retrieval: " + ", ".join(f"{name} {value:.3g}" for name, value in measured.items()))
     findings += [*located.flight.notes, *located.notes]

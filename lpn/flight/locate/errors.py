@@ -1,9 +1,9 @@
-"""Errors of a flight's places against GPS tags, surveyed positions, exact poses, or corrections."""
+"""Errors of a flight's places against GPS tags, surveyed positions, or corrections."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -41,9 +41,7 @@ class Errors:
     @classmethod
     def of(cls, known: int, rows: Iterable[tuple[float, float, float | None]]) -> Errors:
         """Make errors of rows: metres east, metres north, and the radius or None."""
-        values = np.array([(*row[:2], math.nan if row[2] is None else row[2]) for row in rows], np.float64).reshape(
-            -1, 3
-        )
+        values = np.array([*rows], np.float64).reshape(-1, 3)  # None becomes NaN
         return cls(known, values[:, :2], values[:, 2])
 
     @property
@@ -84,25 +82,23 @@ class Errors:
     @property
     def rmse(self) -> tuple[float, float, float]:
         """Root mean squares to the east, to the north, and in the plane; NaN without any photo."""
-        if not self.photos:
-            return math.nan, math.nan, math.nan
-        east, north = np.sqrt((self.offsets**2).mean(axis=0)).tolist()
+        east, north = self._of_axes(lambda offsets: np.sqrt((offsets**2).mean(axis=0)))
         return east, north, math.hypot(east, north)
 
     @property
     def bias(self) -> tuple[float, float]:
         """Mean to the east and to the north; NaN without any photo."""
-        if not self.photos:
-            return math.nan, math.nan
-        east, north = self.offsets.mean(axis=0).tolist()
-        return east, north
+        return self._of_axes(lambda offsets: offsets.mean(axis=0))
 
     @property
     def spread(self) -> tuple[float, float]:
         """Standard deviations east and north, with N - 1; NaN for fewer than two photos."""
-        if self.photos < 2:
+        return self._of_axes(lambda offsets: offsets.std(axis=0, ddof=1), least=2)
+
+    def _of_axes(self, measure: Callable[[Float64Array], Float64Array], least: int = 1) -> tuple[float, float]:
+        if self.photos < least:
             return math.nan, math.nan
-        east, north = self.offsets.std(axis=0, ddof=1).tolist()
+        east, north = measure(self.offsets).tolist()
         return east, north
 
     @property

@@ -17,7 +17,7 @@ from lpn.core.images import load_picture
 from lpn.flight.files import Frame, ground_width, make_flight, open_flight
 from lpn.flight.files.base import degrees, local_metres
 from lpn.flight.files.quality import flight_notes, with_courses
-from lpn.flight.locate.tracks import TrackPoint, write_track
+from lpn.flight.locate.tracks import write_track
 from tools.fixtures.photos import dji_xmp, exif, write_photo
 from tools.fixtures.videos import srt, write_video
 
@@ -92,7 +92,7 @@ def test_a_track_that_lpn_locate_wrote_is_no_log(tmp_path: Path, suffix: str, st
     write_photo(tmp_path / "photos" / "a.jpg", exif(47.0, 8.0))
     track = tmp_path / f"track{suffix}"
     write_track(
-        track, "monday", [TrackPoint(frame="a.jpg", stage=stage, state="accepted", latitude=47.0, longitude=8.0)]
+        track, "monday", [{"frame": "a.jpg", "stage": stage, "state": "accepted", "latitude": 47.0, "longitude": 8.0}]
     )
     with pytest.raises(DataError, match=rf"^track\{suffix} is a track of lpn locate: .* give the photos, with the"):
         make_flight([tmp_path / "photos", track], tmp_path / "monday")

@@ -4,18 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from pathlib import Path
-from types import SimpleNamespace
-from typing import cast
 
 import numpy as np
 import pytest
 
-from lpn.flight.files import Flight, Frame
-from lpn.flight.locate.belief import beliefs, placed_errors
 from lpn.flight.locate.errors import RIGHT_CALIBRATION, Errors
-from lpn.flight.locate.located import LocatedFlight, LocatedFrame, StageRecord
-from lpn.flight.maps import Map
 
 
 def to_the_north(norths: Sequence[float]) -> Errors:
@@ -69,21 +62,3 @@ def test_neighbours_that_err_alike_are_seldom_called_systematic() -> None:
     called = ["m north" in one and "more than 3" in one.split("east")[-1].replace("no more", "") for one in
               (to_the_north(errors).bias_sentence for errors in drawn.tolist())]  # fmt: skip
     assert np.mean(called) < 0.1, "of three standard errors, uncorrected, a quarter is"
-
-
-def test_errors_of_placed_photos_are_against_the_tags_whatever_a_person_corrected() -> None:
-    answer = StageRecord("accepted", "", 3.0, 0.0, True, 2.0)
-    by_hand = StageRecord("accepted", "", 50.0, 0.0, camera=True)
-    frame = Frame("0.jpg", Path("0.jpg"), 8, 6)
-    frames = [
-        LocatedFrame(frame, np.zeros(2), {"registration": answer}, by_hand=by_hand),
-        LocatedFrame(frame, None, {"registration": answer}),
-        LocatedFrame(frame, np.zeros(2), {"registration": StageRecord("refused", "No.", 3.0, 0.0)}),
-    ]
-    basemap = cast(Map, SimpleNamespace())
-    flight = LocatedFlight(Flight("monday", (frame,) * 3), basemap, frames, None, [], None)
-    errors = placed_errors(flight, beliefs(frames, []))
-    assert errors is not None
-    assert (errors.photos, errors.median) == (1, 3.0)
-    flight.frames = frames[1:]
-    assert placed_errors(flight, beliefs(frames[1:], [])) is None

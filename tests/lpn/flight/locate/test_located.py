@@ -41,11 +41,10 @@ def test_differences_from_the_tag_are_along_the_grid_of_the_eastings() -> None:
     located = flight(a=photo("a.jpg", (0.0, 0.0)))
     (point,) = full_track(located)
     (there,) = ORIGIN.utm([(0.0, 0.0)])
-    assert point.easting_m is not None
-    assert point.northing_m is not None
-    assert (point.east_from_tag_m, point.north_from_tag_m) == (point.easting_m - there[0], point.northing_m - there[1])
-    assert point.east_from_tag_m == pytest.approx(-12.7, abs=0.3), "the grid is turned against the map's frame"
-    assert point.metres_from_tag == 1000.0
+    off = (point["easting_m"] - there[0], point["northing_m"] - there[1])
+    assert (point["east_from_tag_m"], point["north_from_tag_m"]) == off
+    assert point["east_from_tag_m"] == pytest.approx(-12.7, abs=0.3), "the grid is turned against the map's frame"
+    assert point["metres_from_tag"] == 1000.0
 
 
 def test_a_track_says_which_photos_were_checked_beside_their_middle() -> None:
@@ -60,7 +59,7 @@ def test_a_track_says_which_photos_were_checked_beside_their_middle() -> None:
         e=LocatedFrame(Frame("e.jpg", Path("e.jpg"), 80, 60), None, {"registration": StageRecord("refused", "No.")}),
     )
     for track in (full_track(located), best_track(located)):
-        assert [point.checked_beside_middle for point in track] == ["yes", "no", "contradicted", "no", ""]
+        assert [point["checked_beside_middle"] for point in track] == ["yes", "no", "contradicted", "no", ""]
 
 
 def test_a_track_says_if_the_tags_of_the_flight_confirm_its_radii() -> None:
@@ -73,7 +72,7 @@ def test_a_track_says_if_the_tags_of_the_flight_confirm_its_radii() -> None:
     ):
         located = flight(**{one.frame.name: one for one in frames})
         for track in (full_track(located), best_track(located)):
-            assert [point.radius_confirmed_by_tags for point in track] == told
+            assert [point.get("radius_confirmed_by_tags", "") for point in track] == told
 
 
 def test_tags_that_the_search_used_refute_radii_and_confirm_none() -> None:
@@ -81,7 +80,7 @@ def test_tags_that_the_search_used_refute_radii_and_confirm_none() -> None:
     for frames, told in (((near,), [""]), ((near, far), ["no", "no"])):
         located = replace(flight(**{one.frame.name: one for one in frames}), prior=30.0)
         for track in (full_track(located), best_track(located)):
-            assert [point.radius_confirmed_by_tags for point in track] == told
+            assert [point.get("radius_confirmed_by_tags", "") for point in track] == told
 
 
 def test_the_radius_of_the_middle_has_the_error_of_the_map() -> None:

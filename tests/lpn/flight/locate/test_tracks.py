@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import json
-from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
@@ -15,15 +14,15 @@ import pytest
 from lpn.core.errors import InputError, OutputError
 from lpn.flight.files import Flight, Frame
 from lpn.flight.locate.located import LocatedFlight, LocatedFrame, StageRecord
-from lpn.flight.locate.tracks import TrackPoint, full_track, write_track
+from lpn.flight.locate.tracks import TrackRow, full_track, write_track
 from lpn.flight.maps import LocalFrame, Map
 
 
-def at(frame: str, latitude: float | None, longitude: float | None, **known: Any) -> TrackPoint:
+def at(frame: str, latitude: float | None, longitude: float | None, **known: Any) -> TrackRow:
     told: dict[str, Any] = {"stage": "registration", "state": "accepted"}
     if latitude is not None:
         told |= {"point": "ground", "crs": "EPSG:4326"}
-    return TrackPoint(frame=frame, latitude=latitude, longitude=longitude, **told | known)
+    return {"frame": frame, "latitude": latitude, "longitude": longitude, **told, **known}
 
 
 GUESS = {"stage": "retrieval", "state": "not verified"}
@@ -70,7 +69,7 @@ def test_kml_lists_refused_frames_with_their_reason(tmp_path: Path) -> None:
 
 
 def test_each_format_says_that_the_tags_do_not_confirm_a_radius(tmp_path: Path) -> None:
-    points = [replace(POINTS[0], radius_confirmed_by_tags="no"), POINTS[2]]
+    points = [{**POINTS[0], "radius_confirmed_by_tags": "no"}, POINTS[2]]
     for suffix in (".csv", ".geojson", ".kml"):
         write_track(tmp_path / f"track{suffix}", "monday", points)
     rows = list(csv.DictReader((tmp_path / "track.csv").read_text("utf-8-sig").splitlines()))
@@ -112,10 +111,10 @@ def test_a_time_of_a_video_is_no_time_of_day() -> None:
     located = [LocatedFrame(frame, None, {"registration": answer}) for frame in frames]
     basemap = cast(Map, SimpleNamespace(frame=LocalFrame(46.8, -92.0)))
     track = full_track(LocatedFlight(Flight("monday", tuple(frames)), basemap, located, None, [], None))
-    assert [(one.time_utc, one.seconds) for one in track] == [
+    assert [(one.get("time_utc"), one.get("seconds")) for one in track] == [
         ("2014-05-13T16:53:22.500Z", None),
-        ("", 12.0),
-        ("", None),
+        (None, 12.0),
+        (None, None),
     ]
 
 
