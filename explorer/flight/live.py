@@ -17,10 +17,9 @@ from explorer.flight import page
 from explorer.flight.part import FIELDS
 from explorer.flight.pictures import FlightPicturesFeed
 from explorer.flight.service import FlightSnapshot
-from explorer.parameters import UnusableError
 from explorer.screen import route
 from explorer.screen.channel import Channel
-from explorer.screen.fields import ScreenState
+from explorer.screen.fields import ScreenState, changed
 from explorer.screen.loop import ScreenMessage
 from explorer.server.auth import Authenticator
 from explorer.server.gateway import Screen
@@ -39,7 +38,7 @@ MOST = 400
 # Longer side and JPEG quality of stored photos, and the number of stored sentences.
 _PHOTO, _QUALITY, _SENTENCES = 1280, 82, 20
 # The fields that a tab of a live flight may set, beside the photo.
-_FIELDS = {row.name: row for row in FIELDS if row.name != "flight_paint"}
+_FIELDS = {"theme", *(row.name for row in FIELDS if row.name != "flight_paint")}
 
 
 class LiveSight(NamedTuple):
@@ -165,10 +164,12 @@ class LiveSession:
                 self._choose(self._state.query + by)
             case {"set": {"query": int(frame)}}:
                 self._choose(frame)
-            case {"set": {"theme": "light" | "dark" as theme}}:
-                self._state = replace(self._state, theme=theme)
             case {"set": dict(values)}:
-                self._set(values)
+                given = {name: value for name, value in values.items() if name in _FIELDS}
+                # These fields depend on no workspace.
+                self._state, problems = changed(self._state, given, None)  # type: ignore[arg-type]
+                for problem in problems:
+                    self._send({"error": problem})
             case _:
                 return
         self._worker.wake()
@@ -183,17 +184,6 @@ class LiveSession:
         """Stop the work for a tab that left."""
         self._record.watchers.unwatch(self._worker.wake)
         self._worker.stop()
-
-    def _set(self, values: Mapping[Any, object]) -> None:
-        for name, row in _FIELDS.items():
-            if name in values:
-                try:
-                    # These fields depend on no workspace.
-                    value = row.kind.read(values[name], self._state, None)  # type: ignore[arg-type]
-                except UnusableError as error:
-                    self._send({"error": f"{name}: {error}"})
-                else:
-                    self._state = self._state.with_value(name, value)
 
     def _choose(self, frame: int) -> None:
         frames = [] if self._seen is None else self._seen.flight.frames

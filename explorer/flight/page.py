@@ -44,7 +44,7 @@ def data(seen: FlightSnapshot, addresses: Mapping[str, Any]) -> dict[str, Any]:
         for i, sheet in enumerate(basemap.sheets)
     ]
     verdicts = seen.verdicts
-    corrected = ["corrected"] if any(seen.corrected(i) for i in range(len(frames))) else []
+    corrected = ["corrected"] if any(located.by_hand for located in frames) else []
     states = [text.state(verdict) for verdict in verdicts]
     reasons = ["" if verdict.sign else text.first_sentence(verdict.reason) for verdict in verdicts]
     doubtful = [(i, one, reasons[i]) for i, one in enumerate(states) if one != "right"]
@@ -82,11 +82,12 @@ def data(seen: FlightSnapshot, addresses: Mapping[str, Any]) -> dict[str, Any]:
 def _track(seen: FlightSnapshot, name: str) -> dict[str, Any]:
     """Return x, y, state, and radius of each frame; the state is -1 before the stage has an answer, and a tag is accepted."""
     x, y, states, radii = list[float | None](), list[float | None](), list[int](), list[float | None]()
-    for i, located in enumerate(seen.flight.frames):
+    for located in seen.flight.frames:
         answer = located.stages.get(name)
-        place: Sequence[float] | Float64Array | None = None if answer is None else answer.place
+        place = None if answer is None else answer.place
         if name in ("corrected", "tag"):
-            place = seen.corrected(i) if name == "corrected" else located.tag
+            place = None if located.by_hand is None else located.middle(located.by_hand)
+            place = located.tag if name == "tag" else place
         x.append(None if place is None else round(float(place[0]), 2))
         y.append(None if place is None else round(float(place[1]), 2))
         states.append(0 if name in ("corrected", "tag") else -1 if answer is None else _STATES[answer.state])
@@ -112,7 +113,7 @@ def chosen(seen: FlightSnapshot, frame: int, addresses: Mapping[str, Any], saves
         saves: the number of corrections that this tab has saved; it tells the script when its own is in effect.
     """
     located = seen.flight.frames[frame]
-    laid, ground = seen.homography(frame), ground_window(located, seen.verdicts[frame].stage)
+    laid, ground = located.laid, ground_window(located, seen.verdicts[frame].stage)
     return {
         "frame": frame,
         "photo": f"{addresses['photo']}{frame}",
@@ -124,7 +125,7 @@ def chosen(seen: FlightSnapshot, frame: int, addresses: Mapping[str, Any], saves
         "card": card(seen, frame),
         "homography": None if laid is None else laid.ravel().tolist(),
         "pins": [] if laid is None else pins(laid, located),
-        "corrected": seen.corrected(frame) is not None,
+        "corrected": located.by_hand is not None,
         "size": [located.frame.width, located.frame.height],
         "saves": saves,
     }
@@ -135,17 +136,16 @@ def card(seen: FlightSnapshot, frame: int) -> dict[str, Any]:
     flight, located, verdict = seen.flight, seen.flight.frames[frame], seen.verdicts[frame]
     answer = located.stages.get(verdict.stage or "")
     at = None if answer is None else answer.place
-    lines = [text.first_sentence(verdict.reason), text.agreement(seen, frame), text.drone(flight, located)]
-    if (by_hand := seen.corrected(frame)) is not None:
-        apart = "" if at is None else f", {math.dist(at, by_hand):.1f} m from its answer"
-        lines.append(f"✎ By hand: {text.place(flight, by_hand)[0]}{apart}.")
+    lines = [text.first_sentence(verdict.reason), text.agreement(located), text.drone(flight, located)]
+    if located.by_hand is not None:
+        lines.append(f"✎ By hand: {text.place(flight, located.middle(located.by_hand))[0]}.")
     facts = [f"{frame + 1} of {len(flight.frames)}"]
     if (height := located.frame.flying_height) is not None:
         facts.append(f"{height:.0f} m high")
     if (error := seen.measured.frames[frame].error(verdict.stage or "")) is not None:
         lag = " without the lag" if seen.lag is not None else ""
         facts.append(f"{error:.1f} m from {'its correction' if located.by_hand else f'its GPS tag{lag}'}")
-    told, link = ("", "") if at is None else text.place(flight, (at[0], at[1]))
+    told, link = ("", "") if at is None else text.place(flight, at)
     return {
         "name": printable(located.frame.name),
         "facts": facts,

@@ -14,7 +14,7 @@ from explorer.compute.own_photos import likely_windows
 from explorer.compute.worker import Worker
 from explorer.flight import page
 from explorer.flight.own import own_photo
-from explorer.flight.service import FlightServices
+from explorer.flight.service import shared_flight
 from explorer.parameters import UnusableError, parse_number
 from explorer.screen.fields import Line, OneOf, PanelField, ScreenState
 from explorer.screen.panel import PanelPart, Tab
@@ -80,12 +80,12 @@ class FlightPart(PanelPart):
 
     def __init__(self, tab: Tab) -> None:
         super().__init__(tab)
-        self._of = FlightServices.of(tab.services)
+        self._shared, self._pictures = shared_flight(tab.services)
         self._sent: dict[str, object] = {}
         self._saves = 0
         self._worker = Worker(self._work, self._fail)
         self._registering: tuple[str, BackgroundJob[OwnPhoto]] | None = None
-        self._of.shared.watchers.watch(self._worker.wake)
+        self._shared.watchers.watch(self._worker.wake)
         self.actions = {"correct": self._correct, "forget": self._forget, "positions": self._positions}
 
     def show(self) -> None:
@@ -94,24 +94,23 @@ class FlightPart(PanelPart):
 
     def close(self) -> None:
         """Stop the work for the panel."""
-        self._of.shared.watchers.unwatch(self._worker.wake)
+        self._shared.watchers.unwatch(self._worker.wake)
         self._worker.stop()
         if (jobs := self.tab.services.workspace.own_photos) is not None:
             jobs.leave(self)
 
     def _fail(self, error: Exception) -> None:
-        self.tab.say(
-            str(error) if isinstance(error, LPNError) else "Something failed; the server's log has the details."
-        )
+        if isinstance(error, LPNError):
+            self.tab.say(str(error))
 
     def _work(self) -> float | None:
         state, result, workspace = self.tab.state, self.tab.result, self.tab.services.workspace
         job = workspace.registration
         running = job is not None and not job.wait(0)  # read before the flight, which the job replaces at its end
-        seen, addresses = self._of.shared.snapshot(), self._of.pictures.addresses
+        seen, addresses = self._shared.snapshot(), self._pictures.addresses
         if self._sent.get("flight") is not seen:
             self._sent["flight"] = seen
-            place = self._of.shared.corrections_place
+            place = self._shared.corrections_place
             message = page.data(seen, addresses) | {"parts": workspace.part_names, "kept": place}
             self.tab.append("flight", {"flight": message})
         own = None if result is None or result.state.own != state.own else result.own
@@ -149,10 +148,9 @@ class FlightPart(PanelPart):
         except (TypeError, ValueError):
             corners = np.zeros(0)
         if corners.shape != (4, 2) or not (np.abs(corners) <= _FARTHEST).all():
-            self.tab.say(
+            raise InputError(
                 "Not saved. A corner of the photo would lie more than 1,000 km away; move the tie points back."
             )
-            return
         self._keep(arguments, corners)
 
     def _forget(self, arguments: Mapping[str, Any]) -> None:
@@ -160,23 +158,19 @@ class FlightPart(PanelPart):
 
     def _keep(self, arguments: Mapping[str, Any], corners: Float64Array | None) -> None:
         frame = arguments.get("frame")
-        if not isinstance(frame, int) or not 0 <= frame < len(self._of.shared.snapshot().flight.frames):
+        if not isinstance(frame, int) or not 0 <= frame < len(self._shared.snapshot().flight.frames):
             return
-        try:
-            self._of.shared.correct(frame, corners)
-        except LPNError as error:
-            self.tab.say(f"Not saved. {error}")
-            return
+        self._shared.correct(frame, corners)
         self._saves += 1
         self._worker.wake()
 
     def _positions(self, arguments: Mapping[str, Any]) -> None:
         """Make a file with one position for each photo, which the page then saves."""
-        suffix, shared = arguments.get("suffix"), self._of.shared
+        suffix = arguments.get("suffix")
         if suffix not in (".csv", ".geojson"):
             raise InputError("expected .csv or .geojson.")
-        name = re.sub(r"[^\w-]+", "-", shared.snapshot().flight.flight.name)
-        self.tab.download("Positions", lambda _: (f"{name}-positions{suffix}", shared.positions(suffix)))
+        name = re.sub(r"[^\w-]+", "-", self._shared.snapshot().flight.flight.name)
+        self.tab.download("Positions", lambda _: (f"{name}-positions{suffix}", self._shared.positions(suffix)))
 
 
 def _progress(job: BackgroundJob[Any] | None, frames: int) -> str:

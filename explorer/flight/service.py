@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -30,13 +31,21 @@ class FlightSnapshot:
     """The located frames of a flight at one moment.
 
     Attributes:
-        corrections: the user's, by the frame's name.
+        flight: its frames have the user's corrections.
+        corrections: by the frame's name.
         corrections_error: one sentence with the reason for which they cannot be used; empty if they can.
     """
 
     flight: LocatedFlight
-    corrections: dict[str, Correction] = field(default_factory=dict)
+    corrections: Mapping[str, Correction] = field(default_factory=dict)
     corrections_error: str = ""
+
+    @classmethod
+    def of(cls, flight: LocatedFlight, corrections: Mapping[str, Correction], error: str = "") -> FlightSnapshot:
+        """Enter corrections in a copy of a flight."""
+        frames = [replace(located, by_hand=None) for located in flight.frames]
+        enter_corrections(flight.basemap, frames, corrections)
+        return cls(replace(flight, frames=frames), corrections, error)
 
     @cached_property
     def verdicts(self) -> list[FrameVerdict]:
@@ -62,22 +71,6 @@ class FlightSnapshot:
         """Return the errors of the placed photos against the tags of a flight; None if no placed photo has one."""
         return placed_errors(flight.frames, self.verdicts)
 
-    def corrected(self, frame: int) -> tuple[float, float] | None:
-        """Return the user's position of the middle of a frame's picture, in metres of the map's frame; None without one."""
-        correction = self.corrections.get(self.flight.frames[frame].frame.name)
-        if correction is None:
-            return None
-        x, y = self.flight.basemap.frame.xy(*correction.middle[:, None])[0].tolist()
-        return x, y
-
-    def homography(self, frame: int) -> Float64Array | None:
-        """Return the matrix (3, 3) that lays a photo over the map: of a correction, else of an accepted registration."""
-        located = self.flight.frames[frame]
-        if (correction := self.corrections.get(located.frame.name)) is not None:
-            return correction.homography(self.flight.basemap.frame, located.frame.width, located.frame.height)
-        answer = located.stages.get("registration")
-        return None if answer is None else answer.matrix
-
 
 class SharedFlight:
     """The flight of a workspace; thread-safe.
@@ -90,6 +83,8 @@ class SharedFlight:
         self._workspace, self._lock = workspace, threading.RLock()
         self.watchers = Watchers()
         self._snapshot: FlightSnapshot | None = None
+        # The flight without corrections that the snapshot is of.
+        self._flight: LocatedFlight | None = None
 
     @property
     def _file(self) -> Path:
@@ -105,11 +100,12 @@ class SharedFlight:
         flight = self._workspace.flight
         assert flight is not None
         with self._lock:
-            if self._snapshot is None or self._snapshot.flight is not flight:
+            if self._snapshot is None or self._flight is not flight:
+                self._flight = flight
                 try:
-                    self._snapshot = FlightSnapshot(flight, corrections.read_corrections(self._file))
+                    self._snapshot = FlightSnapshot.of(flight, corrections.read_corrections(self._file))
                 except LPNError as error:  # the panel is useful without corrections
-                    self._snapshot = FlightSnapshot(flight, corrections_error=str(error))
+                    self._snapshot = FlightSnapshot.of(flight, {}, str(error))
             return self._snapshot
 
     def correct(self, frame: int, corners: Float64Array | None) -> None:
@@ -134,35 +130,26 @@ class SharedFlight:
                 self._snapshot = None  # the next one includes the other program's corrections
                 self.watchers.tell()
                 raise
-            self._snapshot = replace(seen, corrections=kept, corrections_error="")
+            self._snapshot = FlightSnapshot.of(seen.flight, kept)
         self.watchers.tell()
 
     def positions(self, suffix: str) -> bytes:
         """Return a file of the format `suffix` with one position for each photo: its correction, else the deciding stage's."""
-        seen = self.snapshot()
-        frames = [replace(located, by_hand=None) for located in seen.flight.frames]
-        enter_corrections(seen.flight.basemap, frames, seen.corrections)
-        return track_bytes(suffix, seen.flight.flight.name, best_track(replace(seen.flight, frames=frames)))
+        flight = self.snapshot().flight
+        return track_bytes(suffix, flight.flight.name, best_track(flight))
 
 
-@dataclass(frozen=True, eq=False)
-class FlightServices:
-    """A workspace's flight and its pictures, for all tabs."""
-
-    shared: SharedFlight
-    pictures: FlightPicturesFeed
-
-    @classmethod
-    def of(cls, services: WorkspaceServices) -> FlightServices:
-        """Return the services of a workspace with a flight, made once."""
-
-        def make() -> FlightServices:
-            flight = services.workspace.flight
-            assert flight is not None
-            pictures = FlightPicturesFeed(services.feeds, lambda: services.workspace.flight or flight)
-            return cls(SharedFlight(services.workspace), pictures)
-
-        return _MADE.get(services, make)
+# The flights of workspaces, with their pictures.
+_SHARED: SingleFlightCache[WorkspaceServices, tuple[SharedFlight, FlightPicturesFeed]] = SingleFlightCache(16)
 
 
-_MADE: SingleFlightCache[WorkspaceServices, FlightServices] = SingleFlightCache(16)
+def shared_flight(services: WorkspaceServices) -> tuple[SharedFlight, FlightPicturesFeed]:
+    """Return a workspace's flight and its pictures, which are made once for all tabs."""
+
+    def make() -> tuple[SharedFlight, FlightPicturesFeed]:
+        flight = services.workspace.flight
+        assert flight is not None
+        pictures = FlightPicturesFeed(services.feeds, lambda: services.workspace.flight or flight)
+        return SharedFlight(services.workspace), pictures
+
+    return _SHARED.get(services, make)

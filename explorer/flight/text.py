@@ -7,6 +7,7 @@ import re
 from statistics import median
 
 from explorer.flight.service import FlightSnapshot
+from lpn.core.arrays import Float64Array
 from lpn.core.numbers import SIGMA, distance, error_figure, upper_bound
 from lpn.flight.locate.errors import CONFIRMED_SHARE, RIGHT_CALIBRATION
 from lpn.flight.locate.located import LocatedFlight, LocatedFrame
@@ -54,11 +55,10 @@ def first_sentence(text: str) -> str:
     return re.split(r"(?<=\.) (?=[A-Z])", text, maxsplit=1)[0]
 
 
-def agreement(seen: FlightSnapshot, frame: int) -> str:
+def agreement(located: LocatedFrame) -> str:
     """Say how far details of a registered photo lie from the map's, or that too few of them are known; "" without a search."""
-    answer = seen.flight.frames[frame].stages.get("registration")
-    measured = None if answer is None or seen.corrected(frame) else answer.agreement
-    if answer is None or measured is None:
+    answer = located.stages.get("registration")
+    if answer is None or located.by_hand is not None or (measured := answer.agreement) is None:
         return ""
     if measured.largest is None:
         unchecked = first_sentence(measured.unchecked)
@@ -70,10 +70,10 @@ def agreement(seen: FlightSnapshot, frame: int) -> str:
     )
 
 
-def place(flight: LocatedFlight, point: tuple[float, float]) -> tuple[str, str]:
+def place(flight: LocatedFlight, point: tuple[float, float] | Float64Array) -> tuple[str, str]:
     """Return a point on a flight's map in words, and its address on OpenStreetMap; "" for a rendered flight's."""
     if flight.rendered:
-        return f"{describe_offset(*point)} (rendered, no real place)", ""
+        return f"{describe_offset(float(point[0]), float(point[1]))} (rendered, no real place)", ""
     latitude, longitude = (f"{value:.6f}" for value in flight.basemap.frame.degrees([point])[0].tolist())
     address = f"https://www.openstreetmap.org/?mlat={latitude}&mlon={longitude}#map=18/{latitude}/{longitude}"
     return f"{latitude}, {longitude}", address

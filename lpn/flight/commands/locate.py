@@ -26,6 +26,9 @@ if TYPE_CHECKING:
     from lpn.flight.locate.tracks import TrackRow
     from lpn.flight.maps import Map
 
+# Names of errors along axes, and their keys in `Errors.figures`.
+_AXES = {"mean": "bias", "standard deviation": "spread", "RMSE": "rmse"}
+
 
 @dataclass(kw_only=True)
 class LocateCommand(ModelOptions):
@@ -186,7 +189,7 @@ class LocateCommand(ModelOptions):
 
 def _measures(located: LocatedFlight, surveyed: Mapping[str, Mapping[SurveyedPoint, Errors]] | None) -> dict[str, Any]:
     def of_stages(flight: LocatedFlight) -> dict[str, Any]:
-        return {stage: one.figures() for stage, one in flight.errors().items()}
+        return {stage: one.figures for stage, one in flight.errors().items()}
 
     result: dict[str, Any] = {
         "frames": len(located.frames),
@@ -199,7 +202,7 @@ def _measures(located: LocatedFlight, surveyed: Mapping[str, Mapping[SurveyedPoi
     }
     if surveyed is not None:
         result["surveyed"] = {
-            stage: {point: one.figures() for point, one in points.items()} for stage, points in surveyed.items()
+            stage: {point: one.figures for point, one in points.items()} for stage, points in surveyed.items()
         }
     return result
 
@@ -280,22 +283,12 @@ def print_surveyed(
     columns = {f"{stage}, {point}": one for stage, points in errors.items() for point, one in points.items()}
     sentences = ["No surveyed photo has an accepted answer, so there is nothing to compare."]
     if columns:
-        names = (
-            *(
-                "mean east",
-                "mean north",
-                "standard deviation east",
-                "standard deviation north",
-                "RMSE east",
-                "RMSE north",
-            ),
-            *("RMSE in the plane", "median", "CE90", "CE95", "largest"),
-        )
-        figures = [
-            [*one.bias, *one.spread, *one.rmse, one.median, one.ce90, one.ce95, one.largest] for one in columns.values()
-        ]
+        names = {
+            **{f"{name} {axis}": f"{key}_{axis}" for name, key in _AXES.items() for axis in ("east", "north")},
+            **{"RMSE in the plane": "rmse", "median": "median", "CE90": "ce90", "CE95": "ce95", "largest": "largest"},
+        }
         rows = [("photos", *(f"{one.photos}" for one in columns.values()))]
-        rows += [(name, *map(_metres, values)) for name, *values in zip(names, *figures, strict=True)]
+        rows += [(name, *(_metres(one.figures[key]) for one in columns.values())) for name, key in names.items()]
         rows.append(("within 1, 2, 3 radii", *(percents(one.calibration) or "-" for one in columns.values())))
         title = "Against surveyed positions: answer minus survey, in metres"
         TextTable(("", *columns), rows, title, align="l").print(console)

@@ -232,6 +232,12 @@ class LocatedFrame:
         return answer.x - float(truth[0]), answer.y - float(truth[1])
 
     @property
+    def laid(self) -> Float64Array | None:
+        """The homography of the correction by hand, else of an accepted registration, (3, 3); None without both."""
+        answer = self.by_hand or self.stages.get("registration")
+        return None if answer is None else answer.matrix
+
+    @property
     def sentence(self) -> str:
         """Summarise the findings of the stages in one line."""
         sentences = [f"{name.capitalize()}: {answer.sentence}" for name, answer in self.stages.items()]

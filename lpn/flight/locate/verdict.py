@@ -136,12 +136,12 @@ def judge(located: LocatedFrame) -> FrameVerdict:
     stage, sign, but, figure = None, None, "", ""
     if registration is not None and registration.accepted:
         stage, sign = "registration", True
-        reason, error = registration.sentence, located.error("registration")
-        reason += "" if error is None else f" It lies {error:.1f} m from its GPS tag."
+        reason, tag = registration.sentence, located.tag
+        reason += "" if tag is None else f" It lies {registration.distance(tag):.1f} m from its GPS tag."
         figure = f", ± {registration.radius or 0:.1f} m {on_what(registration)}"
         doubts = {one.other: one for one in against if one.one == "registration"}
         doubt = doubts.get("tag") or doubts.get("map") or doubts.get("sequence")
-        if doubt is not None and (doubt.other != "sequence" or located.tag is None):
+        if doubt is not None and (doubt.other != "sequence" or tag is None):
             sign, but, reason = None, f", but {AGAINST[doubt.other]}", doubt.sentence
         else:
             if doubt is not None:  # two of three agree

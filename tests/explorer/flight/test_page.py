@@ -224,7 +224,7 @@ def test_pins_go_from_where_the_photo_has_a_detail_to_where_the_map_has_it(fligh
     one = seen_of(with_answer(flight, 0, details=details))
     pins = page.chosen(one, 0, ADDRESSES)["pins"]
     np.testing.assert_allclose([pin[2:] for pin in pins], [row[2:] for row in rows], atol=0.011)
-    laid = one.homography(0)
+    laid = one.flight.frames[0].laid
     assert laid is not None
     on_map = details.on_map(laid, *SIZE)
     np.testing.assert_allclose([[x + east, y + north] for x, y, east, north in pins], on_map, atol=0.011)

@@ -145,7 +145,7 @@ def test_errors_are_answer_minus_survey_and_refused_photos_do_not_count(tmp_path
     rows = compared(located, surveyed)
     errors = summarise_surveyed(rows)["registration"]["ground"]
     assert errors.photos == 2
-    assert errors.bias == pytest.approx((2.0, 2.0), rel=1e-3)
+    assert [errors.figures["bias_east"], errors.figures["bias_north"]] == pytest.approx([2.0, 2.0], rel=1e-3)
     assert (errors.median, errors.largest) == pytest.approx((3.0, 5.0), rel=1e-3)
     assert errors.calibration == {1: 50.0, 2: 50.0, 3: 100.0}
     assert survey_remarks(rows, 4) == [
