@@ -6,6 +6,8 @@ import math
 import re
 from statistics import median
 
+import numpy as np
+
 from explorer.flight.service import FlightSnapshot
 from lpn.core.arrays import Float64Array
 from lpn.core.numbers import SIGMA, distance, error_figure, upper_bound
@@ -74,7 +76,7 @@ def place(flight: LocatedFlight, point: tuple[float, float] | Float64Array) -> t
     """Return a point on a flight's map in words, and its address on OpenStreetMap; "" for a rendered flight's."""
     if flight.rendered:
         return f"{describe_offset(float(point[0]), float(point[1]))} (rendered, no real place)", ""
-    latitude, longitude = (f"{value:.6f}" for value in flight.basemap.frame.degrees([point])[0].tolist())
+    latitude, longitude = (f"{value:.6f}" for value in flight.basemap.frame.degrees(np.array([point]))[0].tolist())
     address = f"https://www.openstreetmap.org/?mlat={latitude}&mlon={longitude}#map=18/{latitude}/{longitude}"
     return f"{latitude}, {longitude}", address
 

@@ -8,7 +8,7 @@ from typing import cast
 
 import numpy as np
 
-from lpn.core.arrays import Float64Array
+from lpn.core.arrays import Float64Array, Int64Array
 from lpn.core.numbers import upper_bound
 
 # An unknown position.
@@ -122,9 +122,7 @@ def corrected_tags(times: Float64Array, tags: Float64Array, lag: float) -> Float
         tags: metres east and north, (N, 2); NaN rows where there is none.
         lag: seconds by which tags are late.
     """
-    moved = np.full(tags.shape, np.nan)
-    known = np.flatnonzero(~np.isnan(times) & ~np.isnan(tags).any(axis=1))
-    known = known[np.argsort(times[known], kind="stable")]
+    moved, known = np.full(tags.shape, np.nan), _in_time(times, tags)
     if len(known) < 2:
         return moved
     at = times[known]
@@ -137,14 +135,18 @@ def corrected_tags(times: Float64Array, tags: Float64Array, lag: float) -> Float
 
 def track_velocities(times: Float64Array, positions: Float64Array) -> Float64Array:
     """Return velocities in metres a second, (N, 2), from the neighbours before and after; NaN without near ones."""
-    velocities = np.full(positions.shape, np.nan)
-    known = np.flatnonzero(~np.isnan(times) & ~np.isnan(positions).any(axis=1))
-    known = known[np.argsort(times[known], kind="stable")]
+    velocities, known = np.full(positions.shape, np.nan), _in_time(times, positions)
     for before, here, after in zip(known, known[1:], known[2:], strict=False):
         elapsed = times[after] - times[before]
         if 0 < elapsed <= 2 * _GAP:
             velocities[here] = (positions[after] - positions[before]) / elapsed
     return velocities
+
+
+def _in_time(times: Float64Array, places: Float64Array) -> Int64Array:
+    """Return the indices of known times and places (N, 2), in the order of time."""
+    known = np.flatnonzero(~np.isnan(times) & ~np.isnan(places).any(axis=1))
+    return known[np.argsort(times[known], kind="stable")]
 
 
 def _robust_fit(design: Float64Array, values: Float64Array) -> tuple[Float64Array, Float64Array]:

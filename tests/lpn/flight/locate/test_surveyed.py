@@ -120,9 +120,10 @@ def test_a_bad_table_gets_one_sentence(tmp_path: Path, lines: tuple[str, ...], s
         read_surveyed(written(tmp_path, *lines), ORIGIN)
 
 
-def test_a_missing_table_gets_one_sentence(tmp_path: Path) -> None:
-    with pytest.raises(DataError, match="cannot be read"):
-        read_surveyed(tmp_path / "none.csv", ORIGIN)
+def test_a_crs_that_is_told_twice_is_refused(tmp_path: Path) -> None:
+    file = written(tmp_path, "photo,easting,northing,epsg", "a,5,6,32614")
+    with pytest.raises(InputError, match="tells its CRS in a column; leave --crs out"):
+        read_surveyed(file, ORIGIN, "EPSG:32615")
 
 
 def test_degrees_of_another_datum_are_brought_to_the_maps(tmp_path: Path) -> None:
@@ -278,9 +279,3 @@ def test_photos_of_another_flight_or_place_and_second_positions_are_refused() ->
         match_surveyed(["a.jpg"], [SurveyedPosition("a.jpg", 0.0, 0.0, "camera")] * 2, BASEMAP)
     with pytest.raises(InputError, match=r"lie 456 km from the map in the median; check their CRS"):
         match_surveyed(["a.jpg"], [SurveyedPosition("a.jpg", 457_000.0, 0.0, "ground")], BASEMAP)
-
-
-def test_a_crs_that_is_told_twice_is_refused(tmp_path: Path) -> None:
-    file = written(tmp_path, "photo,easting,northing,epsg", "a,5,6,32614")
-    with pytest.raises(InputError, match="tells its CRS in a column; leave --crs out"):
-        read_surveyed(file, ORIGIN, "EPSG:32615")
