@@ -142,9 +142,11 @@ def card(seen: FlightSnapshot, frame: int) -> dict[str, Any]:
     facts = [f"{frame + 1} of {len(flight.frames)}"]
     if (height := located.frame.flying_height) is not None:
         facts.append(f"{height:.0f} m high")
-    if (error := seen.measured.frames[frame].error(verdict.stage or "")) is not None:
-        lag = " without the lag" if seen.lag is not None else ""
-        facts.append(f"{error:.1f} m from {'its correction' if located.by_hand else f'its GPS tag{lag}'}")
+    if answer is not None and (error := seen.measured.frames[frame].error(answer)) is not None:
+        truth = "its GPS tag" if seen.lag is None else "its GPS tag without the lag"
+        if located.by_hand is not None and (located.by_hand.camera or not answer.camera):
+            truth = "its correction"
+        facts.append(f"{error:.1f} m from {truth}")
     told, link = ("", "") if at is None else text.place(flight, at)
     return {
         "name": printable(located.frame.name),

@@ -168,11 +168,9 @@ def _system(told: Collection[str], crs: str | None, degrees: bool, file: str) ->
         )
     system = parse_crs(text)
     if not (system.is_geographic if degrees else system.is_projected):
-        columns, kind, such = ("eastings and northings", "projected", "EPSG:32614")
-        if degrees:
-            columns, kind, such = ("latitudes and longitudes", "geographic", _WGS84)
+        kind, keys = ("geographic", _DEGREES) if degrees else ("projected", _METRES)
         raise InputError(
-            f"The CRS {printable(text)[:100]} is not {kind}, and {file} has {columns}; expected one such as {such}."
+            f"The CRS {printable(text)[:100]} is not {kind}, and {file} has {keys[0]} and {keys[1]}; give the CRS of these."
         )
     return system
 

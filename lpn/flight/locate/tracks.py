@@ -45,7 +45,8 @@ _COLUMNS: dict[str, int | None] = {
         (3, "seconds"),
         (1, "heading_deg"),
         (7, "pose_latitude pose_longitude"),
-        (2, "pose_altitude_m pose_height_m pose_yaw_deg pose_pitch_deg pose_roll_deg pose_fov_deg"),
+        (2, "pose_altitude_m pose_height_m"),
+        (2, "pose_yaw_deg pose_pitch_deg pose_roll_deg pose_fov_deg"),
         (2, "pose_sigma_east_m pose_sigma_north_m pose_sigma_up_m"),
         (3, "pose_sigma_yaw_deg pose_sigma_pitch_deg pose_sigma_roll_deg"),
         (None, "reason note"),
@@ -78,14 +79,25 @@ def best_track(flight: LocatedFlight) -> list[TrackRow]:
 def _row(flight: LocatedFlight, located: LocatedFrame, answer: StageRecord, told: Mapping[str, str]) -> TrackRow:
     """Return the row of an answer; `told` are the columns of its verdict."""
     frame, on_map, stage = located.frame, flight.basemap.frame, told["stage"]
-    row: dict[str, Any] = {"frame": frame.name, **told, "heading_deg": answer.heading}
-    row |= {"tag_latitude": frame.latitude, "tag_longitude": frame.longitude}
-    row |= {"radius_on_map_m": answer.radius_on_map, "radius_on_earth_m": answer.radius if answer.on_earth else None}
+    row: dict[str, Any] = {
+        "frame": frame.name,
+        **told,
+        "heading_deg": answer.heading,
+        "tag_latitude": frame.latitude,
+        "tag_longitude": frame.longitude,
+        "radius_on_map_m": answer.radius_on_map,
+        "radius_on_earth_m": answer.radius if answer.on_earth else None,
+    }
     if (place := answer.place) is not None:
         ((row["latitude"], row["longitude"]),) = on_map.degrees([place]).tolist()
         ((east, north),) = on_map.utm([place]).tolist()
-        row |= {"point": "camera" if answer.camera else "ground", "crs": "EPSG:4326", "easting_m": east}
-        row |= {"northing_m": north, "projected_crs": f"EPSG:{on_map.utm_zone}"}
+        row |= {
+            "point": "camera" if answer.camera else "ground",
+            "crs": "EPSG:4326",
+            "easting_m": east,
+            "northing_m": north,
+            "projected_crs": f"EPSG:{on_map.utm_zone}",
+        }
         if located.tag is not None:
             tag = on_map.utm([located.tag])[0]
             row |= {"metres_from_tag": answer.distance(located.tag)}
@@ -101,9 +113,15 @@ def _row(flight: LocatedFlight, located: LocatedFrame, answer: StageRecord, told
         row["seconds"] = frame.time
     if (pose := answer.pose) is not None:
         ((row["pose_latitude"], row["pose_longitude"]),) = on_map.degrees([(pose.east, pose.north)]).tolist()
-        row |= {"pose_altitude_m": None if pose.flat else pose.altitude, "pose_height_m": pose.height}
-        row |= {"pose_yaw_deg": pose.heading, "pose_pitch_deg": pose.pitch, "pose_roll_deg": pose.roll}
-        row |= {"pose_fov_deg": pose.fov, **dict(zip(_SIGMAS, pose.sigmas.tolist(), strict=True))}
+        row |= {
+            "pose_altitude_m": None if pose.flat else pose.altitude,
+            "pose_height_m": pose.height,
+            "pose_yaw_deg": pose.heading,
+            "pose_pitch_deg": pose.pitch,
+            "pose_roll_deg": pose.roll,
+            "pose_fov_deg": pose.fov,
+            **dict(zip(_SIGMAS, pose.sigmas.tolist(), strict=True)),
+        }
     return row
 
 

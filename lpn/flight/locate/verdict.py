@@ -121,8 +121,14 @@ class FrameVerdict:
             is_checked = answer.agreement is not None and not answer.agreement.unchecked
             checked = "contradicted" if "map" in doubt else "yes" if is_checked else "no"
         reason, note = self.located.by_hand_reason if stage == BY_HAND else answer.reason_and_note
-        named = {"stage": stage, "state": answer.state, "doubt": ", ".join(doubt), "checked_beside_middle": checked}
-        return named | {"reason": reason, "note": note}
+        return {
+            "stage": stage,
+            "state": answer.state,
+            "doubt": ", ".join(doubt),
+            "checked_beside_middle": checked,
+            "reason": reason,
+            "note": note,
+        }
 
 
 def judge(located: LocatedFrame) -> FrameVerdict:

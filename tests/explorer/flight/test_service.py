@@ -44,7 +44,9 @@ def test_a_correction_is_a_track_of_its_own_and_lays_the_photo(service: SharedFl
     assert matrix is not None
     middle = matrix @ (39.5, 29.5, 1.0)
     np.testing.assert_allclose(middle[:2] / middle[2], (20.0, 15.0), atol=1e-3)
-    assert any("By hand" in line for line in page.chosen(view, 2, ADDRESSES)["card"]["lines"])
+    card = page.card(view, 2)
+    assert card["lines"][-1].startswith("✎ By hand: 47.")
+    assert card["facts"][-1] == "10.0 m from its correction", "the answer of the sequence lies 10 m south of it"
     service.correct(2, None)
     assert service.snapshot().flight.frames[2].laid is None
     assert "corrected" not in page.data(service.snapshot(), ADDRESSES)["tracks"]

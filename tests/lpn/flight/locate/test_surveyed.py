@@ -105,8 +105,8 @@ def test_positions_are_read_in_degrees_and_in_any_system_in_metres(tmp_path: Pat
             ("photo,Lat,lon,x,y", "a,5,6,7,8"),
             r"photo,latitude,longitude,easting,northing; expected photo and either latitude",
         ),
-        (("photo,lat,lon,epsg", "a,5,6,32614"), r"The CRS 32614 is not geographic, and survey.csv has latitudes"),
-        (("photo,e,n,epsg", "a,5,6,4326"), r"The CRS 4326 is not projected, and survey.csv has eastings"),
+        (("photo,lat,lon,epsg", "a,5,6,32614"), r"The CRS 32614 is not geographic, and survey.csv has latitude and"),
+        (("photo,e,n,epsg", "a,5,6,4326"), r"The CRS 4326 is not projected, and survey.csv has easting and"),
         (("photo,lat,lon,epsg", "a,5,6,4978"), r"The CRS 4978 is not geographic"),
         (
             ("photo,e,n,epsg", "a,500000,3338000,32614", "b,9e9,9e9,32614", "c,9e9,9e9,32614"),
