@@ -51,7 +51,7 @@ def measured(folder: Path, options: LocateOptions, model: Path | None) -> dict[s
         "flight": folder.name,
         "frames": len(flight.frames),
         "processor seconds a frame": seconds / len(flight.frames),
-        "stages": {stage: errors.figures() for stage, errors in located.errors().items()},
+        "stages": {stage: errors.figures for stage, errors in located.errors().items()},
         "field": located.field_measures(),
         "radii": [asdict(row) for row in radii],
         "audit": None if located.audit is None else {**asdict(located.audit), "sentence": located.audit.sentence},
