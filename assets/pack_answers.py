@@ -31,9 +31,8 @@ from lpn.flight.locate import shipped
 from lpn.flight.locate.located import LocatedFlight, StageRecord
 from lpn.flight.locate.options import LocateOptions
 from lpn.flight.locate.pipeline import locate
-from lpn.flight.locate.registered_stage import FORMAT
 from lpn.flight.locate.retrieval import retrieve
-from lpn.flight.locate.shipped import FRAMES, WINDOWS, ShippedRecord, frame_rows, map_files, photo_files, window_rows
+from lpn.flight.locate.shipped import FRAMES, WINDOWS, ShippedRecord, frame_rows, identity, window_rows
 from lpn.flight.maps import Map, open_map
 from lpn.models.base import Model
 
@@ -60,14 +59,14 @@ def pack(map_path: Path, flight_path: Path, out: Path, cache: Path) -> None:
     write_descriptors(out, WINDOWS, model, "satellite", windows, plain.windows_described, "int8")
     rows = frame_rows(flight, plain.headings, plain.cut_shares)
     write_descriptors(out, FRAMES, model, "drone", rows, frames, "int8")
-    write_record(out, FORMAT, model, basemap, flight)
+    write_record(out, model, basemap, flight)
     located = locate(basemap, flight, model, options, shipped=out)
     (records,) = (cache / "locate" / "registration").glob("*.jsonl")
     lines = [line for line in records.read_bytes().splitlines() if line]
     answers = [msgspec.json.decode(line, type=tuple[str, StageRecord])[1] for line in lines]
     named = {frame.name: answer for frame, answer in zip(flight.frames, answers, strict=True)}
     sequence = {frame.frame.name: frame.stages["sequence"] for frame in located.frames}
-    write_record(out, FORMAT, model, basemap, flight, named, sequence, sequence_notes(located))
+    write_record(out, model, basemap, flight, named, sequence, sequence_notes(located))
     size = sum(file.stat().st_size for file in out.rglob("*"))
     print(f"{out}: {len(windows)} windows, {len(rows)} squares of {len(flight.frames)} frames, {size:,} bytes.")
 
@@ -95,7 +94,6 @@ def write_descriptors(
 
 def write_record(
     folder: Path,
-    registered_by: str,
     model: Model,
     basemap: Map,
     flight: Flight,
@@ -112,18 +110,10 @@ def write_record(
         OutputError: if the folder cannot be written.
     """
     try:
-        files = map_files(basemap), photo_files(flight)
+        made = identity(model, basemap, flight)
     except OSError as error:
         raise DataError(f"A file of the flight cannot be read ({error.strerror or error}); check it.") from error
-    record = ShippedRecord(
-        shipped.FORMAT,
-        registered_by,
-        model.fingerprint,
-        *files,
-        dict(registration or {}),
-        dict(sequence or {}),
-        list(notes),
-    )
+    record = ShippedRecord(*made, dict(registration or {}), dict(sequence or {}), list(notes))
     write_atomic(folder / shipped.NAME, msgspec.json.encode(_short(msgspec.to_builtins(record))) + b"\n")
 
 

@@ -31,7 +31,6 @@ from lpn.datasets import Picture as Picture
 from lpn.descriptors.weather import CLEAR, Weather
 from lpn.drawing import mosaic, overlays, verdicts
 from lpn.drawing.part_areas import PartAreas
-from lpn.flight.locate.belief import FlightVerdicts
 from lpn.flight.locate.grades import doubtful_photos, is_doubtful
 from lpn.flight.locate.located import LocatedFlight
 from lpn.flight.maps import Map
@@ -130,8 +129,7 @@ class Workspace:
         )
         self._thumbnail = lru_cache(maxsize=4096)(self._make_thumbnail)
         self._outcomes = lru_cache(maxsize=8)(self._make_outcomes)
-        # The verdicts on the newest flight, and the ungraded photos under each of its rankings.
-        self._verdicts: SingleFlightCache[LocatedFlight, FlightVerdicts] = SingleFlightCache(1)
+        # The ungraded photos under each ranking of the newest flights.
         self._doubtful: SingleFlightCache[tuple[LocatedFlight, TaskRanking], BoolArray] = SingleFlightCache(4)
         self._answer_distances = lru_cache(maxsize=8)(self._measure_answer_distances)
         self._fixed_areas = lru_cache(maxsize=8)(self._make_fixed_areas)
@@ -200,10 +198,6 @@ class Workspace:
             return known
         return replace(known[0], known=self.graded(self.rankings[task.key])), known[1]
 
-    def verdicts_of(self, flight: LocatedFlight) -> FlightVerdicts:
-        """Return the verdicts on a state of the flight, which registration may have replaced meanwhile; computed once."""
-        return self._verdicts.get(flight, lambda: FlightVerdicts.of(flight))
-
     def doubtful(self, ranking: RankingJob) -> BoolArray | None:
         """Return the mask of photos with a doubtful judge, see `grades.doubtful_photos`, (Q,); None without a flight or ranks."""
         flight, result = self.flight, ranking.result
@@ -212,7 +206,7 @@ class Workspace:
         ranked = result.ranking
         return self._doubtful.get(
             (flight, result),
-            lambda: doubtful_photos(flight, ranking.task, ranked.best, ranked.first, self.verdicts_of(flight)),
+            lambda: doubtful_photos(flight, ranking.task, ranked.best, ranked.first),
         )
 
     def graded(self, ranking: RankingJob) -> BoolArray:

@@ -11,12 +11,12 @@ from explorer.compute.background_jobs import BackgroundJob, BackgroundJobs, Repo
 from lpn.core.numbers import distance
 from lpn.core.resources import yield_cores
 from lpn.flight.files import Frame
-from lpn.flight.locate.belief import belief
 from lpn.flight.locate.grades import off_window, window_of
 from lpn.flight.locate.ground import MapFeatures
 from lpn.flight.locate.matchers import open_matchers
 from lpn.flight.locate.options import TOP
 from lpn.flight.locate.own_photo import OwnPhoto, register_own_photo
+from lpn.flight.locate.verdict import judge
 from lpn.flight.maps import Map, Window
 from lpn.library.analyser import OwnPicture
 from lpn.tasks.task import Task
@@ -172,7 +172,7 @@ def mark(job: BackgroundJob[OwnPhoto], task: Task, answer: int) -> tuple[bool | 
     off = off_window(found.located, window_of(task, answer))
     if off is not None and off > 0:
         return False, f"fits the map {distance(off)} away", why
-    sign = belief(found.located).sign
+    sign = judge(found.located).sign
     return sign, "fits the map here" if sign else "fits the map here, in doubt", why
 
 

@@ -145,7 +145,6 @@ export const open = async (box, context) => {
       tell();
       if (!flight.data) find(".verdict", root).replaceChildren(said(text || OPENING));
     },
-    file: ({ address, name }) => make("a", { href: address, download: name }).click(),
   };
 
   // Drawing.

@@ -15,6 +15,7 @@ from lpn.drawing import theme
 from lpn.flight.files.cameras import rotation
 from lpn.flight.locate.camera_pose import CameraPose
 from lpn.flight.locate.coverage import outline
+from lpn.flight.locate.verdict import judge
 
 # Share of the flying height that is the depth of a camera's pyramid, and metres of borders above the ground.
 _DEPTH, _LIFT = 0.12, 2.0
@@ -35,26 +36,25 @@ def scene_lines(workspace: Workspace, query: int) -> list[SceneLines]:
     others: list[Float64Array] = []
     chosen: list[Float64Array] = []
     for index, located in enumerate(flight.frames):
-        answer, ground = located.stages.get("registration"), outline(located)
+        answer = located.stages.get("registration")
         if answer is None or not answer.accepted:
             continue
         stops.append((answer.x, answer.y, _LIFT))
-        if (pose := answer.pose) is not None:
-            height = pose.altitude if pose.height is None else pose.height  # the scene's ground is flat
+        if answer.pose is not None:
             aspect = located.frame.width / located.frame.height
-            (chosen if index == query else others).append(_pyramid(pose, height, aspect))
-        if index == query and ground is not None:
+            (chosen if index == query else others).append(_pyramid(answer.pose, aspect))
+        if index == query and (ground := outline(located)) is not None:
             corners = np.column_stack([ground.corners, np.full(4, _LIFT)])
             chosen.append(np.stack([corners, np.roll(corners, -1, axis=0)], axis=1))
     way = np.array(stops, np.float64).reshape(-1, 3)
     others.append(np.stack([way[:-1], way[1:]], axis=1))
     kinds = ((others, "registration"), (chosen, "accent"))
-    lines = [(np.concatenate(of) - middle, theme.COLOURS[name]) for of, name in kinds if of]
-    return [(segments, colour) for segments, colour in lines if len(segments)]
+    return [(np.concatenate(of) - middle, theme.COLOURS[name]) for of, name in kinds if sum(map(len, of))]
 
 
-def _pyramid(pose: CameraPose, height: float, aspect: float) -> Float64Array:
-    """Return the edges of a camera's pyramid, (8, 2, 3), in metres east, north, and above the ground."""
+def _pyramid(pose: CameraPose, aspect: float) -> Float64Array:
+    """Return the edges of a camera's pyramid, (8, 2, 3), in metres east, north, and above the ground, which is flat."""
+    height = pose.altitude if pose.height is None else pose.height
     up, right, forward = (rotation(pose.heading, pose.pitch, pose.roll)[[1, 0, 2]] * [[1], [1], [-1]]).T
     across, depth = math.tan(math.radians(pose.fov) / 2), _DEPTH * height
     eye = np.array([pose.east, pose.north, height])
@@ -68,5 +68,5 @@ def mark(workspace: Workspace, query: int) -> dict[str, Any] | None:
     flight = workspace.flight
     if flight is None or query >= len(flight.frames):
         return None
-    verdict = workspace.verdicts_of(flight).beliefs[query]
+    verdict = judge(flight.frames[query])
     return {"sign": verdict.sign, "text": f"photo {STATES[state(verdict)]}", "why": _LEGEND}

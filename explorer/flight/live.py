@@ -5,10 +5,10 @@ from __future__ import annotations
 import logging
 import threading
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import Any, NamedTuple
 
 from explorer.compute.watchers import Watchers
 from explorer.compute.worker import Worker
@@ -17,12 +17,10 @@ from explorer.flight import page
 from explorer.flight.part import FIELDS
 from explorer.flight.pictures import FlightPicturesFeed
 from explorer.flight.service import FlightSnapshot
-from explorer.parameters import UnusableError
 from explorer.screen import route
 from explorer.screen.channel import Channel
-from explorer.screen.fields import ScreenState
+from explorer.screen.fields import ScreenState, changed
 from explorer.screen.loop import ScreenMessage
-from explorer.screen.panels import PANELS
 from explorer.server.auth import Authenticator
 from explorer.server.gateway import Screen
 from explorer.server.page_server import close_server, open_server
@@ -30,7 +28,6 @@ from explorer.server.picture_route import PictureRoute
 from lpn.core import images
 from lpn.flight.files import Flight
 from lpn.flight.live.outputs import LiveFix
-from lpn.flight.locate.belief import FlightVerdicts
 from lpn.flight.locate.located import LocatedFlight, LocatedFrame
 from lpn.flight.maps import Map
 
@@ -40,13 +37,11 @@ log = logging.getLogger(__name__)
 MOST = 400
 # Longer side and JPEG quality of stored photos, and the number of stored sentences.
 _PHOTO, _QUALITY, _SENTENCES = 1280, 82, 20
-_WAITING = "No frame has come yet"
 # The fields that a tab of a live flight may set, beside the photo.
-_FIELDS = {row.name: row for row in FIELDS if row.name != "flight_paint"}
+_FIELDS = {"theme", *(row.name for row in FIELDS if row.name != "flight_paint")}
 
 
-@dataclass(frozen=True, eq=False)
-class LiveSight:
+class LiveSight(NamedTuple):
     """The flight so far.
 
     Attributes:
@@ -57,7 +52,7 @@ class LiveSight:
 
     seen: FlightSnapshot | None
     addresses: Mapping[str, Any]
-    status: str = ""
+    status: str
 
 
 class LiveRecord:
@@ -80,8 +75,8 @@ class LiveRecord:
         self._count = 0
         self._sentences: list[str] = []
         self.feeds, self.watchers = Feeds(), Watchers()
-        self._status = _WAITING
-        self._pictures = self._serve()
+        self._status = "No frame has come yet"
+        self._pictures = FlightPicturesFeed(self.feeds, self._flight)
         # Reset to None by each change.
         self._sight: LiveSight | None = None
 
@@ -100,7 +95,7 @@ class LiveRecord:
                     old.frame.file.unlink(missing_ok=True)
                 del self._frames[: MOST // 2]
                 # Frames have new numbers now, and a browser caches pictures by their addresses.
-                self._pictures = self._serve()
+                self._pictures = FlightPicturesFeed(self.feeds, self._flight)
         dropped = f", {fix.dropped} frames dropped" if fix.dropped else ""
         self._change(f"Answered in {fix.age:.2f} s{dropped}")
 
@@ -128,7 +123,7 @@ class LiveRecord:
         with self._lock:
             if self._sight is None:
                 flight = self._flight()
-                seen = FlightSnapshot(flight, FlightVerdicts.of(flight)) if flight.frames else None
+                seen = FlightSnapshot(flight) if flight.frames else None
                 self._sight = LiveSight(seen, self._pictures.addresses, self._status)
             return self._sight
 
@@ -137,14 +132,8 @@ class LiveRecord:
             self._status, self._sight = status, None
         self.watchers.tell()
 
-    def _serve(self) -> FlightPicturesFeed:
-        """Publish the pictures of the frames so far; later frames join them until `_serve` is called again."""
-        self._frames = list(self._frames)
-        frames = self._frames
-        return FlightPicturesFeed(self.feeds, lambda: self._flight(frames))
-
-    def _flight(self, frames: list[LocatedFrame] | None = None) -> LocatedFlight:
-        frames = list(self._frames if frames is None else frames)
+    def _flight(self) -> LocatedFlight:
+        frames = list(self._frames)
         flight = Flight(self._name, tuple(located.frame for located in frames))
         return LocatedFlight(flight, self._basemap, frames, None, list(self._sentences), None)
 
@@ -165,20 +154,22 @@ class LiveSession:
         """Open the page, choose a photo, or set a field; anything else changes nothing."""
         match message:
             case {"do": "open"}:
-                panel = PANELS["flight"]
-                told = {"name": panel.name, "title": "Live flight", "key": "", "place": "full", "script": True}
-                nothing: dict[str, Any] = {"tasks": [], "scorings": [], "names": [], "places": {}, "models": ["LPN"]}
-                page_ = {"data": "live", "parts": 1, "word": "part", "tiles": 0, "photo": "photo", "turns": False}
-                self._send({"page": nothing | page_ | {"place": "Map", "live": True, "panels": [told], "commands": []}})
+                panel = {"name": "flight", "title": "Live flight", "key": "", "place": "full", "script": True}
+                nothing: dict[str, Any] = {"tasks": [], "scorings": [], "names": [], "commands": []}
+                told = {"data": "live", "parts": 1, "word": "part", "tiles": 0, "photo": "photo", "turns": False}
+                told |= {"places": {}, "models": ["LPN"], "place": "Map", "live": True, "panels": [panel]}
+                self._send({"page": nothing | told})
                 self._record.watchers.watch(self._worker.wake)
             case {"do": "step", "args": {"by": int(by)}}:
                 self._choose(self._state.query + by)
             case {"set": {"query": int(frame)}}:
                 self._choose(frame)
-            case {"set": {"theme": "light" | "dark" as theme}}:
-                self._state = replace(self._state, theme=theme)
             case {"set": dict(values)}:
-                self._set(values)
+                given = {name: value for name, value in values.items() if name in _FIELDS}
+                # These fields depend on no workspace.
+                self._state, problems = changed(self._state, given, None)  # type: ignore[arg-type]
+                for problem in problems:
+                    self._send({"error": problem})
             case _:
                 return
         self._worker.wake()
@@ -194,17 +185,6 @@ class LiveSession:
         self._record.watchers.unwatch(self._worker.wake)
         self._worker.stop()
 
-    def _set(self, values: Mapping[Any, object]) -> None:
-        for name, row in _FIELDS.items():
-            if name in values:
-                try:
-                    # These fields depend on no workspace.
-                    value = row.kind.read(values[name], self._state, None)  # type: ignore[arg-type]
-                except UnusableError as error:
-                    self._send({"error": f"{name}: {error}"})
-                else:
-                    self._state = self._state.with_value(name, value)
-
     def _choose(self, frame: int) -> None:
         frames = [] if self._seen is None else self._seen.flight.frames
         newest = not 0 <= frame < len(frames) - 1
@@ -216,14 +196,12 @@ class LiveSession:
             names = [located.frame.file.name for located in seen.flight.frames]
             frame = names.index(self._chosen) if self._chosen in names else len(names) - 1
             self._state = replace(self._state, query=frame)
-        self._send({"state": self._state.values() | {"address": "", "query_name": "", "photo": ""}})
+        self._send({"state": self._state.values() | {"address": "", "photo": ""}})
         if seen is not None:
             if seen is not self._seen:
                 self._seen = seen
                 self._tell("flight", page.data(seen, sight.addresses) | {"parts": [], "kept": "", "live": True})
-            agreement = seen.flight.frames[frame].stages.get("registration")
-            fits = None if agreement is None else agreement.agreement
-            self._tell("photo", page.chosen(seen, frame, sight.addresses, fits))
+            self._tell("photo", page.chosen(seen, frame, sight.addresses))
             spot = self._state.value("flight_spot")
             self._tell("spot", page.spot(seen, (spot[0], spot[1])) if spot else None)
         self._tell("progress", sight.status)

@@ -16,7 +16,6 @@ from lpn.core.arrays import Float64Array, FloatingArray
 from lpn.core.files import printable
 from lpn.core.homography import apply_homography
 from lpn.drawing import overlays, score_map, theme
-from lpn.flight.locate.agreement import MapAgreement
 from lpn.flight.locate.coverage import seen_by
 from lpn.flight.locate.located import LocatedFrame
 from lpn.retrieval import Ranking
@@ -36,7 +35,6 @@ def data(seen: FlightSnapshot, addresses: Mapping[str, Any]) -> dict[str, Any]:
     flight = seen.flight
     basemap, frames, pyramid = flight.basemap, flight.frames, TilePyramid.of(flight.basemap)
     times = [frame.frame.time for frame in frames]
-    names = [printable(frame.frame.name) for frame in frames]
     sheets = [
         {
             "name": printable(sheet.name),
@@ -45,18 +43,13 @@ def data(seen: FlightSnapshot, addresses: Mapping[str, Any]) -> dict[str, Any]:
         }
         for i, sheet in enumerate(basemap.sheets)
     ]
-    corrected = ["corrected"] if any(seen.corrected(i) for i in range(len(frames))) else []
-    states = [text.state(verdict) for verdict in seen.beliefs]
-    reasons = [
-        text.reason(verdict) if one != "right" else "" for verdict, one in zip(seen.beliefs, states, strict=True)
-    ]
-    marks = [text.mark(verdict) for verdict in seen.beliefs]
+    verdicts = seen.verdicts
+    corrected = ["corrected"] if any(located.by_hand for located in frames) else []
+    states = [text.state(verdict) for verdict in verdicts]
+    reasons = ["" if verdict.sign else text.first_sentence(verdict.reason) for verdict in verdicts]
     doubtful = [(i, one, reasons[i]) for i, one in enumerate(states) if one != "right"]
-    main = Counter(verdict.stage for verdict in seen.beliefs if verdict.stage is not None).most_common(1)
-    errors = [
-        None if verdict.stage is None else _number(located.error(verdict.stage), 4)
-        for located, verdict in zip(seen.measured.frames, seen.beliefs, strict=True)
-    ]
+    main = Counter(verdict.stage for verdict in verdicts if verdict.stage is not None).most_common(1)
+    pairs = zip(seen.measured.frames, verdicts, strict=True)
     colours = {name: theme.css(theme.COLOURS[name]) for name in _COLOURS}
     return {
         "addresses": addresses,
@@ -65,17 +58,17 @@ def data(seen: FlightSnapshot, addresses: Mapping[str, Any]) -> dict[str, Any]:
         "resolution": basemap.resolution,
         "degrees": None if flight.rendered else basemap.frame.polynomials(basemap.bounds).tolist(),
         "sheets": sheets if len(sheets) > 1 else [],
-        "names": names,
+        "names": [printable(frame.frame.name) for frame in frames],
         "times": None if any(time is None for time in times) else times,
         "outlines": [None if one is None else [*_rounded(one.corners), one.registered] for one in seen.outlines],
         "tracks": {name: _track(seen, name) for name in ("tag", *flight.stages, *corrected)},
         "colours": colours | {"corrected": theme.css(theme.COLOURS["by-hand"])},
         "bar": overlays.png_data_uri(overlays.heat_cells(np.linspace(0, 1, 128)[None], 0, 1)),
-        "stages": [verdict.stage for verdict in seen.beliefs],
+        "stages": [verdict.stage for verdict in verdicts],
         "states": states,
-        "marks": marks,
+        "marks": [text.mark(verdict) for verdict in verdicts],
         "reasons": reasons,
-        "errors": errors,
+        "errors": [_number(located.error(verdict.stage or ""), 4) for located, verdict in pairs],
         "off": "m from its GPS tag" + (" without the lag" if seen.lag is not None else ""),
         "words": text.STATES,
         "main": main[0][0] if main else "tag",
@@ -89,14 +82,14 @@ def data(seen: FlightSnapshot, addresses: Mapping[str, Any]) -> dict[str, Any]:
 def _track(seen: FlightSnapshot, name: str) -> dict[str, Any]:
     """Return x, y, state, and radius of each frame; the state is -1 before the stage has an answer, and a tag is accepted."""
     x, y, states, radii = list[float | None](), list[float | None](), list[int](), list[float | None]()
-    for i, located in enumerate(seen.flight.frames):
+    for located in seen.flight.frames:
         answer = located.stages.get(name)
-        at = None if answer is None or answer.x is None or answer.y is None else (answer.x, answer.y)
+        place = None if answer is None else answer.place
         if name in ("corrected", "tag"):
-            place = seen.corrected(i) if name == "corrected" else located.tag
-            at = None if place is None else (float(place[0]), float(place[1]))
-        x.append(None if at is None else _number(at[0], 2))
-        y.append(None if at is None else _number(at[1], 2))
+            place = None if located.by_hand is None else located.middle(located.by_hand)
+            place = located.tag if name == "tag" else place
+        x.append(None if place is None else round(float(place[0]), 2))
+        y.append(None if place is None else round(float(place[1]), 2))
         states.append(0 if name in ("corrected", "tag") else -1 if answer is None else _STATES[answer.state])
         radii.append(None if answer is None or answer.state == "refused" else _number(answer.radius, 2))
     label, method = text.TRACKS[name]
@@ -113,17 +106,14 @@ def spot(seen: FlightSnapshot, point: tuple[float, float]) -> dict[str, Any]:
     return {"spot": point, "frames": shown, "sentence": sentence}
 
 
-def chosen(
-    seen: FlightSnapshot, frame: int, addresses: Mapping[str, Any], agreement: MapAgreement | None, saves: int = 0
-) -> dict[str, Any]:
+def chosen(seen: FlightSnapshot, frame: int, addresses: Mapping[str, Any], saves: int = 0) -> dict[str, Any]:
     """Return the data to draw of the shown photo.
 
     Args:
-        agreement: of details of the photo with the map where it is laid; None without a comparison.
         saves: the number of corrections that this tab has saved; it tells the script when its own is in effect.
     """
     located = seen.flight.frames[frame]
-    laid, ground = seen.homography(frame), ground_window(located, seen.beliefs[frame].stage)
+    laid, ground = located.laid, ground_window(located, seen.verdicts[frame].stage)
     return {
         "frame": frame,
         "photo": f"{addresses['photo']}{frame}",
@@ -132,41 +122,40 @@ def chosen(
         "ground": ""
         if ground is None
         else f"{addresses['ground']}{frame}?{ground.x:.0f}_{ground.y:.0f}_{ground.size:.0f}",
-        "card": card(seen, frame, agreement),
+        "card": card(seen, frame),
         "homography": None if laid is None else laid.ravel().tolist(),
         "pins": [] if laid is None else pins(laid, located),
-        "corrected": seen.corrected(frame) is not None,
+        "corrected": located.by_hand is not None,
         "size": [located.frame.width, located.frame.height],
         "saves": saves,
     }
 
 
-def card(seen: FlightSnapshot, frame: int, agreement: MapAgreement | None) -> dict[str, Any]:
+def card(seen: FlightSnapshot, frame: int) -> dict[str, Any]:
     """Return a photo's verdict and its grounds, one a line."""
-    flight, located, verdict = seen.flight, seen.flight.frames[frame], seen.beliefs[frame]
-    stage = verdict.stage
-    answer = None if stage is None else located.stages[stage]
-    at = None if answer is None or answer.x is None or answer.y is None else (answer.x, answer.y)
-    lines = [text.reason(verdict), text.agreement(seen, frame, agreement), text.drone(flight, located)]
-    if (by_hand := seen.corrected(frame)) is not None:
-        apart = "" if at is None else f", {math.dist(at, by_hand):.1f} m from its answer"
-        lines.append(f"✎ By hand: {text.place(flight, by_hand)[0]}{apart}.")
+    flight, located, verdict = seen.flight, seen.flight.frames[frame], seen.verdicts[frame]
+    answer = located.stages.get(verdict.stage or "")
+    at = None if answer is None else answer.place
+    lines = [text.first_sentence(verdict.reason), text.agreement(located), text.drone(flight, located)]
+    if located.by_hand is not None:
+        lines.append(f"✎ By hand: {text.place(flight, located.middle(located.by_hand))[0]}.")
     facts = [f"{frame + 1} of {len(flight.frames)}"]
     if (height := located.frame.flying_height) is not None:
         facts.append(f"{height:.0f} m high")
-    if stage is not None and (error := seen.measured.frames[frame].error(stage)) is not None:
-        lag = " without the lag" if seen.lag is not None else ""
-        facts.append(f"{error:.1f} m from {'its correction' if located.by_hand else f'its GPS tag{lag}'}")
-    what = "Below the drone" if answer is not None and answer.camera else "Middle of the photo"
+    if answer is not None and (error := seen.measured.frames[frame].error(answer)) is not None:
+        truth = "its GPS tag" if seen.lag is None else "its GPS tag without the lag"
+        if located.by_hand is not None and (located.by_hand.camera or not answer.camera):
+            truth = "its correction"
+        facts.append(f"{error:.1f} m from {truth}")
     told, link = ("", "") if at is None else text.place(flight, at)
     return {
         "name": printable(located.frame.name),
         "facts": facts,
         "state": text.state(verdict),
         "mark": text.mark(verdict),
-        "headline": text.headline(verdict, located),
-        "stage": stage,
-        "what": what,
+        "headline": verdict.headline,
+        "stage": verdict.stage,
+        "what": "Below the drone" if answer is not None and answer.camera else "Middle of the photo",
         "at": told,
         "link": link,
         "lines": [line for line in lines if line],
@@ -176,11 +165,11 @@ def card(seen: FlightSnapshot, frame: int, agreement: MapAgreement | None) -> di
 def pins(laid: Float64Array, located: LocatedFrame) -> list[list[float]]:
     """Return the positions of a laid photo's matched details, and from there those of the map's details, in metres."""
     answer = located.stages.get("registration")
-    if answer is None or not answer.accepted or answer.details is None or answer.homography is None:
+    if answer is None or answer.details is None or answer.matrix is None:
         return []
     size = located.frame.width, located.frame.height
     places = apply_homography(laid, answer.details.places * size - 0.5)
-    on_map = answer.details.on_map(np.array(answer.homography).reshape(3, 3), *size)
+    on_map = answer.details.on_map(answer.matrix, *size)
     return _rounded(np.hstack([places, on_map - places]))
 
 

@@ -14,12 +14,13 @@ from explorer.compute.own_photos import likely_windows
 from explorer.compute.worker import Worker
 from explorer.flight import page
 from explorer.flight.own import own_photo
-from explorer.flight.service import FlightServices, FlightSnapshot
+from explorer.flight.service import shared_flight
 from explorer.parameters import UnusableError, parse_number
-from explorer.screen.fields import OneOf, PanelField, ScreenState
+from explorer.screen.fields import Line, OneOf, PanelField, ScreenState
 from explorer.screen.panel import PanelPart, Tab
 from explorer.screen.result import ScreenResult
 from explorer.workspace import Workspace
+from lpn.core.arrays import Float64Array
 from lpn.core.errors import InputError, LPNError
 from lpn.flight.locate.own_photo import OwnPhoto
 from lpn.library.analyser import OwnPicture
@@ -27,7 +28,6 @@ from lpn.library.analyser import OwnPicture
 _FARTHEST = 1e6
 # Seconds between two checks of a background registration.
 _INTERVAL = 1.0
-_TRACKS = ("tag", "retrieval", "sequence", "registration", "corrected")
 
 
 @dataclass(frozen=True)
@@ -46,19 +46,6 @@ class MetresOf:
 
     def write(self, value: tuple[float, ...], state: ScreenState, workspace: Workspace) -> str:  # noqa: ARG002
         return ",".join(f"{one:g}" for one in value)
-
-
-@dataclass(frozen=True)
-class Tracks:
-    """Names of tracks; empty for the tracks of the deciding stages, "none" for none."""
-
-    def read(self, value: object, state: ScreenState, workspace: Workspace) -> str:  # noqa: ARG002
-        if not isinstance(value, str) or not set(value.split(".")) <= {*_TRACKS, "", "none"}:
-            raise UnusableError(f"expected tracks such as {'.'.join(_TRACKS[:2])}.")
-        return value
-
-    def write(self, value: str, state: ScreenState, workspace: Workspace) -> str:  # noqa: ARG002
-        return value
 
 
 @dataclass(frozen=True)
@@ -81,7 +68,8 @@ FIELDS: tuple[PanelField[Any], ...] = (
     PAINT,
     SPOT,
     PanelField("flight_over", OneOf(("off", "swipe", "correct")), "off", "flight_over"),
-    PanelField("flight_tracks", Tracks(), "", "flight_tracks"),
+    # Names of tracks between points; empty for the track of the deciding stage beside the tags, "none" for none.
+    PanelField("flight_tracks", Line(), "", "flight_tracks"),
     # The middle of the map's view, and the metres from side to side.
     PanelField("flight_view", MetresOf(3), (), "flight_view"),
 )
@@ -92,12 +80,12 @@ class FlightPart(PanelPart):
 
     def __init__(self, tab: Tab) -> None:
         super().__init__(tab)
-        self._of = FlightServices.of(tab.services)
+        self._shared, self._pictures = shared_flight(tab.services)
         self._sent: dict[str, object] = {}
         self._saves = 0
         self._worker = Worker(self._work, self._fail)
         self._registering: tuple[str, BackgroundJob[OwnPhoto]] | None = None
-        self._of.shared.watchers.watch(self._worker.wake)
+        self._shared.watchers.watch(self._worker.wake)
         self.actions = {"correct": self._correct, "forget": self._forget, "positions": self._positions}
 
     def show(self) -> None:
@@ -106,24 +94,23 @@ class FlightPart(PanelPart):
 
     def close(self) -> None:
         """Stop the work for the panel."""
-        self._of.shared.watchers.unwatch(self._worker.wake)
+        self._shared.watchers.unwatch(self._worker.wake)
         self._worker.stop()
         if (jobs := self.tab.services.workspace.own_photos) is not None:
             jobs.leave(self)
 
     def _fail(self, error: Exception) -> None:
-        self.tab.say(
-            str(error) if isinstance(error, LPNError) else "Something failed; the server's log has the details."
-        )
+        if isinstance(error, LPNError):
+            self.tab.say(str(error))
 
     def _work(self) -> float | None:
         state, result, workspace = self.tab.state, self.tab.result, self.tab.services.workspace
         job = workspace.registration
         running = job is not None and not job.wait(0)  # read before the flight, which the job replaces at its end
-        seen, addresses = self._of.shared.snapshot(), self._of.pictures.addresses
+        seen, addresses = self._shared.snapshot(), self._pictures.addresses
         if self._sent.get("flight") is not seen:
             self._sent["flight"] = seen
-            place = self._of.shared.corrections_place
+            place = self._shared.corrections_place
             message = page.data(seen, addresses) | {"parts": workspace.part_names, "kept": place}
             self.tab.append("flight", {"flight": message})
         own = None if result is None or result.state.own != state.own else result.own
@@ -132,8 +119,7 @@ class FlightPart(PanelPart):
             running = running or (registers is not None and not registers.wait(0))
             self._send("photo", own_photo(seen, own, registers, addresses))
         elif not state.own and state.query < len(seen.flight.frames):
-            agreement = self._of.shared.agreement(state.query)
-            self._send("photo", page.chosen(seen, state.query, addresses, agreement, self._saves))
+            self._send("photo", page.chosen(seen, state.query, addresses, self._saves))
         if result is not None and (result.state.query, result.state.own) == (state.query, state.own):
             self._send("answer", page.answer_window(seen, result.first.index))
             ranking = result.analysis.ranking
@@ -155,38 +141,26 @@ class FlightPart(PanelPart):
             self._sent[kind] = value
             self.tab.append(kind, {kind: value})
 
-    def _seen(self, arguments: Mapping[str, Any]) -> tuple[FlightSnapshot, int] | None:
-        """Return the flight, and the frame that a message names; None for an unknown frame."""
-        seen, frame = self._of.shared.snapshot(), arguments.get("frame")
-        named = isinstance(frame, int) and not isinstance(frame, bool) and 0 <= frame < len(seen.flight.frames)
-        return (seen, frame) if named else None  # type: ignore[return-value]
-
     def _correct(self, arguments: Mapping[str, Any]) -> None:
         """Store the corners of a photo as the user placed them, in metres of the map's frame."""
-        corners = arguments.get("corners")
-        numbers = (
-            [value for corner in corners if isinstance(corner, list) for value in corner]
-            if isinstance(corners, list)
-            else []
-        )
-        if len(numbers) != 8 or not all(isinstance(one, (int, float)) and abs(one) <= _FARTHEST for one in numbers):
-            self.tab.say(
+        try:
+            corners = np.array(arguments.get("corners"), np.float64)
+        except (TypeError, ValueError):
+            corners = np.zeros(0)
+        if corners.shape != (4, 2) or not (np.abs(corners) <= _FARTHEST).all():
+            raise InputError(
                 "Not saved. A corner of the photo would lie more than 1,000 km away; move the tie points back."
             )
-            return
-        self._keep(arguments, np.array(numbers, np.float64).reshape(4, 2))
+        self._keep(arguments, corners)
 
     def _forget(self, arguments: Mapping[str, Any]) -> None:
         self._keep(arguments, None)
 
-    def _keep(self, arguments: Mapping[str, Any], corners: Any) -> None:
-        if (found := self._seen(arguments)) is None:
+    def _keep(self, arguments: Mapping[str, Any], corners: Float64Array | None) -> None:
+        frame = arguments.get("frame")
+        if not isinstance(frame, int) or not 0 <= frame < len(self._shared.snapshot().flight.frames):
             return
-        try:
-            self._of.shared.correct(found[1], corners)
-        except LPNError as error:
-            self.tab.say(f"Not saved. {error}")
-            return
+        self._shared.correct(frame, corners)
         self._saves += 1
         self._worker.wake()
 
@@ -195,11 +169,8 @@ class FlightPart(PanelPart):
         suffix = arguments.get("suffix")
         if suffix not in (".csv", ".geojson"):
             raise InputError("expected .csv or .geojson.")
-        feeds, flight = self.tab.services.feeds, self._of.shared.snapshot().flight
-        content = self._of.shared.positions(suffix)
-        address = feeds.address + feeds.publish_bytes(self, "positions", lambda: content) + "0"
-        name = re.sub(r"[^\w-]+", "-", flight.flight.name)
-        self.tab.append("file", {"file": {"address": address, "name": f"{name}-positions{suffix}"}})
+        name = re.sub(r"[^\w-]+", "-", self._shared.snapshot().flight.flight.name)
+        self.tab.download("Positions", lambda _: (f"{name}-positions{suffix}", self._shared.positions(suffix)))
 
 
 def _progress(job: BackgroundJob[Any] | None, frames: int) -> str:

@@ -17,9 +17,8 @@ from explorer.server.picture_route import EncodedPicture
 from lpn.core import images
 from lpn.core.arrays import BoolArray, Float32Array, UInt8Array
 from lpn.core.errors import DataError
-from lpn.core.homography import apply_homography, middle_pixel
-from lpn.flight.locate.belief import belief
 from lpn.flight.locate.located import LocatedFlight, LocatedFrame
+from lpn.flight.locate.verdict import judge
 from lpn.flight.maps import Map, Window
 from lpn.flight.maps.map import OVERVIEW
 
@@ -146,18 +145,15 @@ def ground_window(located: LocatedFrame, stage: str | None) -> Window | None:
 
     For stages other than the registration, it has the size and the turn of the best window.
     """
-    frame, answer = located.frame, None if stage is None else located.stages.get(stage)
+    frame, answer = located.frame, located.stages.get(stage or "")
     if answer is None or answer.x is None or answer.y is None:
         return None
     if stage == "registration" and answer.homography is not None and answer.width is not None:
-        middle = middle_pixel(frame.width, frame.height)
-        x, y = apply_homography(np.array(answer.homography).reshape(3, 3), middle).tolist()
-        share = min(frame.width, frame.height) / frame.width
-        return Window(x, y, answer.width * share, answer.heading or 0.0)
+        x, y = located.middle(answer).tolist()
+        return Window(x, y, answer.width * min(1.0, frame.height / frame.width), answer.heading or 0.0)
     if not located.windows:
         return None
-    best = located.windows[0]
-    return Window(answer.x, answer.y, best.size, best.heading)
+    return Window(answer.x, answer.y, located.windows[0].size, located.windows[0].heading)
 
 
 def _photo(located: LocatedFrame) -> EncodedPicture:
@@ -179,7 +175,7 @@ def middle_square(picture: UInt8Array) -> UInt8Array:
 
 def ground(basemap: Map, located: LocatedFrame) -> EncodedPicture:
     """Return the map at a frame's answer; one transparent pixel without an answer."""
-    window = ground_window(located, belief(located).stage)
+    window = ground_window(located, judge(located).stage)
     if window is None:
         return encoded(np.zeros((1, 1, 3), np.uint8), np.zeros((1, 1), bool))
     return encoded(*basemap.read(window, _PAIR))

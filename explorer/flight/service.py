@@ -3,35 +3,27 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Sequence
-from contextlib import suppress
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-
-import numpy as np
 
 from explorer.compute.cache import SingleFlightCache
 from explorer.compute.watchers import Watchers
 from explorer.flight.pictures import FlightPicturesFeed
 from explorer.services import WorkspaceServices
 from explorer.workspace import Workspace
-from lpn.core import images
 from lpn.core.arrays import Float64Array
 from lpn.core.demo import own_file, own_file_place
-from lpn.core.errors import DataError, InputError, LPNError, PictureError
+from lpn.core.errors import InputError, LPNError
 from lpn.flight.locate import corrections
-from lpn.flight.locate.agreement import MapAgreement, map_agreement
-from lpn.flight.locate.belief import Belief, Disagreement, FlightVerdicts, placed_errors
 from lpn.flight.locate.corrections import Correction
 from lpn.flight.locate.coverage import Outline, outline
 from lpn.flight.locate.errors import Errors
 from lpn.flight.locate.located import LocatedFlight
 from lpn.flight.locate.tags import enter_corrections
 from lpn.flight.locate.tracks import best_track, track_bytes
-
-# Longer side in pixels of a photo that is compared with the map, and comparisons of corrected photos in the cache.
-_COMPARED, _COMPARISONS = 960, 100
+from lpn.flight.locate.verdict import FrameVerdict, judge, placed_errors
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,26 +31,26 @@ class FlightSnapshot:
     """The located frames of a flight at one moment.
 
     Attributes:
-        verdicts: on its frames.
-        corrections: the user's, by the frame's name.
+        flight: its frames have the user's corrections.
+        corrections: by the frame's name.
         corrections_error: one sentence with the reason for which they cannot be used; empty if they can.
-        outlines: the ground that each frame shows; None where it is unknown.
     """
 
     flight: LocatedFlight
-    verdicts: FlightVerdicts
-    corrections: dict[str, Correction] = field(default_factory=dict)
+    corrections: Mapping[str, Correction] = field(default_factory=dict)
     corrections_error: str = ""
 
-    @property
-    def beliefs(self) -> Sequence[Belief]:
-        """The verdict on each frame."""
-        return self.verdicts.beliefs
+    @classmethod
+    def of(cls, flight: LocatedFlight, corrections: Mapping[str, Correction], error: str = "") -> FlightSnapshot:
+        """Enter corrections in a copy of a flight."""
+        frames = [replace(located, by_hand=None) for located in flight.frames]
+        enter_corrections(flight.basemap, frames, corrections)
+        return cls(replace(flight, frames=frames), corrections, error)
 
-    @property
-    def contradictions(self) -> Sequence[Disagreement]:
-        """The pairs of answers that lie too far apart."""
-        return self.verdicts.contradictions
+    @cached_property
+    def verdicts(self) -> list[FrameVerdict]:
+        """The verdict on each frame."""
+        return [judge(located) for located in self.flight.frames]
 
     @cached_property
     def outlines(self) -> list[Outline | None]:
@@ -75,33 +67,9 @@ class FlightSnapshot:
         """Seconds by which the tags of the flight are late; None if they are not."""
         return None if self.flight.tags_without_lag is None or self.flight.audit is None else self.flight.audit.lag
 
-    @cached_property
-    def errors(self) -> Errors | None:
-        """The errors of the placed photos against the tags of `measured`; None if no placed photo has one."""
-        return placed_errors(self.measured, self.beliefs)
-
-    @cached_property
-    def errors_as_told(self) -> Errors | None:
-        """The errors of the placed photos against the tags in their files; None if no placed photo has one."""
-        return placed_errors(self.flight, self.beliefs)
-
-    def corrected(self, frame: int) -> tuple[float, float] | None:
-        """Return the user's position of the middle of a frame's picture, in metres of the map's frame; None without one."""
-        correction = self.corrections.get(self.flight.frames[frame].frame.name)
-        if correction is None:
-            return None
-        x, y = self.flight.basemap.frame.xy(*correction.middle[:, None])[0].tolist()
-        return x, y
-
-    def homography(self, frame: int) -> Float64Array | None:
-        """Return the matrix (3, 3) that lays a photo over the map: of a correction, else of an accepted registration."""
-        located = self.flight.frames[frame]
-        if (correction := self.corrections.get(located.frame.name)) is not None:
-            return correction.homography(self.flight.basemap.frame, located.frame.width, located.frame.height)
-        answer = located.stages.get("registration")
-        if answer is None or not answer.accepted or answer.homography is None:
-            return None
-        return np.array(answer.homography).reshape(3, 3)
+    def errors(self, flight: LocatedFlight) -> Errors | None:
+        """Return the errors of the placed photos against the tags of a flight; None if no placed photo has one."""
+        return placed_errors(flight.frames, self.verdicts)
 
 
 class SharedFlight:
@@ -115,9 +83,8 @@ class SharedFlight:
         self._workspace, self._lock = workspace, threading.RLock()
         self.watchers = Watchers()
         self._snapshot: FlightSnapshot | None = None
-        self._agreements: SingleFlightCache[tuple[int, Correction], MapAgreement | None] = SingleFlightCache(
-            _COMPARISONS
-        )
+        # The flight without corrections that the snapshot is of.
+        self._flight: LocatedFlight | None = None
 
     @property
     def _file(self) -> Path:
@@ -133,8 +100,12 @@ class SharedFlight:
         flight = self._workspace.flight
         assert flight is not None
         with self._lock:
-            if self._snapshot is None or self._snapshot.flight is not flight:
-                self._snapshot = FlightSnapshot(flight, self._workspace.verdicts_of(flight), *self._read())
+            if self._snapshot is None or self._flight is not flight:
+                self._flight = flight
+                try:
+                    self._snapshot = FlightSnapshot.of(flight, corrections.read_corrections(self._file))
+                except LPNError as error:  # the panel is useful without corrections
+                    self._snapshot = FlightSnapshot.of(flight, {}, str(error))
             return self._snapshot
 
     def correct(self, frame: int, corners: Float64Array | None) -> None:
@@ -159,61 +130,26 @@ class SharedFlight:
                 self._snapshot = None  # the next one includes the other program's corrections
                 self.watchers.tell()
                 raise
-            self._snapshot = replace(seen, corrections=kept, corrections_error="")
+            self._snapshot = FlightSnapshot.of(seen.flight, kept)
         self.watchers.tell()
-
-    def agreement(self, frame: int) -> MapAgreement | None:
-        """Return how well details of a photo agree with the map where it is laid; None if it is not laid, or not comparable.
-
-        The comparison of a photo that was laid by hand is computed at once.
-        """
-        seen = self.snapshot()
-        located = seen.flight.frames[frame]
-        correction, answer = seen.corrections.get(located.frame.name), located.stages.get("registration")
-        if correction is None:
-            return None if answer is None else answer.agreement
-        return self._agreements.get((frame, correction), lambda: self._compare(seen, frame))
-
-    def _compare(self, seen: FlightSnapshot, frame: int) -> MapAgreement | None:
-        located, matrix = seen.flight.frames[frame].frame, seen.homography(frame)
-        assert matrix is not None
-        with suppress(DataError, PictureError):  # the photo can be laid without a comparison
-            photo = located.undistorted(images.shrink(images.load_picture(located.file), _COMPARED))
-            return map_agreement(seen.flight.basemap, photo, matrix, (located.width, located.height))
-        return None
 
     def positions(self, suffix: str) -> bytes:
         """Return a file of the format `suffix` with one position for each photo: its correction, else the deciding stage's."""
-        seen = self.snapshot()
-        frames = [replace(located, by_hand=None) for located in seen.flight.frames]
-        enter_corrections(seen.flight.basemap, frames, seen.corrections)
-        return track_bytes(suffix, seen.flight.flight.name, best_track(replace(seen.flight, frames=frames)))
-
-    def _read(self) -> tuple[dict[str, Correction], str]:
-        try:
-            return corrections.read_corrections(self._file), ""
-        except LPNError as error:  # the panel is useful without corrections
-            return {}, str(error)
+        flight = self.snapshot().flight
+        return track_bytes(suffix, flight.flight.name, best_track(flight))
 
 
-@dataclass(frozen=True, eq=False)
-class FlightServices:
-    """A workspace's flight and its pictures, for all tabs."""
+# The flights of workspaces, with their pictures.
+_SHARED: SingleFlightCache[WorkspaceServices, tuple[SharedFlight, FlightPicturesFeed]] = SingleFlightCache(16)
 
-    shared: SharedFlight
-    pictures: FlightPicturesFeed
 
-    @classmethod
-    def of(cls, services: WorkspaceServices) -> FlightServices:
-        """Return the services of a workspace with a flight, made once."""
-        return _MADE.get(services, lambda: cls._make(services))
+def shared_flight(services: WorkspaceServices) -> tuple[SharedFlight, FlightPicturesFeed]:
+    """Return a workspace's flight and its pictures, which are made once for all tabs."""
 
-    @classmethod
-    def _make(cls, services: WorkspaceServices) -> FlightServices:
+    def make() -> tuple[SharedFlight, FlightPicturesFeed]:
         flight = services.workspace.flight
         assert flight is not None
         pictures = FlightPicturesFeed(services.feeds, lambda: services.workspace.flight or flight)
-        return cls(SharedFlight(services.workspace), pictures)
+        return SharedFlight(services.workspace), pictures
 
-
-_MADE: SingleFlightCache[WorkspaceServices, FlightServices] = SingleFlightCache(16)
+    return _SHARED.get(services, make)

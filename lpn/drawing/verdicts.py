@@ -39,11 +39,6 @@ def describe_position(cells: Float64Array, view: View) -> str:
     return (_COMPASS if view == "satellite" and width < 2 * height else _SIDES)[sector]
 
 
-def compass(azimuth: float) -> str:
-    """Return the name of a direction in degrees clockwise from north, as one of eight: "south-west"."""
-    return _COMPASS[round((90 - azimuth) / 45) % 8]
-
-
 def pictures_of(task: Task) -> str:
     """Return the noun for the gallery's pictures in plain words."""
     return "pieces of the map" if task.of_map else _PICTURES[task.views[1]]

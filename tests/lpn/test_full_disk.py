@@ -15,7 +15,7 @@ from lpn.cli import main
 from lpn.core.errors import OutputError
 from lpn.flight.locate.line_records import LineRecords
 from lpn.flight.locate.located import StageRecord
-from lpn.flight.locate.tracks import TrackPoint, write_track
+from lpn.flight.locate.tracks import write_track
 from lpn.tasks import notes
 from tools.fixtures import saves
 from tools.fixtures.small_disks import fill, small_disk
@@ -46,13 +46,14 @@ def test_what_was_saved_stays_whole_and_saving_again_works(kind: str, disk: Path
     assert saves.saved(disk) == dict.fromkeys(saves.SAVES, 1) | {kind: 2}
 
 
+POINT = {"frame": "a.jpg", "stage": "retrieval", "state": "accepted", "latitude": 46.0, "longitude": 7.0}
+
+
 @pytest.mark.skipif(sys.platform == "win32", reason="limits of a process are POSIX's")
 def test_a_disk_that_fills_up_within_a_file_leaves_the_old_one(tmp_path: Path) -> None:
     """As a quota does, in a process of its own: the limit holds for every file that it writes."""
     track = tmp_path / "track.kml"
-    write_track(
-        track, "monday", [TrackPoint(frame="a.jpg", stage="retrieval", state="accepted", latitude=46.0, longitude=7.0)]
-    )
+    write_track(track, "monday", [POINT])
     before = track.read_bytes()
     process = get_context("fork").Process(target=_write_beyond_the_limit, args=(track,))
     process.start()
@@ -63,10 +64,7 @@ def test_a_disk_that_fills_up_within_a_file_leaves_the_old_one(tmp_path: Path) -
 
 def _write_beyond_the_limit(track: Path) -> None:
     resource.setrlimit(resource.RLIMIT_FSIZE, (10_000, 10_000))
-    points = [
-        TrackPoint(frame=f"{i}.jpg", stage="retrieval", state="accepted", latitude=46.0, longitude=7.0)
-        for i in range(999)
-    ]
+    points = [POINT | {"frame": f"{i}.jpg"} for i in range(999)]
     try:
         write_track(track, "monday", points)
     except OutputError as error:
@@ -90,15 +88,15 @@ def test_the_commands_that_write_files_for_others_say_so(
 
 def test_answers_of_a_flight_that_cannot_be_kept_are_told_and_those_before_stay(disk: Path) -> None:
     file, answer = disk / "answers.jsonl", StageRecord("accepted", "40 matches agree. " * 400)
-    LineRecords(file, StageRecord).append("a.jpg", answer)
+    LineRecords(file).append("a.jpg", answer)
     filler = fill(disk)
     with pytest.raises(
         OutputError, match=r"jsonl cannot be written \(No space left on device\); free space or set LPN_CACHE"
     ):
-        LineRecords(file, StageRecord).append("b.jpg", answer)
+        LineRecords(file).append("b.jpg", answer)
     filler.unlink()
-    LineRecords(file, StageRecord).append("c.jpg", answer)
-    kept = LineRecords(file, StageRecord)
+    LineRecords(file).append("c.jpg", answer)
+    kept = LineRecords(file)
     assert [kept.get(name) for name in ("a.jpg", "b.jpg", "c.jpg")] == [answer, None, answer]
 
 

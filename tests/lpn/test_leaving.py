@@ -27,7 +27,7 @@ from lpn.core.text_tables import markdown_page
 from lpn.datasets import open_dataset
 from lpn.flight.files import Flight, Frame, open_flight, write_flight
 from lpn.flight.locate.corrections import Correction, read_corrections, set_correction
-from lpn.flight.locate.tracks import TrackPoint, write_track
+from lpn.flight.locate.tracks import write_track
 from lpn.tasks import notes
 from lpn.tasks.opening import lazy_task
 from tools.fixtures import small_worlds
@@ -90,10 +90,8 @@ def _no_formula(cells: list[str]) -> bool:
 
 @pytest.mark.parametrize("text", TEXTS)
 def test_a_track_is_read_by_a_reader_of_its_format(text: str, tmp_path: Path) -> None:
-    point = TrackPoint(
-        frame=text, stage="retrieval", state="accepted", point="ground", latitude=-1e-5, longitude=2e-5,
-        radius_on_map_m=float("nan"), reason=text,
-    )  # fmt: skip
+    point = {"frame": text, "stage": "retrieval", "state": "accepted", "point": "ground", "reason": text}
+    point |= {"latitude": -1e-5, "longitude": 2e-5, "radius_on_map_m": float("nan")}
     for suffix in (".csv", ".geojson", ".kml"):
         write_track(tmp_path / f"track{suffix}", text, [point])
     utf8 = text.encode("utf-8", "replace").decode()

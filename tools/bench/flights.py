@@ -25,10 +25,10 @@ from lpn.core.consoles import Console
 from lpn.core.files import write_atomic
 from lpn.flight.commands.locate import print_summary
 from lpn.flight.files import open_flight
-from lpn.flight.locate.belief import TAG_RADIUS, disagreements
 from lpn.flight.locate.located import LocatedFlight
 from lpn.flight.locate.options import LocateOptions
 from lpn.flight.locate.pipeline import locate
+from lpn.flight.locate.verdict import TAG_RADIUS, disagreements
 from lpn.flight.maps import open_map
 
 # Tangent of the 5 degrees by which an aircraft's camera may be tilted, as a share of the height.
@@ -51,7 +51,7 @@ def measured(folder: Path, options: LocateOptions, model: Path | None) -> dict[s
         "flight": folder.name,
         "frames": len(flight.frames),
         "processor seconds a frame": seconds / len(flight.frames),
-        "stages": {stage: errors.figures() for stage, errors in located.errors().items()},
+        "stages": {stage: errors.figures for stage, errors in located.errors().items()},
         "field": located.field_measures(),
         "radii": [asdict(row) for row in radii],
         "audit": None if located.audit is None else {**asdict(located.audit), "sentence": located.audit.sentence},
@@ -69,7 +69,7 @@ class RadiusRow:
         median: metres from the tags.
         own, with_tag, with_tilt: shares by the radius alone; with the tag's own error of 5 m; and with 5 degrees of
             tilt between camera and picture's middle, where the position is the middle's. Errors add up as squares.
-        contradictions: of registration and tag, see `lpn.flight.locate.belief.disagreements`.
+        contradictions: of registration and tag, see `lpn.flight.locate.verdict.disagreements`.
     """
 
     tags: str
@@ -112,7 +112,9 @@ def radius_rows(located: LocatedFlight) -> list[RadiusRow]:
         error, radius, height = np.array(kept).T
         sigmas = radius, np.hypot(radius, TAG_RADIUS), np.hypot(np.hypot(radius, TAG_RADIUS), height * _SWAY)
         shares = [[float((error <= k * sigma).mean()) for k in (1, 2, 3)] for sigma in sigmas]
-        against = sum({one.one, one.other} == {"registration", "tag"} for one in disagreements(seen.frames))
+        against = sum(
+            {one.one, one.other} == {"registration", "tag"} for frame in seen.frames for one in disagreements(frame)
+        )
         rows.append(RadiusRow(name, len(kept), float(np.median(error)), shares[0], shares[1], shares[2], against))
     return rows
 

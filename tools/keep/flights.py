@@ -237,8 +237,8 @@ def forged_tags() -> Figures:
 
 def _located_forged(map_path: Path, flight_path: Path, forgery: str) -> dict[str, int]:
     from lpn.flight.files import open_flight
-    from lpn.flight.locate.belief import best_answers
     from lpn.flight.locate.pipeline import locate
+    from lpn.flight.locate.verdict import judge
     from lpn.flight.maps import open_map
     from tools.bench.wrong_maps import forged
 
@@ -251,7 +251,7 @@ def _located_forged(map_path: Path, flight_path: Path, forgery: str) -> dict[str
         frames = zip(flight.frames, places, strict=True)
         moved = (replace(frame, latitude=float(place[0]), longitude=float(place[1])) for frame, place in frames)
         seen = replace(flight, frames=tuple(moved))
-    answers = best_answers(locate(basemap, seen))
+    answers = [judge(located) for located in locate(basemap, seen).frames]
     placed = [(one, tag) for one, tag in zip(answers, tags, strict=True) if one.state in PLACED]
     return {
         "photos": len(answers),

@@ -23,8 +23,11 @@ if TYPE_CHECKING:
     from lpn.flight.locate.located import LocatedFlight
     from lpn.flight.locate.options import LocateOptions
     from lpn.flight.locate.surveyed import MatchedSurvey, SurveyedPoint
-    from lpn.flight.locate.tracks import TrackPoint
+    from lpn.flight.locate.tracks import TrackRow
     from lpn.flight.maps import Map
+
+# Names of errors along axes, and their keys in `Errors.figures`.
+_AXES = {"mean": "bias", "standard deviation": "spread", "RMSE": "rmse"}
 
 
 @dataclass(kw_only=True)
@@ -148,13 +151,13 @@ class LocateCommand(ModelOptions):
         return survey, locate(basemap, flight, network, options, kept, indexed)
 
     def _survey(self, basemap: Map, flight: Flight, console: Console) -> MatchedSurvey | None:
-        from lpn.flight.locate.surveyed import match_surveyed, read_surveyed, strangers_sentence
+        from lpn.flight.locate.surveyed import match_surveyed, read_surveyed
 
         if self.positions is None:
             return None
         positions = read_surveyed(self.positions, basemap.frame, self.crs)
-        survey = match_surveyed([frame.name for frame in flight.frames], positions, basemap)
-        if sentence := strangers_sentence(survey):
+        survey, sentence = match_surveyed([frame.name for frame in flight.frames], positions, basemap)
+        if sentence:
             console.print(sentence, highlight=False, soft_wrap=True, markup=False)
         return survey
 
@@ -186,7 +189,7 @@ class LocateCommand(ModelOptions):
 
 def _measures(located: LocatedFlight, surveyed: Mapping[str, Mapping[SurveyedPoint, Errors]] | None) -> dict[str, Any]:
     def of_stages(flight: LocatedFlight) -> dict[str, Any]:
-        return {stage: one.figures() for stage, one in flight.errors().items()}
+        return {stage: one.figures for stage, one in flight.errors().items()}
 
     result: dict[str, Any] = {
         "frames": len(located.frames),
@@ -199,14 +202,14 @@ def _measures(located: LocatedFlight, surveyed: Mapping[str, Mapping[SurveyedPoi
     }
     if surveyed is not None:
         result["surveyed"] = {
-            stage: {point: one.figures() for point, one in points.items()} for stage, points in surveyed.items()
+            stage: {point: one.figures for point, one in points.items()} for stage, points in surveyed.items()
         }
     return result
 
 
-def unverified_sentence(track: Sequence[TrackPoint]) -> str:
+def unverified_sentence(track: Sequence[TrackRow]) -> str:
     """Count the points of a track with an unverified coordinate in a sentence; "" if none."""
-    guesses = sum(point.state == "not verified" and point.latitude is not None for point in track)
+    guesses = sum(row["state"] == "not verified" and row.get("latitude") is not None for row in track)
     if not guesses:
         return ""
     return f"Best guesses that nothing has verified: {guesses} of its {len(track)} points, state 'not verified'."
@@ -215,7 +218,6 @@ def unverified_sentence(track: Sequence[TrackPoint]) -> str:
 def print_summary(located: LocatedFlight, console: Console) -> None:
     """Print a table of the stages against the tags, first against tags without their lag, and the findings below it."""
     from lpn.core.text_tables import TextTable
-    from lpn.flight.locate.pose_errors import pose_errors
 
     errors = located.errors()
     named = {stage: (stage, one) for stage, one in errors.items()}
@@ -236,8 +238,6 @@ def print_summary(located: LocatedFlight, console: Console) -> None:
         flat = located.basemap.elevation is None
         ground = "flat ground, as the map has no elevation" if flat else "the map's elevation"
         findings.append(f"{posed} of {len(located.frames)} photos have a pose of the camera, over {ground}.")
-    if (poses := pose_errors(located)) is not None:
-        findings.append(poses.sentence)
     if measured := located.field_measures():
         findings.append("Retrieval: " + ", ".join(f"{name} {value:.3g}" for name, value in measured.items()))
     findings += [*located.flight.notes, *located.notes]
@@ -283,22 +283,12 @@ def print_surveyed(
     columns = {f"{stage}, {point}": one for stage, points in errors.items() for point, one in points.items()}
     sentences = ["No surveyed photo has an accepted answer, so there is nothing to compare."]
     if columns:
-        names = (
-            *(
-                "mean east",
-                "mean north",
-                "standard deviation east",
-                "standard deviation north",
-                "RMSE east",
-                "RMSE north",
-            ),
-            *("RMSE in the plane", "median", "CE90", "CE95", "largest"),
-        )
-        figures = [
-            [*one.bias, *one.spread, *one.rmse, one.median, one.ce90, one.ce95, one.largest] for one in columns.values()
-        ]
+        names = {
+            **{f"{name} {axis}": f"{key}_{axis}" for name, key in _AXES.items() for axis in ("east", "north")},
+            **{"RMSE in the plane": "rmse", "median": "median", "CE90": "ce90", "CE95": "ce95", "largest": "largest"},
+        }
         rows = [("photos", *(f"{one.photos}" for one in columns.values()))]
-        rows += [(name, *map(_metres, values)) for name, *values in zip(names, *figures, strict=True)]
+        rows += [(name, *(_metres(one.figures[key]) for one in columns.values())) for name, key in names.items()]
         rows.append(("within 1, 2, 3 radii", *(percents(one.calibration) or "-" for one in columns.values())))
         title = "Against surveyed positions: answer minus survey, in metres"
         TextTable(("", *columns), rows, title, align="l").print(console)

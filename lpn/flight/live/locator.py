@@ -22,7 +22,6 @@ from lpn.core.progress import Listener, listening
 from lpn.core.views import View
 from lpn.flight.files.base import Frame
 from lpn.flight.files.cut import CUT, cut_size, cut_square
-from lpn.flight.locate.belief import map_misfit
 from lpn.flight.locate.beyond import places_beyond
 from lpn.flight.locate.continuity import NEW_HEADING, other_turn
 from lpn.flight.locate.ground import MapFeatures
@@ -43,6 +42,7 @@ from lpn.flight.locate.retrieval import (
     whitening_of,
 )
 from lpn.flight.locate.sequence import ForwardFilter, MotionModel, emissions, score_units
+from lpn.flight.locate.verdict import map_misfit
 from lpn.flight.maps import Map, Window
 from lpn.models.base import Model, normalise, whitened
 

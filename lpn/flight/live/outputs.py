@@ -10,8 +10,8 @@ from typing import IO, Any
 from lpn.core.arrays import UInt8Array
 from lpn.core.files import printable
 from lpn.core.numbers import heading_figure
-from lpn.flight.locate.belief import BestAnswer
 from lpn.flight.locate.located import LocatedFrame, StageRecord
+from lpn.flight.locate.verdict import FrameVerdict
 
 
 @dataclass(frozen=True, eq=False)
@@ -20,7 +20,7 @@ class LiveFix:
 
     Attributes:
         located: the frame with the answers of its stages.
-        best: the answer of the registration or the sequence, moved below the camera where the tilt is known.
+        best: the verdict with the answer of the registration or the sequence, moved below the camera where the tilt is known.
         latitude, longitude: WGS 84 degrees; None without a place.
         clock: time of the frame in seconds since 1970 in UTC.
         age: seconds from the frame's arrival to the answer.
@@ -30,7 +30,7 @@ class LiveFix:
     """
 
     located: LocatedFrame
-    best: BestAnswer
+    best: FrameVerdict
     latitude: float | None
     longitude: float | None
     clock: float
@@ -41,13 +41,13 @@ class LiveFix:
 
     @property
     def answer(self) -> StageRecord:
-        """The answer of `best`."""
+        """The position with its radius."""
         return self.best.answer
 
     @property
     def may_correct(self) -> bool:
         """True if the place may correct the vehicle's position: a contradiction by that position alone is no obstacle."""
-        return self.best.usable or (self.answer.accepted and self.best.doubt == ("tag",))
+        return self.best.usable or (self.answer.accepted and self.best.doubt == ["tag"])
 
     def feature(self) -> dict[str, Any]:
         """Return the fix as a feature of GeoJSON (RFC 7946), see docs/locate-a-flight.md."""
@@ -57,17 +57,12 @@ class LiveFix:
             geometry = {"type": "Point", "coordinates": [round(self.longitude, 8), round(self.latitude, 8)]}
         properties = {
             "frame": printable(self.located.frame.name),
-            "stage": best.stage,
-            "state": best.state,
-            "doubt": ", ".join(best.doubt),
-            "checked_beside_middle": best.checked,
-            "reason": best.reason,
-            "note": best.verdict.reason,
+            **best.columns,
             "time": round(self.clock, 3),
             "camera": answer.camera,
             "radius": _rounded(answer.radius, 2),
             "heading": heading_figure(answer.heading),
-            "error": _rounded(self.located.error_of(self.answer), 2),
+            "error": _rounded(self.located.error(answer), 2),
             "age": round(self.age, 3),
             "dropped": self.dropped,
             "telemetry_age": _rounded(self.telemetry_age, 3),

@@ -14,9 +14,10 @@ from lpn.flight.live.frames import ArrivedPicture, LiveSource, Say
 from lpn.flight.live.locator import LiveLocator
 from lpn.flight.live.outputs import LiveFix
 from lpn.flight.live.telemetry import LiveTelemetry
-from lpn.flight.locate.belief import AGAINST, BestAnswer, best_answer
 from lpn.flight.locate.camera_place import below_camera
 from lpn.flight.locate.located import LocatedFrame
+from lpn.flight.locate.verdict import FrameVerdict, judge
+from lpn.flight.locate.words import AGAINST
 
 # Seconds without a frame after which the source counts as stalled.
 _STALLED = 5.0
@@ -165,14 +166,15 @@ class LiveRun:
         elif fix.located.stages["sequence"].code == "beyond" or self._locator.near_border:
             self._say(f"{were} near the border of the map; the flight may have left it.")
         else:
-            self._say(f"{were}; the last says: {fix.best.verdict.reason}")
+            self._say(f"{were}; the last says: {fix.best.reason}")
 
 
-def live_answer(located: LocatedFrame) -> BestAnswer:
-    """Return the best answer, as of `lpn locate --best`: an accepted registration, else the sequence's.
+def live_answer(located: LocatedFrame) -> FrameVerdict:
+    """Return the verdict with its best answer, as of `lpn locate --best`: an accepted registration, else the sequence's.
 
     It is moved below the camera where the tilt is known, see `below_camera`. The sequence's answer may be a refused one.
     """
-    best = best_answer(located, last="sequence")
-    answer = located.stages["sequence"] if best.verdict.stage is None else best.answer
-    return replace(best, answer=below_camera(located.frame, answer))
+    verdict = judge(located)
+    if verdict.stage is None:
+        verdict = replace(verdict, stage="sequence", answer=located.stages["sequence"])
+    return replace(verdict, answer=below_camera(located.frame, verdict.answer))

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import cast
 
 import numpy as np
 
-from lpn.core.arrays import Float64Array
+from lpn.core.arrays import Float64Array, Int64Array
 from lpn.core.numbers import upper_bound
 
 # An unknown position.
-UNKNOWN = (float("nan"), float("nan"))
+UNKNOWN = (math.nan, math.nan)
 # Fewest frames for the estimate of a lag.
 MIN_FRAMES = 8
 # Most seconds between neighbours that give a velocity.
@@ -27,39 +28,30 @@ class TagAudit:
     Attributes:
         frames: number of frames with both.
         median, largest: metres between tag and registered position.
-        lag: seconds by which tags are late; None if it cannot be estimated.
+        lag: seconds by which tags are late; this and what follows is NaN if it cannot be estimated.
         lag_error: its standard error in seconds.
         without_lag: median residual in metres after the lag and a constant offset are subtracted.
         offset: metres of that offset, from the positions to the tags; it may be the map's error.
         without_offset: median residual in metres after the best constant offset alone is subtracted.
         ahead: metres flown in the lag at the median speed. A tilted camera may look ahead (behind, if negative) by as much
-            instead. None if the positions are the camera's.
+            instead. NaN if the positions are the camera's.
     """
 
     frames: int
     median: float
     largest: float
-    lag: float | None = None
-    lag_error: float | None = None
-    without_lag: float | None = None
-    offset: float | None = None
-    without_offset: float | None = None
-    ahead: float | None = None
+    lag: float = math.nan
+    lag_error: float = math.nan
+    without_lag: float = math.nan
+    offset: float = math.nan
+    without_offset: float = math.nan
+    ahead: float = math.nan
 
     @property
     def has_lag(self) -> bool:
         """True if the tags have a constant lag that clearly exceeds its error and explains their differences."""
-        if self.lag is None or self.lag_error is None or self.without_lag is None or self.without_offset is None:
-            return False
         # A lag within its error, or without an improvement over a constant offset, does not count.
         return abs(self.lag) >= max(3 * self.lag_error, 0.3) and self.without_lag <= 0.9 * self.without_offset
-
-    @property
-    def looks_ahead(self) -> str:
-        """A clause that the camera may look ahead or behind, which also explains a lag; "" if the positions are the camera's."""
-        if self.ahead is None:
-            return ""
-        return f"the camera looks {abs(self.ahead):.1f} m {'ahead' if self.ahead > 0 else 'behind'}"
 
     @property
     def sentence(self) -> str:
@@ -67,12 +59,15 @@ class TagAudit:
         if not self.frames:
             return "No photo has both a GPS tag and a registered position, so the tags were not checked."
         off = f"up to {upper_bound(self.largest)} m off, {self.median:.1f} m in the median"
-        if self.lag is None or not self.has_lag:
+        if not self.has_lag:
             return f"The GPS tags of {self.frames} photos are {off}, against registered positions; the lag cannot be estimated."
         word = "lag" if self.lag > 0 else "are early"
-        tilted = f", or {self.looks_ahead}; they" if self.looks_ahead else " and"
+        tilted = " and"
+        if not math.isnan(self.ahead):
+            side = "ahead" if self.ahead > 0 else "behind"
+            tilted = f", or the camera looks {abs(self.ahead):.1f} m {side}; they"
         return (
-            f"The GPS tags {word} by {abs(self.lag):.1f} s (± {self.lag_error or 0:.1f}){tilted} are {off}, against "
+            f"The GPS tags {word} by {abs(self.lag):.1f} s (± {self.lag_error:.1f}){tilted} are {off}, against "
             f"registered positions of {self.frames} photos; without the lag and a constant offset of {self.offset:.1f} m, "
             f"{self.without_lag:.1f} m remain in the median, which neither explains."
         )
@@ -93,18 +88,16 @@ def audit_tags(times: Float64Array, tags: Float64Array, positions: Float64Array,
     off = np.linalg.norm(differences, axis=1)
     known = ~np.isnan(off)
     if not known.any():
-        return TagAudit(0, float("nan"), float("nan"))
+        return TagAudit(0, math.nan, math.nan)
     audit = TagAudit(int(known.sum()), float(np.median(off[known])), float(off[known].max()))
     velocities = track_velocities(times, positions)
     used = known & ~np.isnan(velocities).any(axis=1)
     if used.sum() < MIN_FRAMES:
         return audit
     v, d = velocities[used], differences[used]
-    # Unknowns: minus the lag, and the offset east and north.
-    design = np.concatenate(
-        [np.column_stack([v[:, i], np.full(len(v), i == 0), np.full(len(v), i == 1)]) for i in (0, 1)]
-    ).astype(np.float64)
-    values = np.concatenate([d[:, 0], d[:, 1]])
+    # Unknowns: minus the lag, and the offset east and north. Rows: all differences east, then all north.
+    design = np.column_stack([v.T.ravel(), np.repeat(np.eye(2), len(v), axis=0)])
+    values = d.T.ravel()
     solution, errors = _robust_fit(design, values)
     constant, _ = _robust_fit(design[:, 1:], values)
     return replace(
@@ -114,7 +107,7 @@ def audit_tags(times: Float64Array, tags: Float64Array, positions: Float64Array,
         without_lag=float(np.median(np.linalg.norm(d - solution[0] * v - solution[1:], axis=1))),
         offset=float(np.linalg.norm(solution[1:])),
         without_offset=float(np.median(np.linalg.norm(d - constant, axis=1))),
-        ahead=float(-solution[0] * np.median(np.linalg.norm(v, axis=1))) if middles else None,
+        ahead=float(-solution[0] * np.median(np.linalg.norm(v, axis=1))) if middles else math.nan,
     )
 
 
@@ -129,9 +122,7 @@ def corrected_tags(times: Float64Array, tags: Float64Array, lag: float) -> Float
         tags: metres east and north, (N, 2); NaN rows where there is none.
         lag: seconds by which tags are late.
     """
-    moved = np.full(tags.shape, np.nan)
-    known = np.flatnonzero(~np.isnan(times) & ~np.isnan(tags).any(axis=1))
-    known = known[np.argsort(times[known], kind="stable")]
+    moved, known = np.full(tags.shape, np.nan), _in_time(times, tags)
     if len(known) < 2:
         return moved
     at = times[known]
@@ -144,14 +135,18 @@ def corrected_tags(times: Float64Array, tags: Float64Array, lag: float) -> Float
 
 def track_velocities(times: Float64Array, positions: Float64Array) -> Float64Array:
     """Return velocities in metres a second, (N, 2), from the neighbours before and after; NaN without near ones."""
-    velocities = np.full(positions.shape, np.nan)
-    known = np.flatnonzero(~np.isnan(times) & ~np.isnan(positions).any(axis=1))
-    known = known[np.argsort(times[known], kind="stable")]
+    velocities, known = np.full(positions.shape, np.nan), _in_time(times, positions)
     for before, here, after in zip(known, known[1:], known[2:], strict=False):
         elapsed = times[after] - times[before]
         if 0 < elapsed <= 2 * _GAP:
             velocities[here] = (positions[after] - positions[before]) / elapsed
     return velocities
+
+
+def _in_time(times: Float64Array, places: Float64Array) -> Int64Array:
+    """Return the indices of known times and places (N, 2), in the order of time."""
+    known = np.flatnonzero(~np.isnan(times) & ~np.isnan(places).any(axis=1))
+    return known[np.argsort(times[known], kind="stable")]
 
 
 def _robust_fit(design: Float64Array, values: Float64Array) -> tuple[Float64Array, Float64Array]:

@@ -12,7 +12,6 @@ bytes of a file's name are preserved. Text that a spreadsheet would compute is q
 from __future__ import annotations
 
 import codecs
-import csv
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,10 +19,11 @@ from pathlib import Path
 import numpy as np
 
 from lpn.core.arrays import Float64Array
-from lpn.core.csv_cells import csv_bytes, delimited, unescape
+from lpn.core.csv_cells import csv_bytes, unescape
 from lpn.core.errors import DataError, InputError
 from lpn.core.files import printable
 from lpn.core.homography import apply_homography, corner_pixels, four_point_homography
+from lpn.core.lists import separated
 from lpn.core.own_files import OwnFileFormat
 from lpn.flight.maps import LocalFrame
 
@@ -57,12 +57,16 @@ class Correction:
                 "The tie points turn the photo over, fold it, or make it too small or too large; move them back into the order "
                 "in which the photo shows them."
             )
-        middle = apply_homography(four_point_homography(corner_pixels(1, 1), corners), (0, 0))
-        return cls(frame.degrees([middle])[0], frame.degrees(corners))
+        return cls(frame.degrees([ground_middle(corners)])[0], frame.degrees(corners))
 
     def homography(self, frame: LocalFrame, width: int, height: int) -> Float64Array:
         """Return the matrix from pixels of a picture of this size to metres of a map's frame, (3, 3)."""
         return four_point_homography(corner_pixels(width, height), frame.xy(*self.corners.T))
+
+
+def ground_middle(corners: Float64Array) -> Float64Array:
+    """Return the ground of a picture's middle, (2,), by that of its corners, (4, 2)."""
+    return apply_homography(four_point_homography(corner_pixels(1, 1), corners), (0, 0))
 
 
 def _possible(corners: Float64Array, slack: float = 1.0) -> bool:
@@ -117,44 +121,33 @@ def set_correction(
 
 def _decode(content: bytes, file: Path) -> dict[str, Correction]:
     text = content.removeprefix(codecs.BOM_UTF8).decode("utf-8", "surrogateescape")
-    try:
-        rows = [[unescape(value) for value in values] for _, values in delimited(text, strict=True).rows]
-    except csv.Error as error:
-        raise DataError(f"{file} is not a CSV file; correct it, or move it away.") from error
-    if not rows or rows[0] != _HEADER:
-        first = printable(",".join(rows[0]))[:100] if rows else "empty"
+    rows = separated(text, str(file), strict=True).rows
+    if (header := next(rows, (0, []))[1]) != _HEADER:
+        first = printable(",".join(header))[:100] or "empty"
         raise DataError(f"The first line of {file} is {first}; expected {','.join(_HEADER)}, so correct it.")
     by_name: dict[str, Correction] = {}
-    for number, row in enumerate(rows[1:], 1):
-        if not row:
-            continue
-        name, correction = _parse(file, number, row)
-        if name in by_name:
+    for number, row in rows:
+        name, *cells = map(unescape, row)
+        line, photo = f"Line {number} of {file}", printable(name)[:100]
+        try:
+            places = np.array([cells[:2], *(corner.split() for corner in cells[2:])], np.float64)
+        except ValueError:
+            places = np.zeros(0)
+        if places.shape != (5, 2) or not (np.abs(places) <= (90, 180)).all() or not name:
             raise DataError(
-                f"Entry {number} of {file} is a second one of the photo {printable(name)[:100]}; remove one of them."
+                f"{line} is {printable(','.join(row))[:100]}; expected {','.join(_HEADER)}, each corner as latitude and "
+                "longitude with a space between them."
             )
-        by_name[name] = correction
+        middle, corners = places[0], places[1:]
+        if not _possible(LocalFrame(*corners[0].tolist()).xy(*corners.T), slack=1.25):
+            raise DataError(
+                f"{line} has corners that turn the photo {photo} over, fold it, or make it too small or too large; correct them, "
+                "or remove the line."
+            )
+        if name in by_name:
+            raise DataError(f"{line} is a second one of the photo {photo}; remove one of them.")
+        by_name[name] = Correction(middle, corners)
     return by_name
-
-
-def _parse(file: Path, number: int, row: list[str]) -> tuple[str, Correction]:
-    try:
-        places = np.array([row[1:3], *(corner.split() for corner in row[3:])], np.float64)
-        valid = places.shape == (5, 2) and bool((np.abs(places) <= (90, 180)).all()) and bool(row[0])
-    except ValueError:
-        valid = False
-    if not valid:
-        raise DataError(
-            f"Entry {number} of {file} is {printable(','.join(row))[:100]}; expected {','.join(_HEADER)}, each corner as "
-            "latitude and longitude with a space between them."
-        )
-    middle, corners = places[0], places[1:]
-    if not _possible(LocalFrame(*corners[0].tolist()).xy(*corners.T), slack=1.25):
-        raise DataError(
-            f"Entry {number} of {file} has corners that turn the photo {printable(row[0])[:100]} over, fold it, or make it too "
-            "small or too large; correct them, or remove the line."
-        )
-    return row[0], Correction(middle, corners)
 
 
 def _encode(corrections: Mapping[str, Correction]) -> bytes:

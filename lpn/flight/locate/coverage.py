@@ -11,6 +11,7 @@ import numpy as np
 from lpn.core.arrays import Float64Array
 from lpn.core.homography import apply_homography, corner_pixels, middle_pixel
 from lpn.flight.files import footprint
+from lpn.flight.locate.corrections import ground_middle
 from lpn.flight.locate.located import LocatedFrame
 
 
@@ -33,8 +34,8 @@ def outline(located: LocatedFrame) -> Outline | None:
     The camera's model starts from the tag. Without a tag its middle is at the sequence's answer, if that is accepted.
     """
     answer = located.stages.get("registration")
-    if answer is not None and answer.accepted and answer.homography is not None:
-        corners = corners_of(np.array(answer.homography).reshape(3, 3), located.frame.width, located.frame.height)
+    if answer is not None and answer.matrix is not None:
+        corners = corners_of(answer.matrix, located.frame.width, located.frame.height)
         return None if corners is None else Outline(corners, True)
     corners = footprint(located.frame)
     if corners is None:
@@ -42,16 +43,9 @@ def outline(located: LocatedFrame) -> Outline | None:
     if located.tag is not None:
         return Outline(corners + located.tag, False)
     answer = located.stages.get("sequence")
-    if answer is None or not answer.accepted or answer.x is None or answer.y is None:
+    if answer is None or not answer.accepted or answer.place is None:
         return None
-    return Outline(corners - crossing(corners) + (answer.x, answer.y), False)
-
-
-def crossing(corners: Float64Array) -> Float64Array:
-    """Return the ground of a picture's middle, (2,): the crossing of the diagonals of its corners on the ground, (4, 2)."""
-    along, across = corners[2] - corners[0], corners[3] - corners[1]
-    share = np.linalg.solve(np.stack([along, -across], axis=1), corners[1] - corners[0])[0]
-    return np.asarray(corners[0] + share * along, np.float64)
+    return Outline(corners - ground_middle(corners) + answer.place, False)
 
 
 def corners_of(homography: Float64Array, width: int, height: int) -> Float64Array | None:
@@ -68,9 +62,6 @@ def corners_of(homography: Float64Array, width: int, height: int) -> Float64Arra
 
 def seen_by(outlines: Sequence[Outline | None], x: float, y: float) -> list[int]:
     """Return the indices of the outlines, borders included, that hold a spot in metres of the map's frame."""
-    holding = []
-    for i, one in enumerate(outlines):
-        # Corners are relative to the spot, because OpenCV computes in single precision.
-        if one is not None and cv2.pointPolygonTest((one.corners - (x, y)).astype(np.float32), (0.0, 0.0), False) >= 0:
-            holding.append(i)
-    return holding
+    # Corners are relative to the spot, because OpenCV computes in single precision.
+    known = {i: (one.corners - (x, y)).astype(np.float32) for i, one in enumerate(outlines) if one is not None}
+    return [i for i, corners in known.items() if cv2.pointPolygonTest(corners, (0.0, 0.0), False) >= 0]

@@ -1,4 +1,4 @@
-"""Errors of a flight's places against GPS tags, surveyed positions, exact poses, or corrections."""
+"""Errors of a flight's places against GPS tags, surveyed positions, or corrections."""
 
 from __future__ import annotations
 
@@ -20,6 +20,7 @@ RIGHT_CALIBRATION = {k: 100 * (1 - math.exp(-(k**2) / 2)) for k in (1, 2, 3)}
 CONFIRMED_SHARE = 90.0
 # Fewest independent photos for a statement on the bias, and the multiple of the standard error that makes it systematic.
 _LEAST_FOR_BIAS, _SYSTEMATIC = 8, 3.0
+_AXES = ("east", "north")
 # Metres below which errors count as equal.
 _EQUAL = 1e-6
 
@@ -41,9 +42,7 @@ class Errors:
     @classmethod
     def of(cls, known: int, rows: Iterable[tuple[float, float, float | None]]) -> Errors:
         """Make errors of rows: metres east, metres north, and the radius or None."""
-        values = np.array([(*row[:2], math.nan if row[2] is None else row[2]) for row in rows], np.float64).reshape(
-            -1, 3
-        )
+        values = np.array([*rows], np.float64).reshape(-1, 3)  # None becomes NaN
         return cls(known, values[:, :2], values[:, 2])
 
     @property
@@ -82,35 +81,6 @@ class Errors:
         return self.quantile(1.0)
 
     @property
-    def rmse(self) -> tuple[float, float, float]:
-        """Root mean squares to the east, to the north, and in the plane; NaN without any photo."""
-        if not self.photos:
-            return math.nan, math.nan, math.nan
-        east, north = np.sqrt((self.offsets**2).mean(axis=0)).tolist()
-        return east, north, math.hypot(east, north)
-
-    @property
-    def bias(self) -> tuple[float, float]:
-        """Mean to the east and to the north; NaN without any photo."""
-        if not self.photos:
-            return math.nan, math.nan
-        east, north = self.offsets.mean(axis=0).tolist()
-        return east, north
-
-    @property
-    def spread(self) -> tuple[float, float]:
-        """Standard deviations east and north, with N - 1; NaN for fewer than two photos."""
-        if self.photos < 2:
-            return math.nan, math.nan
-        east, north = self.offsets.std(axis=0, ddof=1).tolist()
-        return east, north
-
-    @property
-    def independent(self) -> tuple[float, float]:
-        """Effective numbers of independent photos for the means east and north, as neighbours err alike."""
-        return _independent(self.offsets[:, 0]), _independent(self.offsets[:, 1])
-
-    @property
     def calibration(self) -> dict[int, float]:
         """Percent of errors within 1, 2, and 3 radii, ideally `RIGHT_CALIBRATION`; empty without radii."""
         given = self.radii > 0
@@ -122,28 +92,34 @@ class Errors:
         """Percent of photos with a truth whose error is at most each limit of `WITHIN` in metres; empty without any."""
         return {metres: 100 * int((self.metres <= metres).sum()) / self.known for metres in WITHIN if self.known}
 
+    @cached_property
     def figures(self) -> dict[str, Any]:
-        """Return the figures for a JSON file, in metres and percent."""
-        names = ("median", "ce90", "ce95", "largest")
-        figures: dict[str, Any] = {
-            "known": self.known,
-            "photos": self.photos,
-            **{name: getattr(self, name) for name in names},
+        """The figures for tables and JSON, in metres and percent; NaN where there are too few photos.
+
+        They are means (`bias`), standard deviations with N - 1 (`spread`), and root mean squares east and north, and effective
+        numbers of independent photos for these means, as neighbours err alike, besides the other properties.
+        """
+        offsets = self.offsets if self.photos else np.full((1, 2), math.nan)
+        squares = np.sqrt((offsets**2).mean(axis=0))
+        axes = {
+            "rmse": squares,
+            "bias": offsets.mean(axis=0),
+            "spread": offsets.std(axis=0, ddof=1) if self.photos > 1 else (math.nan, math.nan),
+            "independent": map(_independent, self.offsets.T),
         }
-        figures |= dict(zip(("rmse_east", "rmse_north", "rmse"), self.rmse, strict=True))
-        for name in ("bias", "spread", "independent"):
-            figures |= dict(zip((f"{name}_east", f"{name}_north"), getattr(self, name), strict=True))
-        return figures | {
-            "radii": int((self.radii > 0).sum()),
-            "within": self.calibration,
-            "within_metres": self.within,
-        }
+        figures: dict[str, Any] = {"known": self.known, "photos": self.photos, "rmse": math.hypot(*squares)}
+        figures |= {name: getattr(self, name) for name in ("median", "ce90", "ce95", "largest")}
+        for name, values in axes.items():
+            figures |= {f"{name}_{axis}": float(value) for axis, value in zip(_AXES, values, strict=True)}
+        figures |= {"radii": int((self.radii > 0).sum()), "within": self.calibration, "within_metres": self.within}
+        return figures
 
     @property
     def bias_sentence(self) -> str:
         """A sentence on whether the mean exceeds chance; "" with too few photos."""
         told = []
-        for axis, mean, spread, count in zip(("east", "north"), self.bias, self.spread, self.independent, strict=True):
+        for axis in _AXES:
+            mean, spread, count = (self.figures[f"{name}_{axis}"] for name in ("bias", "spread", "independent"))
             if count >= _LEAST_FOR_BIAS:
                 error = spread / math.sqrt(count)
                 beyond = "more" if abs(mean) > _SYSTEMATIC * error else "no more"

@@ -9,61 +9,40 @@ from __future__ import annotations
 import numpy as np
 
 from lpn.core.arrays import BoolArray, Int64Array
-from lpn.flight.locate.belief import Belief, FlightVerdicts, belief
 from lpn.flight.locate.located import LocatedFlight, LocatedFrame
+from lpn.flight.locate.verdict import judge
 from lpn.flight.maps import Window
 from lpn.flight.maps.named_window import WindowCut
 from lpn.tasks.task import Task
 
 
-def doubtful_photos(
-    flight: LocatedFlight, task: Task, answers: Int64Array, ranks: Int64Array, verdicts: FlightVerdicts | None = None
-) -> BoolArray:
+def doubtful_photos(flight: LocatedFlight, task: Task, answers: Int64Array, ranks: Int64Array) -> BoolArray:
     """Return a mask, (Q,), of the photos whose judge is in doubt or accepts no tile.
 
     Args:
         task: of the flight, see `flight_task`.
         answers: the first tile of each photo, (Q,).
         ranks: 0-based rank of each photo's first true tile, -1 without one, (Q,).
-        verdicts: of the flight; by default they are computed.
     """
-    beliefs = (verdicts or FlightVerdicts.of(flight)).beliefs
-    return np.array(
-        [
-            rank < 0 or is_doubtful(flight, task, query, answer, rank == 0, verdict)
-            for query, (answer, rank, verdict) in enumerate(zip(answers.tolist(), ranks.tolist(), beliefs, strict=True))
-        ],
-        bool,
-    )
+    pairs = enumerate(zip(answers.tolist(), ranks.tolist(), strict=True))
+    doubtful = (rank < 0 or is_doubtful(flight, task, i, answer, rank == 0) for i, (answer, rank) in pairs)
+    return np.fromiter(doubtful, bool)
 
 
-def is_doubtful(
-    flight: LocatedFlight, task: Task, query: int, answer: int, right: bool, verdict: Belief | None = None
-) -> bool:
+def is_doubtful(flight: LocatedFlight, task: Task, query: int, answer: int, right: bool) -> bool:
     """Tell whether the grade of a flight's photo is in doubt.
 
     Details are in doubt if the tag, the neighbours, or the map contradict them. A tag is in doubt if the details grade this
-    answer the opposite way.
+    answer the opposite way: they place the photo's middle on a wrong answer, or off a right one, by more than the 1-sigma radius
+    without the map's error, which moves both alike.
 
     Args:
         answer: the first tile's position in the gallery.
         right: whether it is right by the judge.
-        verdict: on the photo; by default it is computed.
-    """
-    by_details = flight.judge_of(query) == "its details" and (verdict or belief(flight.frames[query])).contradicted
-    return by_details or is_disputed(flight, task, query, answer, right)
-
-
-def is_disputed(flight: LocatedFlight, task: Task, query: int, answer: int, right: bool) -> bool:
-    """Tell whether the details of a flight's photo contradict its judge on an answer.
-
-    They do if they place the photo's middle on a wrong answer, or off a right one, by more than the 1-sigma radius without the
-    map's error, which moves both alike. Without an accepted registration there is no contradiction.
-
-    Args:
-        answer, right: see `is_doubtful`.
     """
     located = flight.frames[query]
+    if flight.judge_of(query) == "its details" and judge(located).contradicted:
+        return True
     off = off_window(located, window_of(task, answer))
     return off is not None and abs(off) >= located.stages["registration"].own_radius and (off <= 0) is not right
 

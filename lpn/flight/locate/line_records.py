@@ -1,46 +1,42 @@
-"""Records in a file of lines, appended one by one, so that a killed run can resume."""
+"""Answers in a file of lines, appended one by one, so that a killed run can resume."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Generic, TypeVar
 
 import msgspec
 
 from lpn.core.errors import OutputError
 from lpn.core.files import space_remedy
+from lpn.flight.locate.located import StageRecord
 
-Kept = TypeVar("Kept", bound=msgspec.Struct)
 
-
-class LineRecords(Generic[Kept]):
-    """Records by a key; a line that a kill cut short is ignored.
+class LineRecords:
+    """Answers by a key; a line that a kill cut short is ignored.
 
     Args:
         file: of JSON lines, created by the first record.
-        kind: of the records.
     """
 
-    def __init__(self, file: Path, kind: type[Kept]) -> None:
+    def __init__(self, file: Path) -> None:
         self._file = file
-        self._records: dict[str, Kept] = {}
+        self._records: dict[str, StageRecord] = {}
         try:
-            lines = self._file.read_bytes().splitlines()
+            lines = file.read_bytes().splitlines()
         except OSError:
             return
-        decoder = msgspec.json.Decoder(tuple[str, kind])  # type: ignore[valid-type]
+        decoder = msgspec.json.Decoder(tuple[str, StageRecord])
         for line in lines:
             try:
-                key, record = decoder.decode(line)
+                key, self._records[key] = decoder.decode(line)
             except (msgspec.MsgspecError, ValueError):
                 continue
-            self._records[key] = record
 
-    def get(self, key: str) -> Kept | None:
+    def get(self, key: str) -> StageRecord | None:
         """Return the record of a key; None if there is none."""
         return self._records.get(key)
 
-    def append(self, key: str, record: Kept) -> None:
+    def append(self, key: str, record: StageRecord) -> None:
         """Write a record; raises OutputError if the file cannot be written."""
         try:
             self._file.parent.mkdir(parents=True, exist_ok=True)

@@ -13,7 +13,6 @@ import numpy as np
 
 from lpn.core.arrays import BoolArray, Float64Array
 from lpn.core.homography import apply_homography, middle_pixel
-from lpn.core.numbers import distance
 from lpn.datasets.rendered import is_rendered_flight
 from lpn.flight.files import Flight, Frame
 from lpn.flight.locate.agreement import MapAgreement
@@ -155,11 +154,20 @@ class StageRecord(msgspec.Struct, frozen=True, omit_defaults=True):
         """True if the position and its radius come from the pose."""
         return self.pose is not None and self.camera and (self.x, self.y) == (self.pose.east, self.pose.north)
 
+    @property
+    def place(self) -> Float64Array | None:
+        """The position in metres of the map's frame, (2,); None without one."""
+        return None if self.x is None or self.y is None else np.array([self.x, self.y])
+
+    @property
+    def matrix(self) -> Float64Array | None:
+        """The homography of an accepted answer, (3, 3); None without one."""
+        return np.array(self.homography).reshape(3, 3) if self.accepted and self.homography is not None else None
+
     def distance(self, place: Float64Array) -> float:
         """Return the metres from the known position to a place (2,)."""
-        assert self.x is not None
-        assert self.y is not None
-        return math.hypot(self.x - place[0], self.y - place[1])
+        assert self.place is not None
+        return math.dist(self.place, place)
 
 
 @dataclass
@@ -187,9 +195,7 @@ class LocatedFrame:
         """Return the true place of the camera or the picture's middle, (2,): the correction, else the tag, else None."""
         if self.by_hand is None or (camera and not self.by_hand.camera):
             return self.tag
-        if camera:
-            return np.array([self.by_hand.x, self.by_hand.y])
-        return self.middle(self.by_hand)
+        return self.by_hand.place if camera else self.middle(self.by_hand)
 
     def searched_places(self, around_tag: bool) -> Float64Array | None:
         """Return the places (K, 2) about which the registration searches; None for the whole map.
@@ -212,41 +218,46 @@ class LocatedFrame:
         matrix = np.array(answer.homography).reshape(3, 3)
         return apply_homography(matrix, middle_pixel(self.frame.width, self.frame.height))
 
-    def error(self, stage: str) -> float | None:
-        """Return the metres from the truth to a stage's position; None without one of them."""
-        answer = self.stages.get(stage)
-        return None if answer is None else self.error_of(answer)
-
-    def error_of(self, answer: StageRecord) -> float | None:
-        """Return the metres from the truth to an answer's position; None without one of them."""
-        off = self.offset(answer)
+    def error(self, of: str | StageRecord) -> float | None:
+        """Return the metres from the truth to the position of an answer, or of a stage; None without one of them."""
+        answer = self.stages.get(of) if isinstance(of, str) else of
+        off = None if answer is None else self.offset(answer)
         return None if off is None else math.hypot(*off)
 
     def offset(self, answer: StageRecord) -> tuple[float, float] | None:
         """Return the metres east and north from the truth to an answer's position; None without one of them."""
-        if answer.x is None or answer.y is None or (truth := self.truth(answer.camera)) is None:
+        truth = self.truth(answer.camera)
+        if answer.x is None or answer.y is None or truth is None:
             return None
         return answer.x - float(truth[0]), answer.y - float(truth[1])
+
+    @property
+    def laid(self) -> Float64Array | None:
+        """The homography of the correction by hand, else of an accepted registration, (3, 3); None without both."""
+        answer = self.by_hand or self.stages.get("registration")
+        return None if answer is None else answer.matrix
 
     @property
     def sentence(self) -> str:
         """Summarise the findings of the stages in one line."""
         sentences = [f"{name.capitalize()}: {answer.sentence}" for name, answer in self.stages.items()]
-        return " ".join(
-            sentences if self.by_hand is None else [*sentences, f"{BY_HAND.capitalize()}: {self.by_hand_sentence}"]
-        )
+        by_hand = [] if self.by_hand is None else [f"{BY_HAND.capitalize()}:", *self.by_hand_reason]
+        return " ".join(filter(None, [*sentences, *by_hand]))
 
     @property
-    def by_hand_sentence(self) -> str:
-        """A sentence on the effect of a correction; "" without one."""
+    def by_hand_reason(self) -> tuple[str, str]:
+        """The reason of a correction by hand, and a note on the distance to the answers; empty without a correction."""
         if self.by_hand is None:
-            return ""
-        apart = None if self.tag is None else self.by_hand.distance(self.tag)
-        sentence = f"{self.by_hand.sentence}{_sentence('The GPS tag lies', apart)}"
-        answer, apart = self.stages.get("registration"), self.error("registration")
+            return "", ""
+        reason, note = self.by_hand.reason_and_note
+        answer, error = self.stages.get("registration"), self.error("registration")
+        if self.tag is not None:
+            note += f" The GPS tag lies {self.by_hand.distance(self.tag):.1f} m from there."
         if answer is not None and not answer.accepted:
-            return f"{sentence} The registration is refused."
-        return sentence + _sentence("The registration lies", apart)
+            note += " The registration is refused."
+        elif error is not None:
+            note += f" The registration lies {error:.1f} m from there."
+        return reason, note.strip()
 
 
 def tag_positions(frames: Iterable[LocatedFrame]) -> Float64Array:
@@ -286,11 +297,6 @@ class LocatedFlight:
     prior: float | None = None
 
     @property
-    def elsewhere(self) -> str:
-        """A clause on the distance of GPS tags that all lie far off the map; "" otherwise."""
-        return "" if self.tags_away is None else f"The flight's GPS tags lie {distance(self.tags_away)} from this map"
-
-    @property
     def stages(self) -> list[str]:
         """The stages that ran."""
         return [stage for stage in STAGES if any(stage in located.stages for located in self.frames)]
@@ -321,29 +327,22 @@ class LocatedFlight:
         It is the tag, unless the tags are late (`late_tags`). Then it is the shipped registration, or without one the tag without
         the lag.
         """
-        if (audit := self.late_tags) is None or audit.lag is None:
+        if (audit := self.late_tags) is None:
             return [located.tag for located in self.frames]
-        moved = corrected_tags(self.flight.times, tag_positions(self.frames), audit.lag)
-        places: list[Float64Array | None] = []
-        for located, tag in zip(self.frames, moved, strict=True):
-            middle = self._shipped_middle(located)
-            known = None if np.isnan(tag).any() else tag
-            places.append(known if middle is None else middle)
-        return places
+        moved = _known(corrected_tags(self.flight.times, tag_positions(self.frames), audit.lag))
+        middles = map(self._shipped_middle, self.frames)
+        return [tag if middle is None else middle for tag, middle in zip(moved, middles, strict=True)]
 
     def _shipped_middle(self, located: LocatedFrame) -> Float64Array | None:
         answer = self.shipped.get(located.frame.name)
-        if answer is None or not answer.accepted or answer.homography is None:
-            return None
-        return located.middle(answer)
+        return None if answer is None or answer.matrix is None else located.middle(answer)
 
     def without_lag(self) -> LocatedFlight:
         """Return the flight with the tags of `tags_without_lag`; the flight itself without these."""
         if self.tags_without_lag is None:
             return self
-        pairs = zip(self.frames, self.tags_without_lag, strict=True)
-        frames = [replace(located, tag=None if np.isnan(tag).any() else tag) for located, tag in pairs]
-        return replace(self, frames=frames, tags_without_lag=None)
+        pairs = zip(self.frames, _known(self.tags_without_lag), strict=True)
+        return replace(self, frames=[replace(located, tag=tag) for located, tag in pairs], tags_without_lag=None)
 
     def errors(self) -> dict[str, Errors]:
         """Return the errors of each stage against `LocatedFrame.truth`; refused positions do not count."""
@@ -384,19 +383,16 @@ class LocatedFlight:
         rows: list[Float64Array] = []
         hits: list[BoolArray] = []
         apart: list[bool] = []
-        likely: list[list[bool]] = []
+        likely: list[BoolArray] = []
         for i, located in enumerate(self.frames):
             if (truth := located.truth(False)) is None:
                 continue
             if located.likely:
                 near = np.array(located.likely)
-                likely.append(np.all(np.abs(near[:, :2] - truth) <= near[:, 2:] / 2, axis=1).tolist())
-            if i in self.retrieval.broken:
-                rows.append(np.full(depth, np.inf))
-                hits.append(np.zeros(depth, bool))
-                apart.append(False)
-                continue
-            off = self.retrieval.places - truth
+                likely.append(np.all(np.abs(near[:, :2] - truth) <= near[:, 2:] / 2, axis=1))
+            off = np.full(self.retrieval.places.shape, np.inf)
+            if i not in self.retrieval.broken:
+                off = self.retrieval.places - truth
             holds = np.all(np.abs(off) <= self.retrieval.sizes[:, None] / 2, axis=1)
             order = self.retrieval.first(i, depth)
             rows.append(np.linalg.norm(off[order], axis=1))
@@ -406,25 +402,18 @@ class LocatedFlight:
             return {}
         distances = np.array(rows)
         read = distances[np.isfinite(distances).all(axis=1)]
-        depths = [k for k in (1, 5, 10) if k <= distances.shape[1]]
+        depths = [k for k in (1, 5, 10) if k <= depth]
         figures = {f"recall@{k}": field_metrics.recall_at(hits, k) for k in depths}
         figures[f"recall@{TOP} apart"] = 100 * float(np.mean(apart))
-        if likely:
-            figures |= {
-                f"sequence recall@{k} apart": 100 * float(np.mean([any(own[:k]) for own in likely])) for k in (1, TOP)
-            }
-        figures |= {
-            f"sdm@{k}": float(field_metrics.sdm(distances, k, field_metrics.GTA_UAV_DECAY).mean()) for k in depths
-        }
-        if len(read):
-            figures |= {f"dis@{k}": float(field_metrics.distance_at(read, k).mean()) for k in depths}
+        for k in (1, TOP) if likely else ():
+            figures[f"sequence recall@{k} apart"] = 100 * float(np.mean([holds[:k].any() for holds in likely]))
+        for k in depths:
+            figures[f"sdm@{k}"] = float(field_metrics.sdm(distances, k, field_metrics.GTA_UAV_DECAY).mean())
+        for k in depths if len(read) else ():
+            figures[f"dis@{k}"] = float(field_metrics.distance_at(read, k).mean())
         return figures | {f"ma@{m}": field_metrics.accuracy_within(distances[:, 0], m) for m in (20, 50, 100)}
 
 
-def checked_beside_middle(answer: StageRecord) -> Literal["yes", "no"]:
-    """Return "yes" if enough places away from the photo's middle were compared with the map, even if they contradict it."""
-    return "no" if answer.agreement is None or answer.agreement.unchecked else "yes"
-
-
-def _sentence(what: str, metres: float | None) -> str:
-    return "" if metres is None else f" {what} {metres:.1f} m from there."
+def _known(places: Float64Array) -> list[Float64Array | None]:
+    """Return the rows of places (N, 2); None for rows with NaN."""
+    return [None if np.isnan(place).any() else place for place in places]

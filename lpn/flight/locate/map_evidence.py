@@ -25,10 +25,10 @@ import msgspec
 import numpy as np
 
 from lpn.core.arrays import Float64Array
-from lpn.flight.locate.belief import beside_tag, map_misfit
 from lpn.flight.locate.located import LocatedFrame, StageRecord
 from lpn.flight.locate.ranked_stages import OVERLAP
 from lpn.flight.locate.registered_stage import AROUND
+from lpn.flight.locate.verdict import beside_tag, map_misfit
 from lpn.flight.locate.words import Reason
 
 # Log odds from which the map counts as of the flight's place: odds of 20.

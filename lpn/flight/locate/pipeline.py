@@ -21,7 +21,7 @@ from lpn.flight.locate.located import LocatedFlight, LocatedFrame, tag_positions
 from lpn.flight.locate.map_evidence import MapEvidence, judge_map
 from lpn.flight.locate.options import TOP, LocateOptions
 from lpn.flight.locate.ranked_stages import OVERLAP, enter_retrieval, enter_sequence
-from lpn.flight.locate.registered_stage import FORMAT, refuse_contradicted, register_frames
+from lpn.flight.locate.registered_stage import refuse_contradicted, register_frames
 from lpn.flight.locate.registration import is_turned_over
 from lpn.flight.locate.retrieval import MapRetrieval, retrieve
 from lpn.flight.locate.shipped import ShippedAnswers
@@ -84,7 +84,7 @@ def locate(
     retrieval, answers = None, None
     if model is not None:
         if shipped is not None:
-            answers = ShippedAnswers.open(shipped, FORMAT, model, basemap, flight)
+            answers = ShippedAnswers.open(shipped, model, basemap, flight)
         retrieval = retrieve(model, basemap, flight, options.sizes, options.overlap, True, indexed, answers)
         notes += retrieval.notes
         if retrieval.broken:
@@ -152,7 +152,7 @@ def registered(
         notes.append(
             f"Radii of registrations hold {error_figure(map_error)} m for the error of the map itself{source}."
         )
-    moved = corrected_tags(located.flight.times, tags, audit.lag) if audit.has_lag and audit.lag is not None else None
+    moved = corrected_tags(located.flight.times, tags, audit.lag) if audit.has_lag else None
     return replace(
         located,
         frames=frames,

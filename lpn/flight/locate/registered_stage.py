@@ -103,7 +103,7 @@ def register_frames(
     heights = None if basemap.elevation is None else basemap.elevation.digest()
     key = [FORMAT, _POSES, basemap.digest(), heights, names, asdict(searched), model and model.fingerprint, side]
     file = cache_folder() / "locate" / "registration" / f"{_digest([*key, flight.name])}.jsonl"
-    records = LineRecords(file, StageRecord)
+    records = LineRecords(file)
     few = len(frames) < FEWEST and all(located.by_hand is None for located in frames)
     before = Before()
     trail = _digest(key)

@@ -22,6 +22,7 @@ from lpn.core.errors import StoreError
 from lpn.descriptors.store import Row, open_store
 from lpn.flight.files import Flight
 from lpn.flight.locate.located import StageRecord
+from lpn.flight.locate.registered_stage import FORMAT as REGISTERED
 from lpn.flight.maps import Map, Window
 from lpn.models.base import Model
 
@@ -68,21 +69,14 @@ class ShippedAnswers:
     record: ShippedRecord
 
     @classmethod
-    def open(
-        cls, folder: Path, registered_by: str, model: Model, basemap: Map, flight: Flight
-    ) -> ShippedAnswers | None:
-        """Open the answers in a folder; None without any, or if they are of another model, map, or flight.
-
-        Args:
-            registered_by: the format of the registration.
-        """
+    def open(cls, folder: Path, model: Model, basemap: Map, flight: Flight) -> ShippedAnswers | None:
+        """Open the answers in a folder; None without any, or if they are of another model, map, or flight."""
         try:
             record = msgspec.json.decode((folder / NAME).read_bytes(), type=ShippedRecord)
         except (OSError, msgspec.MsgspecError, ValueError):
             return None
-        wanted = (FORMAT, registered_by, model.fingerprint, map_files(basemap), photo_files(flight))
-        fits = (record.format, record.registered_by, record.fingerprint, record.map, record.photos) == wanted
-        return cls(folder, record) if fits else None
+        found = (record.format, record.registered_by, record.fingerprint, record.map, record.photos)
+        return cls(folder, record) if found == identity(model, basemap, flight) else None
 
     def windows(self, windows: Sequence[Window], side: int) -> Float32Array | None:
         """Return descriptors (N, n, D) of windows, see `window_rows`; None if shipped ones do not fit, or are damaged."""
@@ -101,6 +95,13 @@ class ShippedAnswers:
             return None
         fits = store.manifest.fingerprint == self.record.fingerprint and not store.damaged().any()
         return np.array(store.float32) if fits and _alike(store.manifest.rows, rows) else None
+
+
+def identity(model: Model, basemap: Map, flight: Flight) -> tuple[str, str, str, Files, Files]:
+    """Return what answers are of: formats of file and registration, the model, and the files of map and photos."""
+    files = [file for sheet in basemap.sheets for file in sheet.raster.files()]
+    photos = [(frame.name, frame.file.stat().st_size) for frame in flight.frames]
+    return FORMAT, REGISTERED, model.fingerprint, [(file.name, file.stat().st_size) for file in files], photos
 
 
 def window_rows(windows: Sequence[Window], side: int) -> list[Row]:
@@ -122,27 +123,12 @@ def _row(numbers: Sequence[float], name: str = "", size: int = 0) -> Row:
     return Row(" ".join([*(f"{number:.6f}" for number in numbers), name]), size, 0)
 
 
-def map_files(basemap: Map) -> Files:
-    files = [file for sheet in basemap.sheets for file in sheet.raster.files()]
-    return [(file.name, file.stat().st_size) for file in files]
-
-
-def photo_files(flight: Flight) -> Files:
-    return [(frame.name, frame.file.stat().st_size) for frame in flight.frames]
-
-
 def _alike(stored: Sequence[Row], wanted: Sequence[Row]) -> bool:
     """Tell whether rows are of the same pictures, up to rounding."""
-    if len(stored) != len(wanted):
+    words, others = (" ".join(row.file for row in rows).split(" ") for rows in (stored, wanted))
+    if [row.size for row in stored] != [row.size for row in wanted] or len(words) != len(others):
         return False
-    for one, other in zip(stored, wanted, strict=True):
-        words, others = one.file.split(" "), other.file.split(" ")
-        if len(words) != len(others) or one.size != other.size:
-            return False
-        for word, same in zip(words, others, strict=True):
-            if word != same and not _near(word, same):
-                return False
-    return True
+    return all(one == other or _near(one, other) for one, other in zip(words, others, strict=True))
 
 
 def _near(one: str, other: str) -> bool:

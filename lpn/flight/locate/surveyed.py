@@ -10,39 +10,38 @@ Latitude and longitude may replace easting and northing; their default CRS is WG
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePath
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
-from lpn.core.csv_cells import csv_bytes, mixed_separators, unescape
+from lpn.core.csv_cells import csv_bytes, unescape
 from lpn.core.errors import DataError, InputError
 from lpn.core.files import first_few, printable, write_atomic
-from lpn.core.lists import read_text, separated
+from lpn.core.lists import read_text, table
 from lpn.core.numbers import distance
 from lpn.flight.files.logs import path_parts
-from lpn.flight.locate.belief import best_answers
 from lpn.flight.locate.camera_place import below_camera
 from lpn.flight.locate.errors import Errors
-from lpn.flight.locate.located import LocatedFlight, LocatedFrame, StageRecord, TrackState
+from lpn.flight.locate.located import LocatedFlight, LocatedFrame, StageRecord
+from lpn.flight.locate.verdict import judge
 from lpn.flight.maps import LocalFrame, Map
 from lpn.flight.maps.sources import parse_crs
 
 SurveyedPoint = Literal["camera", "ground"]
-# Accepted names of columns, best first.
-COLUMNS = {
+# Accepted names of columns.
+_COLUMNS = {
     "photo": ("photo", "image", "frame", "file", "filename", "file_name", "name", "label"),
     "latitude": ("latitude", "lat"),
     "longitude": ("longitude", "lon", "lng", "long"),
     "easting": ("easting", "easting_m", "east", "e", "x"),
     "northing": ("northing", "northing_m", "north", "n", "y"),
     "crs": ("crs", "epsg", "projected_crs"),
-    "point": ("point",),
 }
 _DEGREES, _METRES = ("latitude", "longitude"), ("easting", "northing")
-_EXPECTED = "expected photo and latitude,longitude or easting,northing,epsg, and, if you like, point (camera or ground)"
+_EXPECTED = "photo and either latitude,longitude or easting,northing,epsg, and, if you like, point (camera or ground), each once"
 # The default CRS of degrees.
 _WGS84 = "EPSG:4326"
 # Most names in one sentence.
@@ -54,8 +53,7 @@ _RESIDUAL_COLUMNS = (
 )
 
 
-@dataclass(frozen=True)
-class SurveyedPosition:
+class SurveyedPosition(NamedTuple):
     """A surveyed position of a photo: metres east and north in the map's frame, of its camera or of the ground at its middle."""
 
     photo: str
@@ -64,17 +62,8 @@ class SurveyedPosition:
     point: SurveyedPoint
 
 
-@dataclass(frozen=True)
-class MatchedSurvey:
-    """Surveyed positions of a flight's photos.
-
-    Attributes:
-        by_frame: positions by the number of their frame in the flight.
-        strangers: names in the table without a photo in the flight.
-    """
-
-    by_frame: Mapping[int, Sequence[SurveyedPosition]]
-    strangers: Sequence[str]
+# Surveyed positions by the number of their frame in the flight.
+MatchedSurvey = Mapping[int, Sequence[SurveyedPosition]]
 
 
 @dataclass(frozen=True)
@@ -86,8 +75,7 @@ class Residual:
         point: the surveyed point.
         answered: the answer's point, the camera or the ground at the photo's middle; it differs from `point` if the answer has no
             place of that. None without an answer.
-        stage, state: of the best answer, see `lpn.flight.locate.belief.best_answers`.
-        doubt: the answers that contradict it.
+        stage, state, doubt: of the best answer, as in a track.
         surveyed: metres in the map's frame.
         east, north: metres along the axes of the map's UTM zone, answer minus survey; NaN without an answer.
         radius: 1-sigma radius of the answer in metres, with the map's error; NaN if unknown.
@@ -97,22 +85,12 @@ class Residual:
     point: SurveyedPoint
     answered: SurveyedPoint | None
     stage: str
-    state: TrackState
-    doubt: tuple[str, ...]
+    state: str
+    doubt: str
     surveyed: tuple[float, float]
     east: float = math.nan
     north: float = math.nan
     radius: float = math.nan
-
-    @property
-    def metres(self) -> float:
-        """The distance in the plane."""
-        return math.hypot(self.east, self.north)
-
-    @property
-    def radii(self) -> float:
-        """The distance in radii; NaN without a radius, or if the answer is of another point."""
-        return self.metres / self.radius if self.answered == self.point and self.radius > 0 else math.nan
 
     @property
     def counts(self) -> bool:
@@ -131,87 +109,42 @@ def read_surveyed(file: Path, frame: LocalFrame, crs: str | None = None) -> list
         DataError: if the file cannot be read, or is no such table; the message names the line.
         InputError: if a CRS is invalid, does not fit the columns, is given twice, or is missing.
     """
-    name = printable(file.name)
-    decimal_comma, rows = separated(read_text(file, name), name, strict=True)
-    header = _header(next(rows, (0, []))[1], name)
-    degrees = "latitude" in header
-    photos, points, numbers, systems = list[str](), list[SurveyedPoint](), list[list[float]](), dict[str, str]()
-    lines = []
-    for number, values in rows:
-        line = f"Line {number} of {name}"
-        if len(values) <= max(header.values()):
-            raise DataError(
-                f"{line} has {len(values)} values, and its columns need {max(header.values()) + 1}; complete it."
-            )
-        cells = {key: unescape(values[column].strip()) for key, column in header.items()}
+    name, keys = printable(file.name), {one: key for key, names in _COLUMNS.items() for one in names}
+    text, numbers = read_text(file, name), list[list[float]]()
+    header, rows = table(
+        text, name, _is_survey, _EXPECTED, _DEGREES + _METRES, lambda column: keys.get(column.lower(), column.lower())
+    )
+    degrees, named, systems = "latitude" in header, list[tuple[str, SurveyedPoint]](), set[str]()
+    for line, row in rows:
+        cells = {key: unescape(value) for key, value in row.items()}
         point = cells.get("point", "").lower() or "camera"
         if not cells["photo"]:
             raise DataError(f"{line} has no photo; expected its file name.")
         if point not in ("camera", "ground"):
             raise DataError(f"{line} has the point {printable(point)[:100]!r}; expected camera or ground.")
-        # The frame takes the longitude of a geographic CRS first. Spreadsheets may write EPSG codes as 32614.0.
-        keys = _DEGREES[::-1] if degrees else _METRES
-        numbers.append([_number(cells[key], key, line, decimal_comma) for key in keys])
-        systems.setdefault(cells.get("crs", "").removesuffix(".0"), line)
-        photos.append(cells["photo"])
-        points.append("ground" if point == "ground" else "camera")
-        lines.append(line)
-    if not photos:
+        # The frame takes the longitude of a geographic CRS first.
+        numbers.append([_number(cells[key], key, line) for key in (_DEGREES[::-1] if degrees else _METRES)])
+        # Spreadsheets may write EPSG codes as 32614.0.
+        systems.add(cells.get("crs", "").removesuffix(".0"))
+        named.append((cells["photo"], "ground" if point == "ground" else "camera"))
+    if not named:
         raise DataError(f"{name} has no position below its first line; add a line for each photo.")
     placed = frame.from_crs(_system(systems, crs, degrees, name), np.array(numbers))
     if not np.isfinite(placed).all():
         raise DataError(
-            f"The CRS of {name} cannot be brought to the map's plane for all positions, from {lines[0]} on; check CRS and "
-            "coordinates."
+            f"The CRS of {name} cannot be brought to the map's plane for all positions; check CRS and coordinates."
         )
-    return [SurveyedPosition(*row) for row in zip(photos, *placed.T.tolist(), points, strict=True)]
+    return [SurveyedPosition(photo, x, y, point) for (photo, point), (x, y) in zip(named, placed.tolist(), strict=True)]
 
 
-def _system(told: Mapping[str, str], crs: str | None, degrees: bool, file: str) -> object:
-    """Return the CRS of a table; `told` maps each CRS in its column to its first line."""
-    if crs and set(told) != {""}:
-        raise InputError(f"{file} tells its CRS in a column; leave --crs out, or take the column away.")
-    if len(told) > 1:
-        both = " and ".join(f"{printable(one)[:100] or 'none'} ({line})" for one, line in list(told.items())[:2])
-        raise DataError(f"{file} has the CRS {both}; expected one for the whole table.")
-    text = crs or next(iter(told)) or (_WGS84 if degrees else "")
-    if not text:
-        raise InputError(
-            f"{file} has eastings and northings without their CRS; add a column epsg, or give it, such as --crs EPSG:32614."
-        )
-    system = parse_crs(text)
-    if not (system.is_geographic if degrees else system.is_projected):
-        columns, kind, such = ("eastings and northings", "projected", "EPSG:32614")
-        if degrees:
-            columns, kind, such = ("latitudes and longitudes", "geographic", _WGS84)
-        raise InputError(
-            f"The CRS {printable(text)[:100]} is not {kind}, and {file} has {columns}; expected one such as {such}."
-        )
-    return system
+def _is_survey(header: Sequence[str]) -> bool:
+    pairs = [[header.count(key) for key in pair] for pair in (_DEGREES, _METRES)]
+    return header.count("photo") == 1 and sorted(pairs) == [[0, 0], [1, 1]]
 
 
-def _header(names: Sequence[str], file: str) -> dict[str, int]:
-    given = {name.strip().lower(): i for i, name in reversed(list(enumerate(names)))}
-    header = {
-        key: next(given[one] for one in known if one in given) for key, known in COLUMNS.items() if {*known} & {*given}
-    }
-    pairs = [pair for pair in (_DEGREES, _METRES) if {*pair} <= {*header}]
-    if len(pairs) > 1:
-        both = " and ".join(",".join(names[header[key]].strip() for key in pair) for pair in pairs)
-        raise DataError(
-            f"The first line of {file} has {printable(both)[:200]}, and only one of the two can be the survey; take the other "
-            "one away."
-        )
-    if "photo" not in header or not pairs:
-        found = printable(",".join(names))[:200] or "empty"
-        raise DataError(f"The first line of {file} is {found}; {_EXPECTED}.{mixed_separators(found)}")
-    other = _METRES if pairs[0] is _DEGREES else _DEGREES
-    return {key: column for key, column in header.items() if key not in other}
-
-
-def _number(text: str, key: str, line: str, decimal_comma: bool) -> float:
+def _number(text: str, key: str, line: str) -> float:
     try:
-        value = float(text.replace(",", ".", 1) if decimal_comma else text)
+        value = float(text)
     except ValueError:
         value = math.nan
     most = {"latitude": 90.0, "longitude": 180.0}.get(key, math.inf)
@@ -221,19 +154,45 @@ def _number(text: str, key: str, line: str, decimal_comma: bool) -> float:
     return value
 
 
-def match_surveyed(names: Sequence[str], surveyed: Sequence[SurveyedPosition], basemap: Map) -> MatchedSurvey:
+def _system(told: Collection[str], crs: str | None, degrees: bool, file: str) -> object:
+    """Return the CRS of a table; `told` are those of its lines, "" for none."""
+    if crs and {*told} != {""}:
+        raise InputError(f"{file} tells its CRS in a column; leave --crs out, or take the column away.")
+    if len(told) > 1:
+        both = " and ".join(printable(one)[:100] or "none" for one in sorted(told)[:2])
+        raise DataError(f"{file} has lines with the CRS {both}; expected one for the whole table.")
+    text = crs or next(iter(told)) or (_WGS84 if degrees else "")
+    if not text:
+        raise InputError(
+            f"{file} has eastings and northings without their CRS; add a column epsg, or give it, such as --crs EPSG:32614."
+        )
+    system = parse_crs(text)
+    if not (system.is_geographic if degrees else system.is_projected):
+        kind, keys = ("geographic", _DEGREES) if degrees else ("projected", _METRES)
+        raise InputError(
+            f"The CRS {printable(text)[:100]} is not {kind}, and {file} has {keys[0]} and {keys[1]}; give the CRS of these."
+        )
+    return system
+
+
+def match_surveyed(
+    names: Sequence[str], surveyed: Sequence[SurveyedPosition], basemap: Map
+) -> tuple[MatchedSurvey, str]:
     """Match surveyed positions with frames by the photos' names, with or without folders and a suffix.
 
     Args:
         names: of the flight's frames, in its order.
 
+    Returns:
+        The positions, and a sentence on photos that are not in the flight; "" if all are.
+
     Raises:
         InputError: if no photo of the flight has a surveyed position, a name fits two photos, a photo has two positions of one
             point, or most positions lie farther off the map than its longer side.
     """
-    by_stem: dict[str, list[int]] = {}
+    by_stem: dict[str, set[int]] = {}
     for i, name in enumerate(names):
-        by_stem.setdefault(PurePath(path_parts(name)[-1]).stem, []).append(i)
+        by_stem.setdefault(PurePath(path_parts(name)[-1]).stem, set()).add(i)
     by_frame: dict[int, list[SurveyedPosition]] = {}
     strangers: list[str] = []
     for position in surveyed:
@@ -252,48 +211,79 @@ def match_surveyed(names: Sequence[str], surveyed: Sequence[SurveyedPosition], b
             f"None of the {len(surveyed)} surveyed photos, the first being {printable(surveyed[0].photo)[:100]}, is in the "
             f"flight, whose first photo is {printable(names[0])}; expected the photos' file names."
         )
-    off = np.array([basemap.metres_off(np.array([one.x, one.y])) for group in by_frame.values() for one in group])
+    off = [basemap.metres_off(np.array([one.x, one.y])) for group in by_frame.values() for one in group]
     west, south, east, north = basemap.bounds
     if (middle := float(np.median(off))) > max(east - west, north - south):
         raise InputError(
             f"The surveyed positions lie {distance(middle)} from the map in the median; check their CRS, such as the UTM zone, "
             "and that map and survey are of one place."
         )
-    return MatchedSurvey(by_frame, strangers)
+    listed = f"Surveyed photos that are not in the flight; check the names: {_listed(strangers)}."
+    return by_frame, listed if strangers else ""
+
+
+def _frame_of(path: str, names: Sequence[str], by_stem: Mapping[str, set[int]]) -> int | None:
+    """Return the index of the frame that a table names; None without one.
+
+    The shorter path's folders must be the end of the longer one's. Of several frames, an equal path precedes an equal name, and
+    that precedes the most folders.
+    """
+    wanted = path_parts(path)
+    ranked: dict[int, tuple[bool, bool, bool, int]] = {}
+    for i in by_stem.get(PurePath(wanted[-1]).stem, set()) | by_stem.get(wanted[-1], set()):
+        parts = path_parts(names[i])
+        least = min(len(parts), len(wanted))
+        if parts[-least:-1] == wanted[-least:-1]:
+            ranked[i] = path.replace("\\", "/") == names[i], parts == wanted, parts[-1] == wanted[-1], least
+    best = sorted(i for i in ranked if ranked[i] == max(ranked.values()))
+    if len(best) > 1:
+        either = " or ".join(printable(names[i]) for i in best[:2])
+        raise InputError(
+            f"The surveyed photo {printable(path)[:100]} may be {either} of the flight; write the name as the flight has it."
+        )
+    return best[0] if best else None
 
 
 def compare_surveyed(located: LocatedFlight, matched: MatchedSurvey) -> list[Residual]:
     """Return the best answers minus the surveyed positions, in the flight's order."""
     rows = []
-    for i, (frame, best) in enumerate(zip(located.frames, best_answers(located), strict=True)):
-        for position in matched.by_frame.get(i, ()):
-            at = (position.x, position.y)
-            row = Residual(frame.frame.name, position.point, None, best.stage, best.state, best.doubt, at)
-            if best.answer.x is not None:
-                x, y, radius, point = _place(frame, best.answer, position.point)
-                east, north = np.subtract(*located.basemap.frame.utm([(x, y), at])).tolist()
+    for i, frame in enumerate(located.frames):
+        best = judge(frame)
+        for _, *at, point in matched.get(i, ()):
+            row = Residual(
+                frame.frame.name, point, None, best.columns["stage"], best.state, best.columns["doubt"], (at[0], at[1])
+            )
+            if best.answer.place is not None:
+                place, radius, answered = _place(frame, best.answer, point)
+                east, north = np.subtract(*located.basemap.frame.utm([place, at])).tolist()
                 radius = math.nan if radius is None else radius
-                row = replace(row, answered=point, east=east, north=north, radius=radius)
+                row = replace(row, answered=answered, east=east, north=north, radius=radius)
             rows.append(row)
     return rows
 
 
+def _place(
+    located: LocatedFrame, answer: StageRecord, point: SurveyedPoint
+) -> tuple[Sequence[float], float | None, SurveyedPoint]:
+    """Return an answer's place, radius, and point: the wanted point if the answer has it."""
+    if point == "ground" and answer.camera and answer.homography is not None:
+        return located.middle(answer).tolist(), answer.middle_radius, "ground"
+    if point == "camera" and not answer.camera:
+        if (pose := answer.pose) is not None:
+            return (pose.east, pose.north), math.hypot(pose.radius, answer.map_error), "camera"
+        answer = below_camera(located.frame, answer)
+    assert answer.place is not None
+    return answer.place.tolist(), answer.radius, "camera" if answer.camera else "ground"
+
+
 def summarise_surveyed(rows: Sequence[Residual]) -> dict[str, dict[SurveyedPoint, Errors]]:
     """Return the errors of accepted answers by stage and surveyed point."""
-    known: dict[str, dict[SurveyedPoint, list[Residual]]] = {}
-    for row in rows:
-        if row.counts:
-            known.setdefault(row.stage, {}).setdefault(row.point, []).append(row)
-    return {
-        stage: {
-            point: Errors.of(
-                len(chosen),
-                [(row.east, row.north, row.radius if row.answered == row.point else math.nan) for row in chosen],
-            )
-            for point, chosen in points.items()
-        }
-        for stage, points in known.items()
-    }
+    errors: dict[str, dict[SurveyedPoint, Errors]] = {}
+    for stage, point in dict.fromkeys((row.stage, row.point) for row in rows if row.counts):
+        chosen = [row for row in rows if row.counts and (row.stage, row.point) == (stage, point)]
+        offsets = [(row.east, row.north, row.radius if row.answered == point else math.nan) for row in chosen]
+        errors.setdefault(stage, {})[point] = Errors.of(len(chosen), offsets)
+    return errors
 
 
 def write_residuals(file: Path, rows: Sequence[Residual], frame: LocalFrame) -> None:
@@ -305,55 +295,17 @@ def write_residuals(file: Path, rows: Sequence[Residual], frame: LocalFrame) -> 
     cells: list[list[object]] = []
     for row in rows:
         easting, northing = frame.utm([row.surveyed])[0].tolist()
+        metres = math.hypot(row.east, row.north)
+        radii = metres / row.radius if row.answered == row.point and row.radius > 0 else math.nan
         places = (easting, northing, easting + row.east, northing + row.north)
-        figures = [*places, f"EPSG:{frame.utm_zone}", row.east, row.north, row.metres, row.radius, row.radii]
-        told = [value if isinstance(value, str) else _rounded(value) for value in figures]
-        doubt = ", ".join(row.doubt)
-        cells.append([row.photo, row.point, row.answered or "", row.stage, row.state, doubt, *told])
+        told = [row.photo, row.point, row.answered or "", row.stage, row.state, row.doubt, *map(_rounded, places)]
+        figures = map(_rounded, (row.east, row.north, metres, row.radius, radii))
+        cells.append([*told, f"EPSG:{frame.utm_zone}", *figures])
     write_atomic(file, csv_bytes([_RESIDUAL_COLUMNS, *cells]))
 
 
 def _rounded(value: float) -> float | None:
     return round(value, 3) if math.isfinite(value) else None
-
-
-def _frame_of(path: str, names: Sequence[str], by_stem: Mapping[str, Sequence[int]]) -> int | None:
-    """Return the index of the frame that a table names; None without one.
-
-    The shorter path's folders must be the end of the longer one's. Of several frames, an equal path precedes an equal name, and
-    that precedes the most folders.
-    """
-    wanted = path_parts(path)
-    ranked: list[tuple[tuple[bool, bool, bool, int], int]] = []
-    for i in {*by_stem.get(PurePath(wanted[-1]).stem, ()), *by_stem.get(wanted[-1], ())}:
-        parts = path_parts(names[i])
-        least = min(len(parts), len(wanted))
-        if parts[-least:-1] == wanted[-least:-1]:
-            exact = path.replace("\\", "/") == names[i]
-            ranked.append(((exact, parts == wanted, parts[-1] == wanted[-1], least), i))
-    ranked.sort(key=lambda one: (one[0], -one[1]), reverse=True)
-    if len(ranked) > 1 and ranked[0][0] == ranked[1][0]:
-        either = " or ".join(printable(names[i]) for _, i in ranked[:2])
-        raise InputError(
-            f"The surveyed photo {printable(path)[:100]} may be {either} of the flight; write the name as the flight has it."
-        )
-    return ranked[0][1] if ranked else None
-
-
-def _place(
-    located: LocatedFrame, answer: StageRecord, point: SurveyedPoint
-) -> tuple[float, float, float | None, SurveyedPoint]:
-    """Return an answer's place, radius, and point: the wanted point if the answer has it."""
-    if point == "ground" and answer.camera and answer.homography is not None:
-        x, y = located.middle(answer).tolist()
-        return x, y, answer.middle_radius, "ground"
-    if point == "camera" and not answer.camera:
-        if answer.pose is not None:
-            return answer.pose.east, answer.pose.north, math.hypot(answer.pose.radius, answer.map_error), "camera"
-        answer = below_camera(located.frame, answer)
-    assert answer.x is not None
-    assert answer.y is not None
-    return answer.x, answer.y, answer.radius, "camera" if answer.camera else "ground"
 
 
 def survey_remarks(rows: Sequence[Residual], photos: int) -> list[str]:
@@ -376,13 +328,6 @@ def survey_remarks(rows: Sequence[Residual], photos: int) -> list[str]:
     if without := photos - len({row.photo for row in rows}):
         sentences.append(f"Photos of the flight without a surveyed position: {without}.")
     return sentences
-
-
-def strangers_sentence(matched: MatchedSurvey) -> str:
-    """Name the surveyed photos that are not in the flight; "" if all are."""
-    if not matched.strangers:
-        return ""
-    return f"Surveyed photos that are not in the flight; check the names: {_listed(matched.strangers)}."
 
 
 def _listed(names: Iterable[str]) -> str:

@@ -21,9 +21,9 @@ from lpn.datasets import Picture, Truth
 from lpn.datasets.geo import Position
 from lpn.flight.files import Frame
 from lpn.flight.files.cut import TurnedFrame
-from lpn.flight.locate.belief import beliefs, disagreements
 from lpn.flight.locate.located import STAGES, LocatedFlight
 from lpn.flight.locate.retrieval import MapRetrieval, heading_is_certain
+from lpn.flight.locate.verdict import judge
 from lpn.flight.maps import Map
 from lpn.flight.maps.named_window import WindowCut, caption_of, describe_place
 from lpn.models.base import Model
@@ -203,10 +203,7 @@ def stage_columns(located: LocatedFlight) -> list[Column]:
 
     A person's correction replaces the tag, see `LocatedFrame.truth`.
     """
-    opinions = beliefs(located.frames, disagreements(located.frames))
-    verdicts = [
-        "contradicted" if one.stage == "registration" and not one.sign else _VERDICTS[one.stage] for one in opinions
-    ]
+    verdicts = [judge(frame) for frame in located.frames]
     answers = [frame.stages.get("registration") for frame in located.frames]
     columns = [
         *(
@@ -215,8 +212,8 @@ def stage_columns(located: LocatedFlight) -> list[Column]:
         ),
         text_column("registration", ["" if answer is None else answer.state for answer in answers]),
         _numbers("inliers", [None if answer is None else answer.inliers for answer in answers]),
-        text_column("verdict", verdicts),
-        text_column(REASON, [one.reason for one in opinions]),
+        text_column("verdict", ["contradicted" if one.contradicted else _VERDICTS[one.stage] for one in verdicts]),
+        text_column(REASON, [one.reason for one in verdicts]),
     ]
     return [column for column in columns if column.known.any()]
 

@@ -1,7 +1,4 @@
-"""The words of refusals by their codes; no other module has any.
-
-A name in braces is a number of the verdict, with its format.
-"""
+"""The words of verdicts, and of refusals by their codes; a name in braces is a number of the refusal, with its format."""
 
 from __future__ import annotations
 
@@ -14,6 +11,19 @@ Code = Literal[
     "", "unread", "no tag", "too large", "no detail", "no match", "support", "rival", "anywhere", "turned far", "cells",
     "off the map", "wide", "unsure", "beyond", "unproven", "few", "turned", "jump", "unreachable",
 ]  # fmt: skip
+
+# The summary of a verdict by the stage whose position counts, and what may contradict this position.
+DECIDED: Mapping[str | None, str] = {
+    "registration": "Placed by its details",
+    "sequence": "Placed by its neighbours only",
+    "retrieval": "Not placed, a best guess only",
+    None: "Not located",
+}
+AGAINST: Mapping[str, str] = {
+    "tag": "its GPS tag disagrees",
+    "map": "away from its middle it does not fit the map",
+    "sequence": "its neighbours disagree",
+}
 
 _EQUAL = "it may be an equal building."
 _WORDS: Mapping[Code, str] = {

@@ -12,7 +12,6 @@ import pytest
 from explorer.flight.service import SharedFlight
 from lpn.flight.files import Flight, Frame
 from lpn.flight.locate.audit import TagAudit
-from lpn.flight.locate.belief import FlightVerdicts
 from lpn.flight.locate.located import LocatedFlight, LocatedFrame, StageRecord, WindowRecord
 from lpn.flight.locate.retrieval import MapRetrieval
 from lpn.flight.maps import Window, open_map
@@ -93,4 +92,4 @@ def flight(tmp_path_factory: pytest.TempPathFactory) -> LocatedFlight:
 
 def shared_flight(flight: LocatedFlight, root: Path) -> SharedFlight:
     """The flight of a workspace whose corrections lie in a folder."""
-    return SharedFlight(SimpleNamespace(flight=flight, root=root, verdicts_of=FlightVerdicts.of))  # type: ignore[arg-type]
+    return SharedFlight(SimpleNamespace(flight=flight, root=root))  # type: ignore[arg-type]

@@ -52,7 +52,7 @@ def test_frames_are_shown_as_they_come_with_their_photos(record: LiveRecord, fli
     assert before is not None
     assert view is not None
     assert (len(before.flight.frames), len(view.flight.frames)) == (1, 2)
-    assert view.beliefs[0].stage == "registration"
+    assert view.verdicts[0].stage == "registration"
     assert view.flight.notes == ["Frames come again."]
     assert record.sight.status == "Answered in 0.25 s, 2 frames dropped"
     assert [round(served(record, i).mean(), -1) for i in (0, 1)] == [200, 90]

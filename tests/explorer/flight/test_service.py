@@ -3,7 +3,6 @@ from __future__ import annotations
 import csv
 import json
 import threading
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,14 +11,12 @@ import numpy as np
 import pytest
 
 from explorer.flight import page
-from explorer.flight import service as service_module
 from explorer.flight.service import SharedFlight
 from lpn.core.errors import InputError
 from lpn.flight.locate import corrections
-from lpn.flight.locate.agreement import MapAgreement
 from lpn.flight.locate.corrections import NAME
 from lpn.flight.locate.located import LocatedFlight
-from tests.explorer.flight.conftest import SIZE, shared_flight
+from tests.explorer.flight.conftest import shared_flight
 
 ADDRESSES = {"tiles": [], "photo": "p/", "square": "s/", "ground": "g/"}
 CORNERS = np.array([(0.0, 30.0), (40.0, 30.0), (40.0, 0.0), (0.0, 0.0)])
@@ -38,55 +35,21 @@ def test_the_view_is_derived_once_and_again_when_something_changes(service: Shar
 
 
 def test_a_correction_is_a_track_of_its_own_and_lays_the_photo(service: SharedFlight) -> None:
-    assert service.snapshot().homography(2) is None
+    assert service.snapshot().flight.frames[2].laid is None
     service.correct(2, CORNERS)
     view = service.snapshot()
-    assert view.corrected(2) == pytest.approx((20.0, 15.0), abs=1e-3)
     track = page.data(view, ADDRESSES)["tracks"]["corrected"]
     assert (track["x"][:2], track["x"][2]) == ([None, None], pytest.approx(20.0, abs=0.01))
-    matrix = view.homography(2)
+    matrix = view.flight.frames[2].laid
     assert matrix is not None
     middle = matrix @ (39.5, 29.5, 1.0)
     np.testing.assert_allclose(middle[:2] / middle[2], (20.0, 15.0), atol=1e-3)
-    assert any("By hand" in line for line in page.chosen(view, 2, ADDRESSES, None)["card"]["lines"])
+    card = page.card(view, 2)
+    assert card["lines"][-1].startswith("✎ By hand: 47.")
+    assert card["facts"][-1] == "10.0 m from its correction", "the answer of the sequence lies 10 m south of it"
     service.correct(2, None)
-    assert service.snapshot().homography(2) is None
+    assert service.snapshot().flight.frames[2].laid is None
     assert "corrected" not in page.data(service.snapshot(), ADDRESSES)["tracks"]
-
-
-def test_a_photo_that_a_person_lays_is_compared_with_the_map_there_and_once(
-    service: SharedFlight, flight: LocatedFlight, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    kept, anew = MapAgreement([], 1.0), MapAgreement([], 9.0)
-    laid: list[Any] = []
-    monkeypatch.setattr(service_module, "map_agreement", lambda *given: laid.append(given) or anew)
-    stages = flight.frames[0].stages
-    monkeypatch.setitem(stages, "registration", msgspec.structs.replace(stages["registration"], agreement=kept))
-    assert service.agreement(0) is kept
-    assert service.agreement(2) is None, "it is not laid over the map"
-    service.correct(0, CORNERS)
-    assert [service.agreement(0) for _ in range(2)] == [anew, anew]
-    ((basemap, _, matrix, size),) = laid
-    assert (basemap, size) == (flight.basemap, SIZE)
-    np.testing.assert_allclose(matrix, service.snapshot().homography(0))
-    service.correct(0, None)
-    assert service.agreement(0) is kept
-
-
-@pytest.mark.parametrize("content", [None, b"not a picture"])
-def test_a_laid_photo_that_cannot_be_read_is_not_compared(
-    service: SharedFlight,
-    flight: LocatedFlight,
-    monkeypatch: pytest.MonkeyPatch,
-    tmp_path: Path,
-    content: bytes | None,
-) -> None:
-    file = tmp_path / "lost.png"
-    if content is not None:
-        file.write_bytes(content)
-    monkeypatch.setattr(flight.frames[0], "frame", replace(flight.frames[0].frame, file=file))
-    service.correct(0, CORNERS)
-    assert service.agreement(0) is None
 
 
 def test_positions_are_one_a_photo_and_hold_the_corrections(service: SharedFlight) -> None:
@@ -148,7 +111,7 @@ def test_two_servers_that_correct_one_photo_lose_neither_correction(flight: Loca
         first.correct(1, CORNERS + 5)
     assert (tmp_path / NAME).read_bytes() == stored
     assert shown == [True]
-    assert first.snapshot().corrected(1) == pytest.approx((20.0, 15.0), abs=1e-3)
+    assert page.data(first.snapshot(), ADDRESSES)["tracks"]["corrected"]["x"] == [20.0, 20.0, None]
     first.correct(1, CORNERS + 5)
     with pytest.raises(InputError, match="Somebody else"):
         second.correct(1, None)

@@ -17,7 +17,7 @@ from lpn.core.images import load_picture
 from lpn.flight.files import Frame, ground_width, make_flight, open_flight
 from lpn.flight.files.base import local_metres
 from lpn.flight.files.quality import flight_notes, with_courses
-from lpn.flight.locate.tracks import TrackPoint, write_track
+from lpn.flight.locate.tracks import write_track
 from tools.fixtures.photos import dji_xmp, exif, write_photo
 from tools.fixtures.videos import srt, write_video
 
@@ -87,7 +87,7 @@ def test_the_command_prints_what_is_known(tmp_path: Path, capsys: pytest.Capture
 
 def test_a_track_that_lpn_locate_wrote_is_no_log(tmp_path: Path) -> None:
     write_photo(tmp_path / "photos" / "a.jpg", exif(47.0, 8.0))
-    point = TrackPoint(frame="a.jpg", stage="registration", state="accepted", latitude=47.0, longitude=8.0)
+    point = {"frame": "a.jpg", "stage": "registration", "state": "accepted", "latitude": 47.0, "longitude": 8.0}
     write_track(tmp_path / "track.csv", "monday", [point])
     with pytest.raises(DataError, match=r"^track\.csv is a track of lpn locate: .* give the photos, with the"):
         make_flight([tmp_path / "photos", tmp_path / "track.csv"], tmp_path / "monday")

@@ -214,7 +214,7 @@ def test_places_that_the_map_contradicts_prove_nothing_and_lead_no_later_frame(
     located = [locator.locate(frame, ArrivedPicture(frame, 0).pixels()) for frame in frames]
     answers = [live_answer(one) for one in located]
     assert [one.state for one in answers] == ["contradicted"] * 6 + ["refused"] * 2
-    assert all(one.doubt == ("map",) for one in answers[:6])
+    assert all(one.doubt == ["map"] for one in answers[:6])
     # They differ in place and turn from all accepted ones, and do not affect the next one.
     monkeypatch.setattr(lpn.flight.live.locator, "compared", lambda _, answer, __: answer)
     laid["there"] = (80.0, -80.0, 40.0)

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 
 from lpn.core.arrays import Float64Array, UInt8Array
-from lpn.core.errors import DataError
 from lpn.core.homography import middle_pixel
 from lpn.flight.files import Flight, Frame
 from lpn.flight.files.cameras import rotation
@@ -25,7 +24,6 @@ from lpn.flight.locate.located import LocatedFrame
 from lpn.flight.locate.matchers import Matcher, SiftMatcher
 from lpn.flight.locate.options import LocateOptions
 from lpn.flight.locate.pipeline import locate
-from lpn.flight.locate.pose_errors import pose_errors
 from lpn.flight.locate.registered_stage import Before
 from lpn.flight.locate.registration import Expectation, Ground, Registration, register
 from lpn.flight.locate.tracks import full_track
@@ -202,23 +200,8 @@ def test_a_photo_of_hills_has_the_pose_that_it_was_taken_from(
     assert pose.heading == pytest.approx(heading, abs=0.3)
     assert pose.pitch == pytest.approx(pitch, abs=0.5)
     assert pose.height == pytest.approx(place[2] - relief(*place[:2]), abs=1.0)
-    assert pose_errors(located) is None
-    (tmp_path / "flight_world.json").write_text("{}")
-    (tmp_path / "truth.csv").write_text(
-        "file,latitude,longitude,z,true_heading,true_pitch,true_roll\n"
-        f"a.png,{latitude},{longitude},{place[2] + 3},{heading},{pitch},0\n"
-    )
-    errors = pose_errors(located)
-    assert errors is not None
-    assert (errors.places.known, errors.places.photos) == (1, 1)
-    assert errors.places.median == pytest.approx(np.linalg.norm(off[:2]), abs=0.01)
-    assert errors.others[0, 0] == pytest.approx(abs(off[2] - 3), abs=0.01)
-    assert "1 of 1 photos have one" in errors.sentence
-    (tmp_path / "truth.csv").write_text("file,latitude\na.png,here\n")
-    with pytest.raises(DataError, match="has no exact poses"):
-        pose_errors(located)
     point = full_track(located)[0]
-    assert (point.pose_yaw_deg, point.pose_altitude_m, point.pose_sigma_up_m) == (
+    assert (point["pose_yaw_deg"], point["pose_altitude_m"], point["pose_sigma_up_m"]) == (
         pose.heading,
         pose.altitude,
         pose.sigmas[2],

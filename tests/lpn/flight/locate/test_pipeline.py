@@ -116,10 +116,10 @@ def test_a_flight_is_registered_without_a_model_and_the_turned_picture_is_named(
     summary = found.errors()["registration"]
     assert (summary.known, summary.photos) == (4, 4)
     points = full_track(found)
-    assert points[0].latitude == pytest.approx(flight.frames[0].latitude, abs=1e-5)
-    off = math.hypot(points[0].east_from_tag_m or 0, points[0].north_from_tag_m or 0)
-    assert points[0].metres_from_tag == pytest.approx(off, rel=1e-3), "the grid shortens metres"
-    assert points[0].tag_latitude == flight.frames[0].latitude
+    assert points[0]["latitude"] == pytest.approx(flight.frames[0].latitude, abs=1e-5)
+    off = math.hypot(points[0]["east_from_tag_m"], points[0]["north_from_tag_m"])
+    assert points[0]["metres_from_tag"] == pytest.approx(off, rel=1e-3), "the grid shortens metres"
+    assert points[0]["tag_latitude"] == flight.frames[0].latitude
 
 
 def test_a_run_goes_on_after_a_kill(town: Map, flight: Flight, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -202,36 +202,41 @@ def test_a_correction_is_the_truth_and_stands_in_place_of_the_registration(
     assert second.error("registration") == pytest.approx(math.hypot(3 + 15, 4 + 28), abs=1e-3)
     np.testing.assert_allclose(last.truth(False), (50.0, 60.0), atol=1e-3)
     np.testing.assert_allclose(last.truth(True), PLACES[3], atol=1e-3)
-    assert {point.frame: point.stage for point in full_track(found)} == {
+    assert {point["frame"]: point["stage"] for point in full_track(found)} == {
         "1.png": "registration",
         "2.png": "registration",
         "0.png": "by hand",
         "3.png": "by hand",
     }
     by_hand = full_track(found)[-2]
-    assert by_hand.metres_from_tag is not None
-    assert by_hand.reason == "A person laid the photo by hand."
-    assert by_hand.note.startswith("The GPS tag lies ")
-    assert by_hand.note.endswith("The registration lies 18.1 m from there.")
+    assert by_hand["metres_from_tag"] is not None
+    assert by_hand["reason"] == "A person laid the photo by hand."
+    assert by_hand["note"].startswith("The GPS tag lies ")
+    assert by_hand["note"].endswith("The registration lies 18.1 m from there.")
     best = best_track(found)
-    assert [(point.frame, point.stage) for point in best] == [
+    assert [(point["frame"], point["stage"]) for point in best] == [
         ("0.png", "by hand"),
         ("1.png", "registration"),
         ("2.png", "registration"),
         ("3.png", "by hand"),
     ]
     assert best[0] == by_hand
-    assert best[1].reason == "Placed by its details, but its GPS tag disagrees."
-    assert best[1].note.startswith("Registration and tag lie")
+    assert best[1]["reason"] == "Placed by its details, but its GPS tag disagrees."
+    assert best[1]["note"].startswith("Registration and tag lie")
     lost = replace(found.frames[1], stages={"registration": StageRecord("refused", "Too few.", 5.0, 5.0)})
     (point,) = best_track(replace(found, frames=[lost]))
-    assert (point.state, point.latitude, point.reason, point.note) == ("refused", None, "Not located.", "Too few.")
+    assert (point["state"], point.get("latitude"), point["reason"], point["note"]) == (
+        "refused",
+        None,
+        "Not located.",
+        "Too few.",
+    )
     assert found.notes[0].startswith("2 of 4 photos are corrected by hand.")
     assert "left out: x.png." in found.notes[1]
     assert found.audit is not None
     assert found.audit.largest > 80  # between the last frame's tag and its correction
     plain = locate(town, flown, None, SIFT)
-    assert [point.stage for point in full_track(plain)] == ["registration"] * 4
+    assert [point["stage"] for point in full_track(plain)] == ["registration"] * 4
     assert plain.frames[0].stages == first.stages
 
 
@@ -316,7 +321,7 @@ def test_bad_frames_get_a_sentence_and_the_run_goes_on(town: Map, flight: Flight
     assert "leave --prior out" in answers[1].sentence
     assert f"it saw the map in a square of {2 * (40 + 0.75 * WIDTH):.0f} m about it" in answers[2].sentence
     assert found.notes[0].startswith("1 of 3 photos has no GPS tag, so how far off its place is cannot")
-    assert [point.state for point in full_track(found)] == ["refused", "refused", "accepted"]
+    assert [point["state"] for point in full_track(found)] == ["refused", "refused", "accepted"]
     assert "Registration searched around the GPS tags only (prior 40 m)" in found.notes[1]
     assert found.prior == 40
 

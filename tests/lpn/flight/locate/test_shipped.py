@@ -19,7 +19,6 @@ from lpn.flight.files import open_flight
 from lpn.flight.locate.located import LocatedFlight, LocatedFrame
 from lpn.flight.locate.options import LocateOptions
 from lpn.flight.locate.pipeline import locate, registered
-from lpn.flight.locate.registered_stage import FORMAT
 from lpn.flight.locate.shipped import ShippedAnswers
 from lpn.flight.maps import open_map
 
@@ -47,18 +46,17 @@ def test_answers_of_another_model_map_or_flight_are_not_taken(tmp_path: Path) ->
     model, basemap, flight = lpn.load(DEMO_MODEL), open_map(DEMO_PLACE[0]), open_flight(DEMO_PLACE[1])
     folder = tmp_path / "answers"
     shutil.copytree(DEMO_PLACE[0].with_name(DEMO_ANSWERS), folder)
-    answers = ShippedAnswers.open(folder, FORMAT, model, basemap, flight)
+    answers = ShippedAnswers.open(folder, model, basemap, flight)
     assert answers is not None
     assert set(answers.record.registration) == {frame.name for frame in flight.frames}
-    assert ShippedAnswers.open(folder, FORMAT, lpn.load(DEMO_BASELINE), basemap, flight) is None
-    assert ShippedAnswers.open(folder, f"{FORMAT}0", model, basemap, flight) is None
-    assert ShippedAnswers.open(folder, FORMAT, model, open_map(DEMO_FLIGHT[0]), flight) is None
+    assert ShippedAnswers.open(folder, lpn.load(DEMO_BASELINE), basemap, flight) is None
+    assert ShippedAnswers.open(folder, model, open_map(DEMO_FLIGHT[0]), flight) is None
     fewer = replace(flight, frames=flight.frames[1:])
-    assert ShippedAnswers.open(folder, FORMAT, model, basemap, fewer) is None
+    assert ShippedAnswers.open(folder, model, basemap, fewer) is None
     windows = basemap.pyramid([40.0], 0.5)
     assert answers.windows(windows, max(model.input_size)) is None
     (folder / "located.json").write_text("{")
-    assert ShippedAnswers.open(folder, FORMAT, model, basemap, flight) is None
+    assert ShippedAnswers.open(folder, model, basemap, flight) is None
 
 
 def test_damaged_descriptors_are_computed_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -88,7 +86,7 @@ def test_errors_against_tags_without_their_lag_are_told_once_and_with_what_may_b
 ) -> None:
     monkeypatch.setenv("LPN_CACHE", str(tmp_path))
     basemap, flight = open_map(DEMO_PLACE[0]), open_flight(DEMO_PLACE[1])
-    answers = ShippedAnswers.open(DEMO_PLACE[0].with_name(DEMO_ANSWERS), FORMAT, lpn.load(DEMO_MODEL), basemap, flight)
+    answers = ShippedAnswers.open(DEMO_PLACE[0].with_name(DEMO_ANSWERS), lpn.load(DEMO_MODEL), basemap, flight)
     assert answers is not None
     frames = [
         LocatedFrame(frame, tag) for frame, tag in zip(flight.frames, basemap.frame.xy(*flight.degrees.T), strict=True)
