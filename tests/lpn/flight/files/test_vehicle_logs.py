@@ -53,7 +53,7 @@ def test_a_ulog_that_is_damaged_in_places_says_so(tmp_path: Path) -> None:
     vehicle_logs.write_ulog(tmp_path / "flight.ulg")
     whole = bytearray((tmp_path / "flight.ulg").read_bytes())
     middle = len(whole) // 2
-    whole[middle : middle + 40] = b"\xff" * 40
+    whole[middle : middle + 40] = bytes(40)
     (tmp_path / "flight.ulg").write_bytes(whole)
     log = read_any_log(tmp_path / "flight.ulg")
     assert 5 <= len(log.rows) < 20
