@@ -22,7 +22,7 @@ class MapCommand:
     """GeoTIFF (any CRS), picture with a world file or corners, map.csv, folder of tiles {z}/{x}/{y}, .mbtiles; several are
     sheets of one map."""
     out: Path
-    """Folder of the map; sheets that are quick to read stay where they are, and are named in it."""
+    """Folder of the map, new or empty; it holds a copy of the pixels, without loss."""
     crs: str | None = None
     """Coordinate reference system, such as EPSG:32632, instead of that of the files."""
     corners: tuple[float, float, float, float] | None = None
@@ -93,9 +93,9 @@ class MapCommand:
 
         if self.elevation is None and self.elevation_unit is not None:
             raise InputError("--elevation-unit needs --elevation; give both, or leave it out.")
-        elevation = None if self.elevation is None else ElevationFile(self.elevation, self.elevation_unit)
         options = MapOptions(self.crs, self.corners, self.bands, self.keep_borders)
         place = MapPlace(self.place, self.photographed)
+        elevation = None if self.elevation is None else ElevationFile(self.elevation, self.elevation_unit)
         if self.from_flight is None:
             return build_map(self.files, self.out, options, on_progress, elevation, place)
         if self.files or options != MapOptions():

@@ -16,11 +16,10 @@ from lpn.core.errors import DataError, InputError
 from lpn.core.files import printable
 from lpn.core.homography import corner_pixels
 from lpn.flight.maps import window as windows
-from lpn.flight.maps.datums import datum_notes
 from lpn.flight.maps.elevation import Elevation
 from lpn.flight.maps.frame import LocalFrame
 from lpn.flight.maps.place import MapPlace
-from lpn.flight.maps.sheet import Bounds, Sheet
+from lpn.flight.maps.sheet import Bounds, Sheet, datum_notes
 from lpn.flight.maps.window import Window
 
 # Side of the blocks in which a picture is cut, which bounds the memory.
@@ -95,11 +94,6 @@ class Map:
         boxes = np.array([sheet.bounds for sheet in self.sheets])
         (west, south), (east, north) = boxes[:, :2].min(0).tolist(), boxes[:, 2:].max(0).tolist()
         self.bounds: Bounds = (west, south, east, north)
-        if max(east - west, north - south) > _MAX_WIDTH:
-            raise DataError(
-                f"The map {name} is {(east - west) / 1000:.0f} km by {(north - south) / 1000:.0f} km; expected at most "
-                f"{_MAX_WIDTH / 1000:.0f} km, so cut out the part that is flown over."
-            )
         self.resolution = self.sheets[0].resolution
         self._check_pixels()
         self._boxes = boxes
@@ -111,7 +105,8 @@ class Map:
 
     def metres_off(self, point: FloatingArray) -> float:
         """Return how many metres a point of the frame, (2,), lies from the nearest point of the bounds; 0 inside."""
-        return metres_off(self.bounds, point)
+        low, high = np.array(self.bounds[:2]), np.array(self.bounds[2:])
+        return float(np.hypot(*np.maximum(np.maximum(low - point, point - high), 0.0)))
 
     @property
     def sides(self) -> tuple[float, float]:
@@ -294,8 +289,7 @@ class Map:
         """
         facts: list[Any] = [self.frame.latitude, self.frame.longitude]
         for sheet in self.sheets:
-            treatment = sheet.raster.treatment
-            facts.append([sheet.bounds, sheet.matrix.tolist(), None if treatment is None else repr(treatment)])
+            facts.append([sheet.bounds, sheet.matrix.tolist(), sheet.raster.shown])
             for file in sheet.raster.files():
                 try:
                     stat = file.stat()
@@ -365,12 +359,6 @@ class Map:
             valid |= new
             if valid.all():
                 return
-
-
-def metres_off(bounds: Bounds, point: FloatingArray) -> float:
-    """Return how many metres a point, (2,), lies from the nearest point of a box; 0 inside."""
-    low, high = np.array(bounds[:2]), np.array(bounds[2:])
-    return float(np.hypot(*np.maximum(np.maximum(low - point, point - high), 0.0)))
 
 
 def _frame_of(sheets: Sequence[Sheet]) -> LocalFrame:

@@ -74,7 +74,7 @@ def test_the_map_of_photos_shows_the_ground_at_its_place(tmp_path: Path, capsys:
     assert "Step 1 of 3" in printed
     assert "Step 3 of 3" in printed
     assert "is made of 9 photos as if the ground were flat" in printed
-    assert sorted(path.name for path in out.iterdir()) == ["coverage.png", "here.tif", "map.json", "sheets"]
+    assert sorted(path.name for path in out.iterdir()) == ["coverage.png", "map.json", "sheets"]
     assert list((tmp_path / "maps").iterdir()) == [out]
     made = open_map(out)
     assert made.resolution == pytest.approx(PIXEL, rel=0.02)

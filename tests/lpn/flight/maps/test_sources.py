@@ -12,8 +12,8 @@ from PIL import Image
 
 from lpn.core.errors import DataError, InputError, LPNError
 from lpn.flight.maps import Map, MapOptions, Window, open_map
-from lpn.flight.maps.datums import datum_notes
 from lpn.flight.maps.folder import build_map
+from lpn.flight.maps.sheet import datum_notes
 from lpn.flight.maps.sources import parse_crs
 from tests.lpn.flight.maps.small_maps import EAST, NORTH, smooth, write_geotiff
 
@@ -220,10 +220,6 @@ def test_what_has_no_georeference_is_refused(tmp_path: Path) -> None:
     refused(picture_with_world_file(tmp_path / "a.png", ".pgw", None), "no coordinate reference system", "--crs")
     refused(picture_with_world_file(tmp_path / "b.png", ".pgw", world="1\n2\n"), "b.pgw is no world file")
     refused(picture_with_world_file(tmp_path / "c.webp", ".wld", world="1\nx\n"), "c.wld is no world file")
-    refused(
-        picture_with_world_file(tmp_path / "e.tif", ".tfwx"),
-        "e.tfwx stands for a transform that no world file can hold",
-    )
     path = picture_with_world_file(tmp_path / "d.png", ".pgw")
     for given in ((95.0, 9.0, 48.0, 9.1), (48.0, 9.0, 47.9, 190.0), (math.nan, 9.0, 47.9, 9.1)):
         refused(tmp_path / "bare.png", "outside the world", corners=given)
@@ -283,8 +279,6 @@ def test_what_is_no_map_is_refused(tmp_path: Path) -> None:
         refused(few, f"The map few has {columns} x {rows} pixels; expected at least 16 on each side")
     (tmp_path / "empty").mkdir()
     refused(tmp_path / "empty", "holds nothing; expected GeoTIFF files")
-    (tmp_path / "empty" / "_alllayers").mkdir()
-    refused(tmp_path / "empty", "is a tile cache of ArcGIS")
     (tmp_path / "database.mbtiles").write_bytes(b"SQLite format 3\0" + bytes(100))
     refused(tmp_path / "database.mbtiles", "cannot be read as a map")
     refused(write_geotiff(tmp_path / "c.tif", np.zeros((9, 9, 1), np.complex64)), "complex")
@@ -428,13 +422,13 @@ def test_a_photo_turned_by_its_world_file_in_degrees(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("crs", "words"),
     [
-        ("EPSG:26732", "lies on the datum North American Datum 1927, and its places may be off by some 20 m"),
-        ("EPSG:2334", "lies on the datum Xian 1980, and its places may be off by more than 100 m"),
-        ("+proj=utm +zone=32 +ellps=bessel +units=m", "by more than 100 m, as no way from it to WGS 84 is known"),
+        ("EPSG:26732", "The datum of a.tif is North American Datum 1927, by which places may be off by some 20 m"),
+        ("EPSG:2334", "Xian 1980, by which places may be off by more than 100 m"),
+        ("+proj=utm +zone=32 +ellps=bessel +units=m", "by more than 100 m"),
         ("EPSG:4807", "by some 2 m"),
         ("EPSG:4818", "by some 6 m"),
         ("EPSG:4806", "by some 4 m"),
-        ("EPSG:4004", "Not specified based on Bessel 1841 ellipsoid, and its places may be off by more than 100 m"),
+        ("EPSG:4004", "Not specified based on Bessel 1841 ellipsoid, by which places may be off by more than 100 m"),
         ("EPSG:4019", ""),
         ("+proj=utm +zone=32 +ellps=bessel +towgs84=598,74,418,0.2,0,-2.5,6.7", ""),
         ("EPSG:25832", ""),
@@ -454,9 +448,9 @@ def test_a_map_has_one_note_for_all_sheets_on_an_old_datum(tmp_path: Path) -> No
     ]
     made = build_map(files, tmp_path / "map")
     (note,) = (note for note in made.notes if "Deutsches Hauptdreiecksnetz" in note)
-    assert re.match(r"2 sheets, such as [ab]\.tif, lie on", note)
+    assert re.match(r"The datum of (a\.tif, b|b\.tif, a)\.tif is", note)
     assert open_map(tmp_path / "map").notes == made.notes
-    assert any(note.startswith("a.tif lies on the datum") for note in open_map(files[0]).notes)
+    assert any(note.startswith("The datum of a.tif is") for note in open_map(files[0]).notes)
 
 
 @pytest.mark.parametrize(
