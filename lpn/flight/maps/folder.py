@@ -29,8 +29,7 @@ from lpn.core.numbers import SIGMA
 from lpn.flight.maps import _gdal
 from lpn.flight.maps.elevation import Elevation, ElevationFile, probes, write_elevation
 from lpn.flight.maps.frame import LocalFrame
-from lpn.flight.maps.map import Map
-from lpn.flight.maps.place import MapPlace
+from lpn.flight.maps.map import Map, MapPlace
 from lpn.flight.maps.raster import Raster
 from lpn.flight.maps.sheet import Sheet
 from lpn.flight.maps.sources import MapOptions, files_of, open_sheet, parse_crs
@@ -122,6 +121,7 @@ def build_map(
     elevation: ElevationFile | None = None,
     place: MapPlace | None = None,
     error: float | None = None,
+    surveyed_error: float | None = None,
     notes: Sequence[str] = (),
 ) -> Map:
     """Write the folder of a map, and open it.
@@ -132,7 +132,7 @@ def build_map(
         options: facts about the files that they do not state.
         on_progress: called with a sentence before each long step.
         elevation: heights of the map's ground; they are copied into the folder, in metres.
-        place, error: see `Map`.
+        place, error, surveyed_error: see `Map`.
         notes: sentences about how the files were made; commands that read the map print them.
 
     Raises:
@@ -147,7 +147,9 @@ def build_map(
             raise InputError(
                 f"{printable(str(path))} is a map that lpn map wrote; give the files that it was made of: {first_few(names, 10)}."
             )
-    whole = _opened(paths, options or MapOptions(), place, error, notes)
+    if surveyed_error is not None and not 0 < surveyed_error < math.inf:
+        raise InputError(f"The map's error is {surveyed_error:g} m; expected more than 0, {SIGMA}.")
+    whole = _opened(paths, options or MapOptions(), notes)
     if elevation is not None:
         elevation.box(whole.frame, whole.bounds)
     with _new_folder(out) as folder:
@@ -171,24 +173,17 @@ def build_map(
         coverage = np.rint(whole.coverage() * 255).astype(np.uint8)
         write_atomic(folder / _COVERAGE, cv2.imencode(".png", coverage)[1].tobytes())
         record = MapRecord(
-            FORMAT, whole.name, whole.frame.latitude, whole.frame.longitude, sheets, heights, whole.place, error,
-            notes=list(whole.own_notes),
+            FORMAT, whole.name, whole.frame.latitude, whole.frame.longitude, sheets, heights, place, error, surveyed_error,
+            list(whole.own_notes),
         )  # fmt: skip
-        _write(folder, record)
+        write_atomic(folder / NAME, msgspec.json.format(msgspec.json.encode(record), indent=1) + b"\n")
         whole.close()
     return open_folder(out)
 
 
-def _opened(
-    paths: Sequence[Path],
-    options: MapOptions,
-    place: MapPlace | None = None,
-    error: float | None = None,
-    notes: Sequence[str] = (),
-) -> Map:
+def _opened(paths: Sequence[Path], options: MapOptions, notes: Sequence[str] = ()) -> Map:
     files, left_out = files_of(paths, options)
-    sheets = [open_sheet(file, options) for file in files]
-    return Map(files[0].stem, sheets, place=place, error=error, notes=[*left_out, *notes])
+    return Map(files[0].stem, [open_sheet(file, options) for file in files], notes=[*left_out, *notes])
 
 
 def _copied(sheet: Sheet, folder: Path, name: str) -> SheetRecord:
@@ -263,28 +258,6 @@ def open_folder(folder: Path) -> Map:
     )
 
 
-def checked_error(metres: float) -> float:
-    """Check a surveyed error of a map in metres, see `Map`, and return it.
-
-    Raises:
-        InputError: if it is not a number above 0.
-    """
-    if not 0 < metres < math.inf:
-        raise InputError(f"The map's error is {metres:g} m; expected more than 0, {SIGMA}.")
-    return metres
-
-
-def add_surveyed_error(folder: Path, metres: float) -> Map:
-    """Replace the surveyed error of a map in map.json, and open the map.
-
-    Raises:
-        InputError: see `checked_error`.
-        DataError: if map.json is damaged.
-    """
-    _write(folder, msgspec.structs.replace(_read(folder), surveyed_error=checked_error(metres)))
-    return open_folder(folder)
-
-
 def _read(folder: Path) -> MapRecord:
     path = folder / NAME
     file_name = printable(str(path))
@@ -316,7 +289,3 @@ def _there(folder: Path, name: str) -> Path:
             "again with lpn map."
         )
     return path
-
-
-def _write(out: Path, record: MapRecord) -> None:
-    write_atomic(out / NAME, msgspec.json.format(msgspec.json.encode(record), indent=1) + b"\n")

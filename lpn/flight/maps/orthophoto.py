@@ -26,8 +26,7 @@ from lpn.flight.maps import _gdal
 from lpn.flight.maps.elevation import ElevationFile
 from lpn.flight.maps.folder import build_map, check_new
 from lpn.flight.maps.frame import LocalFrame
-from lpn.flight.maps.map import Map
-from lpn.flight.maps.place import MapPlace
+from lpn.flight.maps.map import Map, MapPlace
 from lpn.flight.maps.sources import MapOptions
 
 # Fewest photos of a map, and most names in a sentence.
@@ -56,6 +55,7 @@ def build_from_photos(
     on_progress: Callable[[str], None] = lambda _: None,
     elevation: ElevationFile | None = None,
     place: MapPlace | None = None,
+    surveyed_error: float | None = None,
 ) -> Map:
     """Make an orthophoto of photos that look straight down, write it as the folder of a map, and return the map.
 
@@ -65,7 +65,7 @@ def build_from_photos(
         out: the folder, which must not exist; it appears when all is written.
         on_progress: called with a numbered sentence at each step.
         elevation: heights of the ground, copied into the folder in metres. The photos are still laid on a plane.
-        place: facts about the place; they are checked before any work.
+        place, surveyed_error: see `Map`.
 
     Raises:
         DataError: if fewer than three photos have GPS tags, or overlap, or the elevation is unusable or of another place.
@@ -96,7 +96,8 @@ def build_from_photos(
                 f"{len(names)} of {report['images_total']} photos overlap too little with the others, and are not in the map: "
                 f"{first_few(names, _NAMED)}.",
             )
-        return build_map([file], out, MapOptions(keep_borders=True), on_progress, elevation, place, error, notes)
+        options = MapOptions(keep_borders=True)
+        return build_map([file], out, options, on_progress, elevation, place, error, surveyed_error, notes)
 
 
 def _check_photos(photos: Sequence[Path], tags: Float64Array) -> None:

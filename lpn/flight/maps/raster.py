@@ -214,7 +214,7 @@ class Raster:
         # ground white.
         unclear = bool(valid.all()) or (lossy and nodata)
         look = unclear and not (keep_borders or (deep and nodata) or self._paletted)
-        values = self._overview(file, chosen) if look or deep else np.zeros(0)
+        values: AnyArray = self._overview(file, chosen) if look or deep else np.zeros((0, 1, 1))
         borders = find_borders(values, deep) if look else {}
         if nodata and borders and np.logical_or.reduce(list(borders.values())).all():
             borders = {}  # a dark picture, whose own nodata value says that it is none
@@ -234,8 +234,8 @@ class Raster:
                 )
         limits = None
         if deep:
-            ends = [np.percentile(band[valid].astype(np.float64), _PERCENTILES) for band in values]
-            limits = [(low, high if high > low else low + 1) for low, high in np.array(ends).tolist()]
+            ends = np.array([np.percentile(band[valid].astype(np.float64), _PERCENTILES) for band in values]).tolist()
+            limits = [(low, high if high > low else low + 1) for low, high in ends]
             ranges = ", ".join(f"{low:g} to {high:g}" for low, high in limits)
             self.notes.append(
                 f"{self._called} holds {f'{bits}-bit' if few else dtype} numbers; the percentiles {_PERCENTILES[0]:g} and "

@@ -26,7 +26,7 @@ def same(one: Map, other: Map, tolerance: float = 0) -> None:
         found, expected = one.read(window, pixels), other.read(window, pixels)
         np.testing.assert_array_equal(found[1], expected[1])
         np.testing.assert_allclose(found[0].astype(int), expected[0], atol=tolerance)
-    assert one.windows(20, 10) == other.windows(20, 10)
+    assert one.pyramid([20]) == other.pyramid([20])
 
 
 def test_a_map_folder_holds_copies_of_its_sheets(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -195,9 +195,9 @@ picture, valid = town.read(Window(0, 0, 500), 1000)
 assert valid.all() and abs(int(picture.mean()) - 100) <= 1, picture.mean()
 picture, valid = town.read(Window(0, 0, 1500), 3000)
 assert abs(valid.mean() - (1024 / 1500) ** 2) < 0.005, valid.mean()
-windows = town.windows(1000, 500, 0.4)
-assert 4 <= len(windows) <= 9, len(windows)
-assert all(town.read(window, 100)[1].mean() > 0.37 for window in windows)
+windows = town.pyramid([1000])
+assert 1 <= len(windows) <= 9, len(windows)
+assert all(town.read(window, 100)[1].mean() > 0.47 for window in windows)
 status = Path("/proc/self/status")
 if status.exists():
     # Linux counts the parent's memory before exec in ru_maxrss.
