@@ -147,8 +147,7 @@ def build_map(
             raise InputError(
                 f"{printable(str(path))} is a map that lpn map wrote; give the files that it was made of: {first_few(names, 10)}."
             )
-    if surveyed_error is not None and not 0 < surveyed_error < math.inf:
-        raise InputError(f"The map's error is {surveyed_error:g} m; expected more than 0, {SIGMA}.")
+    check_new(out, surveyed_error)
     whole = _opened(paths, options or MapOptions(), notes)
     if elevation is not None:
         elevation.box(whole.frame, whole.bounds)
@@ -197,7 +196,7 @@ def _copied(sheet: Sheet, folder: Path, name: str) -> SheetRecord:
             "the file."
         ) from error
     source.close()
-    sheet.raster = Raster(folder / name, keep_borders=True)
+    sheet.raster = Raster(folder / name, decided=True)
     a, b, c, d, e, f = sheet.matrix.ravel().tolist()
     crs = f"EPSG:{code}" if code else sheet.crs.to_wkt()
     return SheetRecord(sheet.name, name, crs, (a, b, c, d, e, f), source.notes)
@@ -205,8 +204,7 @@ def _copied(sheet: Sheet, folder: Path, name: str) -> SheetRecord:
 
 @contextmanager
 def _new_folder(out: Path) -> Iterator[Path]:
-    """Yield a folder beside `out` that is renamed to `out` at the end, and deleted if anything fails; see `check_new`."""
-    check_new(out)
+    """Yield a folder beside `out` that is renamed to `out` at the end, and deleted if anything fails."""
     name = out.resolve().name
     with TemporaryDirectory(prefix=f".{name}-", dir=out.parent) as folder:
         part = Path(folder) / name
@@ -222,8 +220,15 @@ def _new_folder(out: Path) -> Iterator[Path]:
             ) from error
 
 
-def check_new(out: Path) -> None:
-    """Make the folders above a new one; OutputError if it cannot be written, or is anything but an empty folder."""
+def check_new(out: Path, surveyed_error: float | None) -> None:
+    """Check the folder and the error of a new map before long work, and make the folders above it.
+
+    Raises:
+        InputError: if the error is no number above 0.
+        OutputError: if the folder cannot be written, or is anything but an empty one.
+    """
+    if surveyed_error is not None and not 0 < surveyed_error < math.inf:
+        raise InputError(f"The map's error is {surveyed_error:g} m; expected more than 0, {SIGMA}.")
     if out.exists() and not (out.is_dir() and not any(out.iterdir())):
         raise OutputError(
             f"{printable(str(out))} is there already; choose another folder for the map, or delete that one."
@@ -240,7 +245,7 @@ def open_folder(folder: Path) -> Map:
     record = _read(folder)
     sheets = []
     for sheet in record.sheets:
-        raster = Raster(_there(folder, sheet.file), keep_borders=True)
+        raster = Raster(_there(folder, sheet.file), decided=True)
         raster.notes = list(sheet.notes)
         matrix: Float64Array = np.array(sheet.transform).reshape(2, 3)
         sheets.append(Sheet(sheet.name, raster, parse_crs(sheet.crs), matrix))

@@ -102,27 +102,22 @@ class Map:
     Where sheets overlap, the finest valid one is shown.
 
     Args:
-        name: of the map.
-        sheets: at least one.
         frame: a recorded frame; None takes the middle of the sheets as its origin.
         coverage: a recorded coverage; None computes it at first use.
-        elevation: heights of its ground; None if unknown.
-        place: facts about its place; None if unknown.
-        error, surveyed_error: see the attributes.
-        notes: sentences about files that are left out.
+        notes: see `own_notes`.
 
     Attributes:
         name: of the map.
-        sheets: the finest first.
+        sheets: at least one, the finest first.
         frame: the local metric frame of all windows.
         bounds: west, south, east, north in metres of the frame.
         resolution: metres per pixel of the finest sheet.
-        elevation: see the arguments.
-        place: see the arguments; empty for None.
+        elevation: heights of its ground; None if unknown.
+        place: facts about its place; empty if unknown.
         error: 1-sigma error of its places in metres along each axis by the map's own data; None if unknown.
         surveyed_error: the same error, measured by a person against known positions, above 0; None if not measured. It replaces
             all others.
-        own_notes: the `notes` of the arguments.
+        own_notes: sentences about how the map was made, and about files that are left out.
 
     Raises:
         DataError: if the sheets lie more than 400 km apart, or have fewer than 16 pixels along a side.
@@ -327,23 +322,16 @@ class Map:
         for sheet in self.sheets:
             facts.append([sheet.bounds, sheet.matrix.tolist(), sheet.raster.shown])
             for file in sheet.raster.files():
-                try:
-                    stat = file.stat()
-                except OSError:  # a file within an archive
-                    facts.append(str(file))
-                else:
-                    facts.append([file.name, stat.st_size, stat.st_mtime_ns])
+                stat = file.stat()
+                facts.append([file.name, stat.st_size, stat.st_mtime_ns])
         return hashlib.sha256(json.dumps(facts).encode()).hexdigest()
 
     def identity(self) -> str:
         """Return a digest of the sheets' places, names, and sizes; a copy of the map has the same one."""
         facts: list[Any] = [self.frame.latitude, self.frame.longitude]
         for sheet in self.sheets:
-            file = sheet.raster.path
-            size = file.stat().st_size if file.is_file() else None
-            facts.append(
-                [sheet.name, sheet.raster.width, sheet.raster.height, size, np.round(sheet.bounds, 2).tolist()]
-            )
+            raster, bounds = sheet.raster, np.round(sheet.bounds, 2).tolist()
+            facts.append([sheet.name, raster.width, raster.height, raster.path.stat().st_size, bounds])
         return hashlib.sha256(json.dumps(facts).encode()).hexdigest()[:16]
 
     def close(self) -> None:

@@ -73,7 +73,7 @@ def build_from_photos(
         OutputError: if `out` exists, or cannot be written.
         MissingPackageError: without the library.
     """
-    check_new(out)
+    check_new(out, surveyed_error)
     _library()
     _gdal.rasterio()
     _check_photos(photos, tags)
@@ -102,10 +102,7 @@ def build_from_photos(
 
 def _check_photos(photos: Sequence[Path], tags: Float64Array) -> None:
     if len(photos) < _LEAST:
-        raise DataError(
-            f"There {'is' if len(photos) == 1 else 'are'} {len(photos)} photo{'s' * (len(photos) != 1)} for a map; expected "
-            f"{_LEAST} at least, which overlap."
-        )
+        raise DataError(f"A map needs {_LEAST} photos at least, which overlap; found {len(photos)}.")
     twice = [name for name, count in Counter(photo.name for photo in photos).items() if count > 1]
     if twice:
         raise DataError(f"{printable(twice[0])} is the name of several photos; give each its own name.")

@@ -57,6 +57,7 @@ class Raster:
         bands: numbers, from 1, of the bands to show, one or three; None takes the bands marked as colours.
         keep_borders: do not look for white and black borders.
         name: of the file in notes; by default its own.
+        decided: the file is RGB and alpha of a map's folder, of which nothing is left to decide.
 
     Attributes:
         path: the file.
@@ -70,7 +71,12 @@ class Raster:
     """
 
     def __init__(
-        self, path: Path, bands: Sequence[int] | None = None, keep_borders: bool = False, name: str | None = None
+        self,
+        path: Path,
+        bands: Sequence[int] | None = None,
+        keep_borders: bool = False,
+        name: str | None = None,
+        decided: bool = False,
     ) -> None:
         self.path, self._called = path, name or printable(path.name)
         self.notes: list[str] = []
@@ -83,7 +89,7 @@ class Raster:
             if len(pages := file.subdatasets) > 1:
                 self.notes.append(f"{self._called} holds {len(pages)} pictures; the first is shown.")
             self._bands, self._alpha = self._chosen(file, bands)
-            self._decide(file, keep_borders)
+            self._decide(file, keep_borders, decided)
 
     def cut(self, matrix: Float64Array, size: tuple[int, int], reduction: float) -> tuple[UInt8Array, BoolArray]:
         """Cut a picture bilinearly; average pixels where the picture is coarser than the raster.
@@ -180,7 +186,7 @@ class Raster:
             )
         return chosen, alpha
 
-    def _decide(self, file: Any, keep_borders: bool) -> None:
+    def _decide(self, file: Any, keep_borders: bool, decided: bool) -> None:
         """Decide how numbers become colours, and which of them are data."""
         kinds = _gdal.rasterio().enums.MaskFlags
         chosen, alpha = self._bands, self._alpha
@@ -207,7 +213,9 @@ class Raster:
             masked = "<UseMaskBand>true</UseMaskBand>" if nodata or kinds.per_dataset in flags else ""
             nan = "<NODATA>nan</NODATA>" if dtype.kind == "f" else ""
             data = [(number, f"{masked}{_OPAQUE}{nan}") for number in (chosen if nodata else chosen[:1])]
-        self._vrt = self._rgba(data, None)
+        self._vrt, self.shown = self._rgba(data, None), repr([chosen, alpha])
+        if decided:
+            return
         with _gdal.open_vrt(self._vrt) as handle:
             valid = self._overview(handle, (4,))[0] > 0
         # Some programs write an alpha band that is opaque everywhere, or a nodata value that no pixel has, and leave unknown

@@ -17,7 +17,6 @@ import pytest
 from PIL import Image
 
 from lpn.cli.main import main
-from lpn.core.demo import DEMO_FLIGHT
 from lpn.core.errors import DataError, LPNError
 from lpn.flight.maps import MapOptions, _gdal, open_map
 from lpn.flight.maps.elevation import ElevationFile
@@ -157,21 +156,13 @@ CASES: dict[str, Callable[[Path, str], Path]] = {
 
 def doors(path: Path, out: Path) -> dict[str, Callable[[], Any]]:
     """Return the functions that open rasters of users."""
-    flight = str(DEMO_FLIGHT[1])
     town = write_geotiff(out / "ortho.tif", smooth(60, 60))
     return {
         "open_map": lambda: open_map(path).overview(8),
         "open_map with corners": lambda: open_map(path, MapOptions(corners=(48.0, 9.0, 47.999, 9.0014))).overview(8),
         "build_map": lambda: build_map([path], out / "map"),
         "elevation": lambda: ElevationFile(path),
-        "lpn map": lambda: main(["map", str(path), "--out", str(out / "map")]),
         "lpn map --elevation": lambda: main(["map", str(town), "--elevation", str(path), "--out", str(out / "map")]),
-        "lpn locate": lambda: main(
-            ["locate", "--map", str(path), "--flight", flight, "--out", str(out / "track.geojson")]
-        ),
-        "lpn map --from-flight": lambda: main(
-            ["map", "--from-flight", flight, "--elevation", str(path), "--out", str(out / "own")]
-        ),
     }
 
 
@@ -192,8 +183,6 @@ def test_no_file_of_a_user_makes_gdal_ask_a_server(tmp_path: Path, listener: Lis
     ours.mkdir()
     path = CASES[case](theirs, listener.address)
     for name, door in doors(path, ours).items():
-        if name.startswith("lpn") and case not in ("WMS", "overviews that are a WMS"):
-            continue  # the commands open files as the functions do, and take long
         assert "\n" not in outcome(door), name
         assert not listener.heard(), name
     main(["doctor", "--data", str(theirs)])

@@ -195,7 +195,7 @@ def test_photos_that_make_no_map_are_named_in_one_sentence(
     photos.mkdir()
     expected = {
         "no photo": "There is no photo in",
-        "one photo": "There is 1 photo for a map",
+        "one photo": "A map needs 3 photos at least, which overlap; found 1.",
         "no tags": "4 of 4 photos have no GPS tag, such as 0.jpg",
         "no overlap": "Too few of the 4 photos overlap",
     }

@@ -10,7 +10,7 @@ import pytest
 from PIL import Image
 
 from lpn.core.arrays import AnyArray
-from lpn.core.errors import DataError
+from lpn.core.errors import DataError, InputError
 from lpn.flight.maps import Map, MapOptions, Window, open_map
 from lpn.flight.maps.folder import build_map
 from tests.lpn.flight.maps.small_maps import EAST, NORTH, smooth, write_geotiff
@@ -227,6 +227,18 @@ def test_transparent_entries_of_a_palette_are_no_data(tmp_path: Path, clear: lis
     assert share(build_map([tmp_path / "town.png"], tmp_path / "map", CORNERS)) == pytest.approx(valid, abs=0.01)
 
 
+def test_16_bits_are_stretched_by_percentiles_of_the_pixels_with_data(tmp_path: Path) -> None:
+    deep = smooth(200, 200).astype(np.uint16) * 10 + 1000
+    deep[:, :80] = 0
+    floats = np.where(deep > 0, deep / 1000, np.nan).astype(np.float32)
+    low, high = np.percentile(deep[:, 80:, 1], (2, 98))
+    shown = np.clip((deep[100, 150, 1] - low) * 255 / (high - low), 0, 255)
+    for name, values in (("deep", deep), ("floats", floats)):
+        picture, valid = open_map(write_geotiff(tmp_path / f"{name}.tif", values)).overview(200)
+        assert valid.mean() == pytest.approx(0.6, abs=0.02)
+        assert picture[100, 150, 1] == pytest.approx(shown, abs=6)
+
+
 def test_few_bits_are_stretched(tmp_path: Path) -> None:
     path = write(tmp_path / "town.tif", PICTURE[:, :, :1] // 16, nbits=4)
     town = open_map(path)
@@ -277,6 +289,10 @@ def test_bands_by_their_marks_and_names(tmp_path: Path) -> None:
     assert colour_of(path) == [30, 20, 10]
     assert open_map(path).notes == ["five.tif has 5 bands; 3, 2, 1 are shown as red, green, and blue."]
     assert colour_of(path, MapOptions(bands=(4, 3, 2))) == [40, 30, 20]
+    assert colour_of(path, MapOptions(bands=(4,))) == [40, 40, 40]
+    for bands in ((1, 2), (0, 1, 2), (1, 2, 6)):
+        with pytest.raises(InputError, match="bands 1 to 5"):
+            open_map(path, MapOptions(bands=bands))
     unmarked = write(tmp_path / "nir.tif", values[:, :, :4], photometric="RGB", alpha="unspecified")
     assert colour_of(unmarked) == [10, 20, 30]
 
