@@ -2,7 +2,7 @@
 
     map.json            format, frame, and for each sheet its file, CRS, and transform
     coverage.png        share of each cell that is valid, 0 to 255
-    sheets/01.tif       the sheet in its own CRS: a tiled GeoTIFF of RGB and alpha with overviews, without loss
+    sheets/01.tif       the sheet in its own CRS: a tiled GeoTIFF of RGB and alpha without loss, with overviews if it is large
     sheets/elevation.tif  heights of the map's ground in metres, in the CRS and at the resolution of the user's file
 
 The folder is written under another name beside its final place, and renamed at the end.

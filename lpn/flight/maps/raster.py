@@ -40,6 +40,8 @@ _OTHER_COLOURS = {"hue": "HSL", "cyan": "CMYK", "Y": "YCbCr"}
 # Inner parts of a band's source: 255 wherever it has data, and 255 for every number above 0.
 _OPAQUE = "<ScaleOffset>255</ScaleOffset><ScaleRatio>0</ScaleRatio>"
 _SOME = "<LUT>0:0,1e-6:255</LUT>"
+# Side above which a copy gets overviews; means of the pixels themselves are sharper.
+_LARGE = 2048
 # Creation options of the copy in a map's folder.
 _COPY = {
     "COMPRESS": "ZSTD", "LEVEL": "3", "PREDICTOR": "YES", "BIGTIFF": "IF_SAFER", "OVERVIEW_RESAMPLING": "AVERAGE",
@@ -128,12 +130,13 @@ class Raster:
         return _resampled(picture, valid, np.column_stack([turn, shift]), (columns, rows), finer)
 
     def copy(self, out: Path, crs: Any, matrix: Float64Array) -> None:
-        """Write the RGB and alpha as a tiled GeoTIFF with overviews; `crs` and `matrix` are those of `Sheet`."""
+        """Write the RGB and alpha as a tiled GeoTIFF, with overviews if it is large; `crs` and `matrix` are those of `Sheet`."""
         (a, b, c), (d, e, f) = matrix.tolist()
         place = f"<SRS>{escape(crs.to_wkt())}</SRS><GeoTransform>{c!r},{a!r},{b!r},{f!r},{d!r},{e!r}</GeoTransform>"
         library = _gdal.rasterio()
         with library.Env(), _gdal.open_vrt(self._vrt.replace(">", f">{place}", 1)) as file:
-            library.shutil.copy(file, str(out), driver="COG", **_COPY)
+            overviews = "AUTO" if max(self.width, self.height) > _LARGE else "NONE"
+            library.shutil.copy(file, str(out), driver="COG", OVERVIEWS=overviews, **_COPY)
 
     def files(self) -> list[Path]:
         """Return the files that the pixels are read from, overviews and masks included."""

@@ -32,7 +32,7 @@ def same(one: Map, other: Map, tolerance: float = 0) -> None:
 def test_a_map_folder_holds_copies_of_its_sheets(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     import rasterio
 
-    deep = smooth(700, 1200).astype(np.uint16) * 10 + 1000
+    deep = smooth(300, 2100).astype(np.uint16) * 10 + 1000
     deep[:, :80] = 0
     (tmp_path / "data").mkdir()
     first = write_geotiff(tmp_path / "data" / "town.tif", deep)
@@ -46,8 +46,10 @@ def test_a_map_folder_holds_copies_of_its_sheets(tmp_path: Path, capsys: pytest.
     assert "uint16 numbers" in printed
     assert "from 2 sheets; the finest has 0.5 m per pixel." in printed
     assert sorted(path.name for path in out.rglob("*")) == ["01.tif", "02.tif", "coverage.png", "map.json", "sheets"]
+    with rasterio.open(out / "sheets" / "02.tif") as copy:
+        assert copy.overviews(1) == []
     with rasterio.open(out / "sheets" / "01.tif") as copy:
-        assert (copy.count, copy.overviews(1)) == (4, [2, 4])
+        assert (copy.count, copy.overviews(1)) == (4, [2, 4, 8])
         assert (copy.crs, copy.transform[:6]) == ("EPSG:32632", (0.5, 0, EAST, 0, -0.5, NORTH))
     same(open_map(out), files, 2)
     whole = (open_map(out).overview(400), files.overview(400))

@@ -93,10 +93,10 @@ def listener(tmp_path: Path) -> Iterator[Listener]:
     made.close()
 
 
-def ask_plainly(*paths: Path, **environment: str) -> None:
+def ask_plainly(path: Path) -> None:
     """Open files by rasterio itself in a process of its own."""
     plain = {name: value for name, value in os.environ.items() if not name.startswith(("GDAL", "CPL_"))}
-    subprocess.run([sys.executable, "-c", _PLAIN, *paths], env=plain | environment, check=True)
+    subprocess.run([sys.executable, "-c", _PLAIN, path], env=plain, check=True)
 
 
 def text(contents: str, suffix: str = ".tif") -> Callable[[Path, str], Path]:
