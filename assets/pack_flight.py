@@ -20,8 +20,8 @@ from PIL import Image
 from lpn.core.demo import DEMO_FLIGHT
 from lpn.core.files import write_atomic
 from lpn.datasets.rendered import FLIGHT_PLAN, TRUTH, UNFINISHED
-from lpn.flight.maps import MapPlace
-from lpn.flight.maps.folder import write_own_map
+from lpn.flight.maps import MapOptions, MapPlace
+from lpn.flight.maps.folder import build_map
 from tools.world.flight import MAP
 from tools.world.flight_files import geotiff
 
@@ -66,9 +66,11 @@ def pack(flight: Path, out: Path) -> None:
     csv.writer(text, lineterminator="\n").writerows([header, *chosen])
     write_atomic(out / TRUTH, text.getvalue().encode())
     write_atomic(out / FLIGHT_PLAN, (flight / FLIGHT_PLAN).read_bytes())
-    file = out / packed_map / f"{packed_map}.tif"
-    write_atomic(file, compressed_map(flight / MAP, QUALITY["map"]))
-    write_own_map(file, file.parent, (), place=MapPlace(photographed="spring")).close()
+    small = out / f"{packed_map}.tif"
+    write_atomic(small, compressed_map(flight / MAP, QUALITY["map"]))
+    borders = MapOptions(keep_borders=True)
+    build_map([small], out / packed_map, borders, place=MapPlace(photographed="spring")).close()
+    small.replace(out / packed_map / "sheets" / "01.tif")
 
 
 def compressed_map(file: Path, quality: int) -> bytes:

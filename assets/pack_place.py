@@ -23,8 +23,8 @@ from rasterio.io import MemoryFile
 from lpn.core.demo import DEMO_PLACE
 from lpn.core.files import write_atomic
 from lpn.flight.commands.map import MapCommand
-from lpn.flight.maps import MapPlace, _gdal, open_map
-from lpn.flight.maps.folder import write_own_map
+from lpn.flight.maps import MapOptions, MapPlace, _gdal, open_map
+from lpn.flight.maps.folder import build_map
 
 PIXEL, WIDTH = 0.105, 800
 """Metres of the map's pixels, and pixels across a photo."""
@@ -36,6 +36,8 @@ PLACE = MapPlace(
 )
 """The place, by the title that its photos are published under."""
 
+SHEET = "sheets/01.tif"
+"""The pixels of a map of one sheet in its folder."""
 QUALITY = {"photo": 66, "map": 70}
 """Quality of WebP."""
 
@@ -54,10 +56,12 @@ def main() -> None:
         MapCommand((), Path(folder) / "map", from_flight=tuple(files[::2])).run()
         map_name, photos_name = (path.name for path in DEMO_PLACE)
         large = open_map(Path(folder) / "map")
-        file = part / map_name / f"{map_name}.tif"
-        write_atomic(file, small_map(Path(folder) / "map" / "map.tif"))
+        file = part / f"{map_name}.tif"
+        write_atomic(file, small_map(Path(folder) / "map" / SHEET))
         place = replace(PLACE, photographed=large.place.photographed)
-        write_own_map(file, file.parent, large.notes, place=place, error=large.error).close()
+        borders = MapOptions(keep_borders=True)
+        build_map([file], part / map_name, borders, place=place, error=large.error, notes=large.notes).close()
+        file.replace(part / map_name / SHEET)
         for file in files[1::2]:
             write_atomic(part / photos_name / f"{file.stem}.webp", small_photo(file))
         shutil.copyfile(licence, part / licence.name)

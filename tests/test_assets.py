@@ -213,7 +213,7 @@ def test_a_packed_flight_keeps_its_metadata_and_its_map_its_place(
         assert replace(frame, name=original.name, file=original.file) == original
     with (
         rasterio.open(made / "map/map.tif") as large,
-        rasterio.open(packed / DEMO_FLIGHT[0].name / f"{DEMO_FLIGHT[0].name}.tif") as small,
+        rasterio.open(packed / DEMO_FLIGHT[0].name / "sheets/01.tif") as small,
     ):
         assert (large.crs, large.transform, large.shape) == (small.crs, small.transform, small.shape)
     (made / "unfinished.txt").touch()

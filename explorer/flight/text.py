@@ -15,7 +15,7 @@ from lpn.flight.locate.errors import CONFIRMED_SHARE, RIGHT_CALIBRATION
 from lpn.flight.locate.located import LocatedFlight, LocatedFrame
 from lpn.flight.locate.verdict import SIGMAS, FrameVerdict, on_what
 from lpn.flight.maps.named_window import describe_offset
-from lpn.flight.maps.place import placing_sentence
+from lpn.flight.maps.orthophoto import placing_sentence
 
 # Each track: its name, and how it places a photo.
 TRACKS = {

@@ -22,7 +22,7 @@ class MapCommand:
     """GeoTIFF (any CRS), picture with a world file or corners, map.csv, folder of tiles {z}/{x}/{y}, .mbtiles; several are
     sheets of one map."""
     out: Path
-    """Folder of the map; sheets that are quick to read stay where they are, and are named in it."""
+    """Folder of the map, new or empty; it holds a copy of the pixels, without loss."""
     crs: str | None = None
     """Coordinate reference system, such as EPSG:32632, instead of that of the files."""
     corners: tuple[float, float, float, float] | None = None
@@ -58,14 +58,8 @@ class MapCommand:
         from lpn.core.files import printable
         from lpn.core.numbers import SIGMA
         from lpn.flight.maps.elevation import probes
-        from lpn.flight.maps.folder import add_surveyed_error, checked_error
 
-        if self.error is not None:
-            checked_error(self.error)
         written = self._written(lambda message: print(printable(message), flush=True))
-        if self.error is not None:
-            written.close()
-            written = add_surveyed_error(self.out, self.error)
         for note in written.notes:
             print(printable(note))
         west, south, east, north = written.bounds
@@ -93,11 +87,11 @@ class MapCommand:
 
         if self.elevation is None and self.elevation_unit is not None:
             raise InputError("--elevation-unit needs --elevation; give both, or leave it out.")
-        elevation = None if self.elevation is None else ElevationFile(self.elevation, self.elevation_unit)
         options = MapOptions(self.crs, self.corners, self.bands, self.keep_borders)
         place = MapPlace(self.place, self.photographed)
+        elevation = None if self.elevation is None else ElevationFile(self.elevation, self.elevation_unit)
         if self.from_flight is None:
-            return build_map(self.files, self.out, options, on_progress, elevation, place)
+            return build_map(self.files, self.out, options, on_progress, elevation, place, surveyed_error=self.error)
         if self.files or options != MapOptions():
             raise InputError(
                 "--from-flight makes the map of photos alone; leave the other files and options, except --elevation, out."
@@ -109,4 +103,4 @@ class MapCommand:
         if not self.photographed and flight.day is not None:
             place = MapPlace(self.place, flight.day.isoformat())
         files = [frame.file for frame in flight.frames]
-        return build_from_photos(files, flight.degrees, self.out, on_progress, elevation, place)
+        return build_from_photos(files, flight.degrees, self.out, on_progress, elevation, place, self.error)

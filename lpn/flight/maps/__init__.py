@@ -9,9 +9,8 @@ It imports `core` only, and needs the extra `maps`; `training`, `locate`, and th
 
 from lpn.flight.maps.folder import open_map
 from lpn.flight.maps.frame import LocalFrame
-from lpn.flight.maps.map import Map
+from lpn.flight.maps.map import Map, MapPlace
 from lpn.flight.maps.named_window import NamedWindow
-from lpn.flight.maps.place import MapPlace
 from lpn.flight.maps.sources import MapOptions
 from lpn.flight.maps.window import Window
 

@@ -12,7 +12,6 @@ from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
 from typing import Any
-from xml.sax.saxutils import escape
 
 from lpn.core.errors import DataError
 from lpn.core.files import first_few, printable
@@ -23,17 +22,8 @@ _DRIVERS = [
     *("GTiff", "JPEG", "PNG", "WEBP", "JP2OpenJPEG", "GPKG", "HFA", "BMP", "GIF", "ENVI"),
     *("MBTiles", "AAIGrid", "EHdr", "DTED", "SRTMHGT", "USGSDEM"),
 ]
-# GDAL opens files of these names beside a raster by any of its drivers, and ignores an .aux of another kind.
-_BESIDE = (".ovr", ".msk", ".aux")
-_TIFF_OR_IMAGINE = re.compile(rb"II[*+]\0|MM\0[*+]|EHFA_HEADER_TAG\0")
-# GDAL takes a file for a list of other files if one of these words is in its name, or before its first zero byte.
-_NAMES_OTHERS = re.compile(rb"<(VRT|GDAL|WCS|WM[ST]|TileMap|Services|Capabilities)", re.IGNORECASE)
-# PROJ parameters that open files, and a path in them. A bare name is a file of PROJ's folders; a CRS name has blanks around "/".
-_GRIDS = re.compile(r'grids\s*=(?!@null(?:["\s]|$))|(?:file|model|init)\s*=|PROJ4_GRIDS|PARAMETERFILE', re.IGNORECASE)
-_PATH = re.compile(r"(?<! )[/\\]|[/\\](?! )")
-# Variables that are set already take precedence. GDAL_CACHEMAX is in megabytes; GDAL's default is 5 % of the memory. The last
-# but one keeps databases (GeoPackage, MBTiles) from opening other files as tables. The others are a second line of defence: a
-# file that passes the checks still reaches no server and runs no code.
+# Variables that are set already take precedence. GDAL_CACHEMAX is in megabytes; GDAL's default is 5 % of the memory. The others
+# keep GDAL from servers, from code in a VRT, and from databases (GeoPackage, MBTiles) that open other files as tables.
 _ENVIRONMENT = {
     "GDAL_CACHEMAX": "192",
     "GDAL_SKIP": "WMS,WCS,WMTS,HTTP,EEDA,EEDAI,PLMOSAIC,DAAS,STACTA,STACIT",
@@ -44,20 +34,11 @@ _ENVIRONMENT = {
 }
 # A hyperspectral camera has some hundred bands. A damaged header may name 65,535, and rasterio takes seconds to list these.
 _MAX_BANDS = 4096
-# Side of the coarsest overview.
-_COARSEST = 512
 # Pixels a minute, measured while overviews of an empty file of three bands were built, and the most minutes of work on a file.
 PIXELS_PER_MINUTE, _MOST_MINUTES = 1.3e9, 10
 # `warnings.catch_warnings` changes the filters of all threads, so one thread at a time uses it.
 _opening = threading.Lock()
 
-# Remedies for files that are no maps, by their endings.
-_REMEDIES = {
-    (".mp4", ".mov", ".mkv", ".avi", ".srt"): "make a flight of it with lpn flight",
-    (".pth", ".pt", ".ckpt", ".safetensors", ".onnx"): "give a model with --model",
-    (".las", ".laz", ".ply", ".e57"): "give the orthophoto and not the point cloud",
-    (".kml", ".kmz"): "give the picture in it, with --corners",
-}
 _CONVERT = "expected a GeoTIFF, a picture, or an .mbtiles of pictures, so convert, unpack, or copy it again"
 
 
@@ -86,23 +67,30 @@ def failures(*others: type[Exception]) -> tuple[type[Exception], ...]:
 
 
 def open_raster(path: Path) -> Any:
-    """Open a raster file of a user for reading.
+    """Open a raster file of a user for reading, by the drivers of the list.
 
     Raises:
-        DataError: if it is missing, has a format that is not read here, or refers to other files.
+        DataError: if it is missing, has a format that is not read here, or takes pixels from another folder.
     """
-    file, file_name = _checked(path), printable(str(path))
-    if file.count > _MAX_BANDS:
+    name = printable(str(path))
+    if not path.is_file():
+        raise DataError(f"There is no file {name}; check the path.")
+    # GDAL opens these by any of its drivers.
+    for beside in named(path.parent, [f"{path.name}{end}".lower() for end in (".ovr", ".msk", ".aux")]):
+        if not beside.is_file() or _head(beside).lstrip().startswith(b"<"):
+            raise DataError(f"{printable(str(beside))} holds no overviews and no mask; delete it, or make it again.")
+    with quietly():
+        try:
+            # GDAL takes an absolute path for no address or other name.
+            file = rasterio().io.DatasetReader(str(path.absolute()), driver=_DRIVERS)
+            flaw = _flaw(file, path)
+        except failures() as error:
+            raise DataError(
+                f"{name} {_begins(path)}cannot be read as a map ({_reason(error, path)}); {_CONVERT}."
+            ) from error
+    if flaw:
         file.close()
-        raise DataError(f"{file_name} would have {file.count} bands; it is damaged, so copy it again.")
-    if not file.count:
-        names = [printable(name.rpartition(":")[2]) for name in file.subdatasets]
-        file.close()
-        raise DataError(
-            f"{file_name} holds {len(names)} rasters ({first_few(names, 3)}), and a map is one; export the right one as GeoTIFF."
-            if names
-            else f"{file_name} holds no raster; expected a GeoTIFF, a picture, or an .mbtiles of pictures."
-        )
+        raise DataError(f"{name} {flaw}")
     return file
 
 
@@ -115,36 +103,10 @@ def quietly() -> Iterator[None]:
         yield
 
 
-def _checked(path: Path) -> Any:
-    """Open a file by the drivers of the list, after checks of the files beside it that GDAL opens by any driver."""
-    library = rasterio()
-    file_name = printable(str(path))
-    if not path.is_file():
-        raise DataError(f"There is no file {file_name}; check the path.")
-    names = [name.lower() for name in (*(f"{path.name}{end}" for end in _BESIDE), f"{path.stem}.aux")]
-    for beside in named(path.parent, names):
-        if beside.name != path.name:
-            _check_beside(beside)
-    with quietly():
-        try:
-            # GDAL takes an absolute path for no address or other name.
-            file = library.io.DatasetReader(str(path.absolute()), driver=_DRIVERS)
-            flaw = _flaw(file, path)
-        except failures() as error:
-            remedies = (remedy for endings, remedy in _REMEDIES.items() if path.suffix.lower() in endings)
-            raise DataError(
-                f"{file_name} {_begins(path)}cannot be read as a map ({_reason(error, path)}); {next(remedies, _CONVERT)}."
-            ) from error
-    if flaw:
-        file.close()
-        raise DataError(f"{file_name} {flaw}")
-    return file
-
-
 def _begins(path: Path) -> str:
     """Say that a file is empty, or quote its first words, such as those of a web page or a Git LFS pointer."""
     try:
-        head = " ".join(_head(path)[:60].decode("ascii").split())
+        head = " ".join(_head(path).decode("ascii").split())
     except (OSError, UnicodeDecodeError):
         return ""
     if not head.isprintable():  # of a picture or an archive
@@ -159,107 +121,38 @@ def named(folder: Path, names: Sequence[str]) -> list[Path]:
 
 
 def _flaw(file: Any, path: Path) -> str | None:
-    """Return the fault and the remedy of an open raster that names other files; None if it names none."""
-    if _NAMES_OTHERS.search(os.fsencode(path.absolute())):
-        return "has a name that GDAL takes for a list of files; rename it."
-    if _NAMES_OTHERS.search(_head(path).partition(b"\0")[0]):
-        return "begins with a list of files before its picture; make a copy without, such as with gdal_translate."
+    """Return the fault and the remedy of an open raster that is no map; None if it has none."""
+    if file.count > _MAX_BANDS:
+        return f"would have {file.count} bands; it is damaged, so copy it again."
+    if not file.count:
+        names = [printable(name.rpartition(":")[2]) for name in file.subdatasets]
+        return f"holds {len(names)} rasters ({first_few(names, 3)}), and a map is one; export the right one as GeoTIFF."
     if file.driver == "MBTiles" and file.tags().get("scheme", "").lower() == "xyz":
         return "counts its rows from the north (scheme xyz), and an .mbtiles from the south; make it anew, such as with QGIS."
-    if file.tags(ns="OVERVIEWS"):
-        return "names a file of its overviews; make a copy without, such as with gdal_translate."
     folder = os.path.normpath(path.absolute().parent)
+    # Pixels of a file of Imagine may lie elsewhere.
     if other := next((name for name in file.files if not Path(os.path.normpath(name)).is_relative_to(folder)), None):
         return f"takes pixels from another folder ({printable(other)}); make one file of it with gdal_translate."
-    systems = [crs for crs in (file.crs, file.gcps[1]) if crs]
-    if any(names_a_path(crs.to_wkt(version=version)) for version in (None, "WKT2_2019") for crs in systems):
-        return "has a CRS that names a file by its path; give it another one, such as with gdal_edit -a_srs EPSG:32632."
     return None
 
 
-def names_a_path(crs: str) -> bool:
-    """Tell whether the text of a CRS makes PROJ open a path or an address."""
-    return bool(_GRIDS.search(crs) and _PATH.search(crs))
-
-
-def _check_beside(path: Path) -> None:
-    """Refuse a file beside a raster that GDAL could take for more than overviews, a mask, or notes."""
-    if not path.is_file():
-        raise DataError(f"{printable(str(path))} is no file, and GDAL would read it with the raster; rename it.")
-    head = _head(path)
-    if path.suffix.lower() == ".aux" and not head.startswith(b"EHFA"):
-        return
-    if not _TIFF_OR_IMAGINE.match(head):
-        raise DataError(
-            f"{printable(str(path))} holds neither overviews nor a mask as a TIFF; delete it, or make it again."
-        )
-    _checked(path).close()
-
-
-def in_memory(xml: bytes) -> Any:
-    """Return a VRT as a file in memory; the file lives as long as the returned object."""
-    made = rasterio().MemoryFile(ext=".vrt")
-    made.write(xml)
-    return made
-
-
-def open_vrt(name: str) -> Any:
-    """Open a VRT of ours by its name in memory."""
+def open_vrt(xml: str) -> Any:
+    """Open a VRT of ours from its text."""
     with quietly():
-        return rasterio().io.DatasetReader(name, driver="VRT")
+        return rasterio().MemoryFile(xml.encode(), ext=".vrt").open(driver="VRT")
 
 
-def vrt_name(path: str, driver: str) -> str:
+def vrt_name(path: Path, driver: str) -> str:
     """Return a name for a file in a VRT that makes GDAL use one driver; GDAL would try all of them.
 
     Raises:
         DataError: if a VRT cannot hold the path.
     """
-    if "?" in path:
+    if re.search("[?<]", str(path.absolute())):
         raise DataError(
-            f"{printable(path)} has a question mark in its path, and GDAL reads maps by paths without; rename it."
+            f"{printable(str(path))} has ? or < in its path, by which GDAL would open another file; rename it."
         )
-    return f"vrt://{path}?if={driver}"
-
-
-def vrt_of(file: Any) -> bytes:
-    """Return a VRT of an open raster that opens it by its own driver.
-
-    Raises:
-        DataError: if a VRT cannot hold the raster's path.
-    """
-    library = rasterio()
-    name = escape(vrt_name(file.name, file.driver)).encode()
-    with library.Env(), library.MemoryFile(ext=".vrt") as made:
-        library.shutil.copy(file, made.name, driver="VRT")
-        source = b'<SourceFilename relativeToVRT="0" shared="0">%s<' % name
-        return re.sub(rb"<SourceFilename[^>]*>[^<]*<", lambda _: source, made.read())
-
-
-def with_overviews(xml: bytes, overviews: Path) -> bytes:
-    """Return a VRT with the overviews of another file.
-
-    Raises:
-        DataError: if that file is missing, or holds no overviews.
-    """
-    if not overviews.is_file():
-        raise DataError(f"There is no file {printable(str(overviews))}; write the map again with lpn map.")
-    _check_beside(overviews)
-    named = (
-        f'<Metadata domain="OVERVIEWS"><MDI key="OVERVIEW_FILE">{escape(str(overviews.absolute()))}</MDI></Metadata>'
-    )
-    return xml.replace(b"</VRTDataset>", named.encode() + b"</VRTDataset>")
-
-
-def build_overviews(path: Path, driver: str = "GTiff", method: str = "average") -> None:
-    """Write the overviews of a file that we wrote; `method` is one of rasterio's resampling methods."""
-    library = rasterio()
-    with quietly():
-        opened_file = library.open(path, "r+", driver=driver)
-    with library.Env(COMPRESS_OVERVIEW="DEFLATE", BIGTIFF_OVERVIEW="IF_SAFER"), opened_file as file:
-        side = max(file.width, file.height)
-        factors = [1 << i for i in range(1, 20) if side >> (i - 1) > _COARSEST]
-        file.build_overviews(factors, library.enums.Resampling[method])
+    return f"vrt://{path.absolute()}?if={driver}"
 
 
 @contextmanager
@@ -309,7 +202,7 @@ def transform(source: Any, target: Any, x: Any, y: Any) -> tuple[Any, Any]:
 
 def _head(path: Path) -> bytes:
     with path.open("rb") as file:
-        return file.read(4096)
+        return file.read(60)
 
 
 def _reason(error: Exception, path: Path) -> str:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import re
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
@@ -36,19 +35,6 @@ _PROBES, _LOOK = 64, 512
 _MOST_PIXELS = 1 << 24
 
 
-@dataclass(frozen=True)
-class ElevationFile:
-    """A file of heights for `lpn map`.
-
-    Attributes:
-        path: a raster of one band that GDAL reads, with its coordinate reference system.
-        unit: of its heights; None takes the unit that the file names.
-    """
-
-    path: Path
-    unit: HeightUnit | None = None
-
-
 class Elevation:
     """Heights in metres in the folder of a map.
 
@@ -64,8 +50,8 @@ class Elevation:
     def __init__(self, path: Path, name: str, notes: list[str]) -> None:
         self.path, self.name, self.notes = path, name, notes
         with _gdal.opened(path) as file:
-            self._crs, self._matrix = file.crs, _matrix(file.transform)
-            self._size = int(file.width), int(file.height)
+            self._crs, self._matrix = file.crs, np.array(file.transform[:6]).reshape(2, 3)
+            self._size = np.array([file.width, file.height])
 
     def heights(self, frame: LocalFrame, xy: Float64Array) -> Float64Array:
         """Return heights in metres above the model's datum, (N,), at metres east and north in a frame, (N, 2).
@@ -75,7 +61,30 @@ class Elevation:
         Raises:
             DataError: if the file is damaged.
         """
-        return _sampled(self.path, cells_of(self._crs, self._matrix, self._size[0], frame, xy) - 0.5, self._size)
+        cells = cells_of(self._crs, self._matrix, self._size[0], frame, xy) - 0.5
+        values = np.full(len(cells), np.nan)
+        with np.errstate(invalid="ignore"):
+            inside = np.asarray(((cells >= 0) & (cells <= self._size - 1)).all(axis=1))
+        if not inside.any():
+            return values
+        low = np.floor(cells[inside].min(0)).astype(int)
+        columns, rows = np.minimum(np.floor(cells[inside].max(0)).astype(int) + 2, self._size) - low
+        # Points that spread over too many pixels are sampled from a reduced picture.
+        by = max(1.0, math.sqrt(columns * rows / _MOST_PIXELS))
+        shape = max(1, round(rows / by)), max(1, round(columns / by))
+        with _gdal.opened(self.path) as file:
+            box = _gdal.rasterio().windows.Window(*low.tolist(), int(columns), int(rows))
+            heights = file.read(1, window=box, out_shape=shape).astype(np.float64)
+        scale = np.array([shape[1] / columns, shape[0] / rows])
+        c, r = np.clip((cells[inside] - low + 0.5) * scale - 0.5, 0, np.array(shape)[::-1] - 1).T
+        left, top = np.floor(c).astype(int), np.floor(r).astype(int)
+        right, bottom = np.minimum(left + 1, shape[1] - 1), np.minimum(top + 1, shape[0] - 1)
+        a, b = c - left, r - top
+        weights = np.stack([(1 - a) * (1 - b), (1 - a) * b, a * (1 - b), a * b])
+        near = heights[[top, bottom, top, bottom], [left, left, right, right]]
+        # An unknown neighbour of weight 0 must not make the value unknown.
+        values[inside] = np.where(weights > 0, near * weights, 0.0).sum(axis=0)
+        return values
 
     def digest(self) -> list[str | int]:
         """Return the file's name, size, and time of change, which change with the heights."""
@@ -83,27 +92,40 @@ class Elevation:
         return [self.path.name, stat.st_size, stat.st_mtime_ns]
 
 
-class ElevationSource:
+class ElevationFile:
     """A user's file of heights, checked as far as possible without the map.
+
+    Args:
+        path: a raster of one band that GDAL reads, with its coordinate reference system.
+        unit: of its heights; None takes the unit that the file names.
 
     Raises:
         DataError: if it cannot be read, holds no heights, has no CRS, or its unit is unknown or implausible.
         InputError: if the unit is none of `UNITS`.
     """
 
-    def __init__(self, given: ElevationFile) -> None:
-        self.path, self.name = given.path, printable(str(given.path))
+    def __init__(self, path: Path, unit: HeightUnit | None = None) -> None:
+        self.path, self.name = path, printable(str(path))
         self.notes: list[str] = []
-        if given.unit is not None and given.unit not in UNITS:
-            raise InputError(f"The unit of heights is {printable(given.unit)!r}; expected {', '.join(UNITS)}.")
-        with _gdal.opened(given.path) as file:
+        if unit is not None and unit not in UNITS:
+            raise InputError(f"The unit of heights is {printable(unit)!r}; expected {', '.join(UNITS)}.")
+        with _gdal.opened(path) as file:
             self._check(file)
-            _gdal.check_work(file, given.path)
-            self.crs, self.matrix = file.crs, _matrix(file.transform)
+            _gdal.check_work(file, path)
+            self.crs, self.matrix = file.crs, np.array(file.transform[:6]).reshape(2, 3)
             self.width, self.height = int(file.width), int(file.height)
-            self.metres = UNITS[self._unit(file, given.unit)]
+            self.metres = UNITS[self._unit(file, unit)]
             self._scale = float(file.scales[0]), float(file.offsets[0])
-            self._check_heights(file)
+            columns, rows = min(_LOOK, self.width), min(_LOOK, self.height)
+            heights = self.cut(file, (0, 0, self.width, self.height), (columns, rows))
+        if not np.isfinite(heights).any():
+            raise DataError(f"The elevation {self.name} has no valid height; expected heights of the map's ground.")
+        low, high = np.nanmin(heights), np.nanmax(heights)
+        if low < _LOWEST or high > _HIGHEST:
+            raise DataError(
+                f"The elevation {self.name} has heights from {low:.0f} to {high:.0f} m, and the earth's surface has "
+                f"{_LOWEST:.0f} to {_HIGHEST:.0f}; check their unit (--elevation-unit), and the value for unknown ones."
+            )
 
     def cut(self, file: Any, box: tuple[int, int, int, int], size: tuple[int, int] | None = None) -> Float32Array:
         """Read a rectangle (first column and row, columns and rows) as metres, NaN where unknown."""
@@ -115,10 +137,7 @@ class ElevationSource:
 
     def box(self, frame: LocalFrame, bounds: Bounds) -> tuple[int, int, int, int]:
         """Return the rectangle of pixels that holds a map's bounds."""
-        west, south, east, north = bounds
-        at = np.linspace(0, 1, 9)
-        points = np.stack(np.meshgrid(west + at * (east - west), south + at * (north - south)), axis=-1).reshape(-1, 2)
-        cells = cells_of(self.crs, self.matrix, self.width, frame, points)
+        cells = cells_of(self.crs, self.matrix, self.width, frame, _grid(bounds, np.linspace(0, 1, 9)))
         known = cells[np.isfinite(cells).all(axis=1)]
         if len(known):
             low, high = np.floor(known.min(0)) - 2, np.ceil(known.max(0)) + 2
@@ -147,14 +166,8 @@ class ElevationSource:
 
     def _unit(self, file: Any, given: HeightUnit | None) -> HeightUnit:
         stated = _SPELLINGS.get(re.sub(r"[\s_\-.]", "", (file.units[0] or "").lower())) or _vertical_unit(file.crs)
-        if given is not None:
-            if stated is not None and stated != given:
-                self.notes.append(
-                    f"{self.path.name} says that its heights are in units of a {stated}; --elevation-unit {given} is used."
-                )
-            return given
-        if stated is not None:
-            return stated
+        if unit := given or stated:
+            return unit
         found = f"heights in {printable(file.units[0])[:40]!r}" if file.units[0] else ""
         if not found and file.crs.is_projected and abs(file.crs.linear_units_factor[1] - 1) > 1e-6:
             found = f"coordinates in {printable(file.crs.linear_units_factor[0])}"
@@ -166,21 +179,9 @@ class ElevationSource:
         self.notes.append(f"{self.path.name} does not say its unit of heights; metres are assumed (--elevation-unit).")
         return "metre"
 
-    def _check_heights(self, file: Any) -> None:
-        columns, rows = (max(1, min(_LOOK, side)) for side in (self.width, self.height))
-        heights = self.cut(file, (0, 0, self.width, self.height), (columns, rows))
-        if not np.isfinite(heights).any():
-            raise DataError(f"The elevation {self.name} has no valid height; expected heights of the map's ground.")
-        low, high = np.nanmin(heights), np.nanmax(heights)
-        if low < _LOWEST or high > _HIGHEST:
-            raise DataError(
-                f"The elevation {self.name} has heights from {low:.0f} to {high:.0f} m, and the earth's surface has "
-                f"{_LOWEST:.0f} to {_HIGHEST:.0f}; check their unit (--elevation-unit), and the value for unknown ones."
-            )
-
 
 def write_elevation(
-    source: ElevationSource, out: Path, frame: LocalFrame, bounds: Bounds, places: Float64Array
+    source: ElevationFile, out: Path, frame: LocalFrame, bounds: Bounds, places: Float64Array
 ) -> Elevation:
     """Write the heights of a map's ground in metres, at the source's resolution and in its CRS, and open the file.
 
@@ -197,7 +198,6 @@ def write_elevation(
     library = _gdal.rasterio()
     corner = source.matrix @ (*box[:2], 1)
     transform = library.Affine(*np.column_stack([source.matrix[:, :2], corner]).ravel())
-    out.parent.mkdir(parents=True, exist_ok=True)
     undeclared = 0
     try:
         with (
@@ -229,10 +229,8 @@ def write_elevation(
         )
     notes = list(source.notes)
     if undeclared:
-        where = "1 pixel" if undeclared == 1 else f"{undeclared} pixels"
         notes.append(
-            f"{source.path.name} has no height of the earth's surface ({_LOWEST:.0f} to {_HIGHEST:.0f} m) at {where}; heights "
-            "there count as unknown."
+            f"{undeclared} heights of {source.path.name} lie outside {_LOWEST:.0f} to {_HIGHEST:.0f} m, and count as unknown."
         )
     if share < _WHOLE:
         notes.append(f"{source.path.name} covers {share:.0%} of the map; matches on the rest have no height.")
@@ -241,51 +239,19 @@ def write_elevation(
 
 def _vertical_unit(crs: Any) -> HeightUnit | None:
     """Return the unit of a compound CRS's heights; None if it has none, or an unknown one."""
-    _, found, vertical = crs.to_wkt().partition("VERT_CS[")
-    unit = re.search(r'UNIT\["[^"]*",([0-9.eE+-]+)', vertical) if found else None
-    if unit is None:
+    vertical = crs.to_wkt().partition("VERT_CS[")[2]
+    if not (unit := re.search(r'UNIT\["[^"]*",([0-9.eE+-]+)', vertical)):
         return None
-    metres = float(unit[1])
-    return next((name for name, size in UNITS.items() if abs(size - metres) < 1e-8), None)
-
-
-def _matrix(transform: Any) -> Float64Array:
-    return np.array([getattr(transform, name) for name in "abcdef"], np.float64).reshape(2, 3)
-
-
-def _sampled(path: Path, cells: Float64Array, size: tuple[int, int]) -> Float64Array:
-    """Return the values, (N,), of a raster of this size at columns and rows, (N, 2)."""
-    values = np.full(len(cells), np.nan)
-    with np.errstate(invalid="ignore"):
-        inside = np.asarray(((cells >= 0) & (cells <= np.array(size) - 1)).all(axis=1))
-    if not inside.any():
-        return values
-    low = np.floor(cells[inside].min(0)).astype(int)
-    high = np.minimum(np.floor(cells[inside].max(0)).astype(int) + 2, size)
-    columns, rows = high - low
-    # Points that spread over too many pixels are sampled from a reduced picture.
-    by = max(1.0, math.sqrt(columns * rows / _MOST_PIXELS))
-    shape = max(1, round(rows / by)), max(1, round(columns / by))
-    with _gdal.opened(path) as file:
-        window = _gdal.rasterio().windows.Window(int(low[0]), int(low[1]), int(columns), int(rows))
-        heights = file.read(1, window=window, out_shape=shape).astype(np.float64)
-    scale = np.array([shape[1] / columns, shape[0] / rows])
-    c, r = np.clip((cells[inside] - low + 0.5) * scale - 0.5, 0, np.array(shape)[::-1] - 1).T
-    c0, r0 = np.floor(c).astype(int), np.floor(r).astype(int)
-    total = np.zeros(len(c))
-    for right in (0, 1):
-        for down in (0, 1):
-            weight = (c - c0 if right else 1 - (c - c0)) * (r - r0 if down else 1 - (r - r0))
-            corner = heights[np.minimum(r0 + down, shape[0] - 1), np.minimum(c0 + right, shape[1] - 1)]
-            # An unknown neighbour of weight 0 must not make the value unknown.
-            total += np.where(weight > 0, corner * weight, 0.0)
-    values[inside] = total
-    return values
+    return next((name for name, size in UNITS.items() if abs(size - float(unit[1])) < 1e-8), None)
 
 
 def probes(bounds: Bounds) -> Float64Array:
     """Return points on a grid over bounds, (N, 2) metres, at which an elevation's coverage is tested."""
+    return _grid(bounds, (np.arange(_PROBES) + 0.5) / _PROBES)
+
+
+def _grid(bounds: Bounds, shares: Float64Array) -> Float64Array:
+    """Return points, (N, 2), at shares of the width and the height of bounds."""
     west, south, east, north = bounds
-    at = (np.arange(_PROBES) + 0.5) / _PROBES
-    grid = np.meshgrid(west + at * (east - west), south + at * (north - south))
+    grid = np.meshgrid(west + shares * (east - west), south + shares * (north - south))
     return np.stack(grid, axis=-1).reshape(-1, 2)

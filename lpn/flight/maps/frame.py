@@ -35,17 +35,16 @@ class LocalFrame:
 
     def xy(self, latitude: npt.ArrayLike, longitude: npt.ArrayLike) -> Float64Array:
         """Convert WGS 84 degrees, (N,) each, to metres east and north of the origin, (N, 2); NaN stays NaN."""
-        return self._transformed(_degrees_crs(), self.crs, longitude, latitude)
+        east, north = np.broadcast_arrays(*np.atleast_1d(longitude, latitude))
+        return self.from_crs(_degrees_crs(), np.stack([east, north], axis=1))
 
     def from_crs(self, crs: Any, coordinates: npt.ArrayLike) -> Float64Array:
         """Convert coordinates in a rasterio CRS, (N, 2), easting first, to metres east and north of the origin, (N, 2)."""
-        points = np.asarray(coordinates, np.float64).reshape(-1, 2)
-        return self._transformed(crs, self.crs, points[:, 0], points[:, 1])
+        return _transformed(crs, self.crs, coordinates)
 
     def degrees(self, xy: npt.ArrayLike) -> Float64Array:
         """Convert metres east and north, (N, 2), to latitude and longitude in WGS 84 degrees, (N, 2); NaN stays NaN."""
-        points = np.asarray(xy, np.float64).reshape(-1, 2)
-        return np.ascontiguousarray(self._transformed(self.crs, _degrees_crs(), points[:, 0], points[:, 1])[:, ::-1])
+        return np.ascontiguousarray(_transformed(self.crs, _degrees_crs(), xy)[:, ::-1])
 
     @cached_property
     def utm_zone(self) -> int:
@@ -55,9 +54,7 @@ class LocalFrame:
 
     def utm(self, xy: npt.ArrayLike) -> Float64Array:
         """Convert metres east and north, (N, 2), to eastings and northings in `utm_zone`, (N, 2); NaN stays NaN."""
-        points = np.asarray(xy, np.float64).reshape(-1, 2)
-        zone = _gdal.rasterio().crs.CRS.from_epsg(self.utm_zone)
-        return self._transformed(self.crs, zone, points[:, 0], points[:, 1])
+        return _transformed(self.crs, _gdal.rasterio().crs.CRS.from_epsg(self.utm_zone), xy)
 
     def polynomials(self, bounds: tuple[float, float, float, float]) -> Float64Array:
         """Return cubic polynomials that approximate `degrees` within bounds, for a reader without a projection library.
@@ -77,15 +74,15 @@ class LocalFrame:
         terms = np.stack([u**i * v**j for n in range(4) for i, j in ((n - k, k) for k in range(n + 1))], axis=1)
         return np.asarray(np.linalg.lstsq(terms, self.degrees(xy), rcond=None)[0].T, np.float64)
 
-    @staticmethod
-    def _transformed(source: Any, target: Any, x: npt.ArrayLike, y: npt.ArrayLike) -> Float64Array:
-        xs, ys = np.broadcast_arrays(np.atleast_1d(np.asarray(x, np.float64)), np.atleast_1d(np.asarray(y, np.float64)))
-        transformed = np.full((len(xs), 2), np.nan)
-        known = np.isfinite(xs) & np.isfinite(ys)
-        if known.any():
-            transformed[known] = np.stack(_gdal.transform(source, target, xs[known], ys[known]), axis=1)
-        transformed[~np.isfinite(transformed).all(axis=1)] = np.nan
-        return transformed
+
+def _transformed(source: Any, target: Any, coordinates: npt.ArrayLike) -> Float64Array:
+    points = np.asarray(coordinates, np.float64).reshape(-1, 2)
+    transformed = np.full(points.shape, np.nan)
+    known = np.isfinite(points).all(axis=1)
+    if known.any():
+        transformed[known] = np.stack(_gdal.transform(source, target, *points[known].T), axis=1)
+    transformed[~np.isfinite(transformed).all(axis=1)] = np.nan
+    return transformed
 
 
 def _degrees_crs() -> Any:

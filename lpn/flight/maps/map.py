@@ -5,22 +5,24 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+import re
 from collections.abc import Iterator, Sequence
+from datetime import date
 from threading import Lock
 from typing import Any
 
+import msgspec
 import numpy as np
 
 from lpn.core.arrays import BoolArray, Float32Array, Float64Array, FloatingArray, UInt8Array
 from lpn.core.errors import DataError, InputError
 from lpn.core.files import printable
 from lpn.core.homography import corner_pixels
+from lpn.core.texts import listed
 from lpn.flight.maps import window as windows
-from lpn.flight.maps.datums import datum_notes
 from lpn.flight.maps.elevation import Elevation
 from lpn.flight.maps.frame import LocalFrame
-from lpn.flight.maps.place import MapPlace
-from lpn.flight.maps.sheet import Bounds, Sheet
+from lpn.flight.maps.sheet import Bounds, Sheet, datum_notes
 from lpn.flight.maps.window import Window
 
 # Side of the blocks in which a picture is cut, which bounds the memory.
@@ -41,6 +43,58 @@ _MIN_SIDE = 16
 # Default error of a map's places in pixels, and at least in metres: that of a map from tags without ground control.
 _PIXELS, _METRES = 3.0, 1.0
 
+SEASONS = ("spring", "summer", "autumn", "winter")
+_DAY = re.compile(r"\d{4}-\d{2}-\d{2}")
+_LONGEST = 120
+
+
+class MapPlace(msgspec.Struct, frozen=True, omit_defaults=True):
+    """A map's place, as its maker named it.
+
+    Raises:
+        InputError: for a text that is too long or not printable, or a time that is neither a day nor a season.
+
+    Attributes:
+        name: such as "Dripping Springs, Texas"; "" if it is not known.
+        photographed: the day of the map's pictures, "2014-10-19", or their season, "spring"; "" if neither is known.
+        credit: author and licence of the pictures; "" if they are not known.
+        source: web address of the pictures; "" if there is none.
+    """
+
+    name: str = ""
+    photographed: str = ""
+    credit: str = ""
+    source: str = ""
+
+    def __post_init__(self) -> None:
+        for text in (self.name, self.photographed, self.credit, self.source):
+            if len(text) > _LONGEST or text != printable(text):
+                raise InputError(
+                    f"The place of a map has the text {printable(text[:_LONGEST])!r}; expected printable text of at most "
+                    f"{_LONGEST} characters."
+                )
+        if self.source and not self.source.startswith("https://"):
+            raise InputError(f"The source of a map is {self.source!r}; expected an address that begins with https://.")
+        try:
+            known = self.photographed in ("", *SEASONS) or self.day is not None
+        except ValueError:
+            known = False
+        if not known:
+            raise InputError(
+                f"The map's pictures are said to be of {self.photographed!r}; expected a day such as 2014-10-19, or "
+                f"{listed(SEASONS, 'or')}."
+            )
+
+    @property
+    def day(self) -> date | None:
+        """The day of the map's pictures; None if it is not known."""
+        return date.fromisoformat(self.photographed) if _DAY.fullmatch(self.photographed) else None
+
+    @property
+    def season(self) -> str:
+        """The season of the map's pictures if no day is known; else ""."""
+        return "" if self.day is not None else self.photographed
+
 
 class Map:
     """A georeferenced map of one or several sheets; thread safe.
@@ -48,27 +102,22 @@ class Map:
     Where sheets overlap, the finest valid one is shown.
 
     Args:
-        name: of the map.
-        sheets: at least one.
         frame: a recorded frame; None takes the middle of the sheets as its origin.
         coverage: a recorded coverage; None computes it at first use.
-        elevation: heights of its ground; None if unknown.
-        place: facts about its place; None if unknown.
-        error, surveyed_error: see the attributes.
-        notes: sentences about files that are left out.
+        notes: see `own_notes`.
 
     Attributes:
         name: of the map.
-        sheets: the finest first.
+        sheets: at least one, the finest first.
         frame: the local metric frame of all windows.
         bounds: west, south, east, north in metres of the frame.
         resolution: metres per pixel of the finest sheet.
-        elevation: see the arguments.
-        place: see the arguments; empty for None.
+        elevation: heights of its ground; None if unknown.
+        place: facts about its place; empty if unknown.
         error: 1-sigma error of its places in metres along each axis by the map's own data; None if unknown.
         surveyed_error: the same error, measured by a person against known positions, above 0; None if not measured. It replaces
             all others.
-        own_notes: the `notes` of the arguments.
+        own_notes: sentences about how the map was made, and about files that are left out.
 
     Raises:
         DataError: if the sheets lie more than 400 km apart, or have fewer than 16 pixels along a side.
@@ -95,11 +144,6 @@ class Map:
         boxes = np.array([sheet.bounds for sheet in self.sheets])
         (west, south), (east, north) = boxes[:, :2].min(0).tolist(), boxes[:, 2:].max(0).tolist()
         self.bounds: Bounds = (west, south, east, north)
-        if max(east - west, north - south) > _MAX_WIDTH:
-            raise DataError(
-                f"The map {name} is {(east - west) / 1000:.0f} km by {(north - south) / 1000:.0f} km; expected at most "
-                f"{_MAX_WIDTH / 1000:.0f} km, so cut out the part that is flown over."
-            )
         self.resolution = self.sheets[0].resolution
         self._check_pixels()
         self._boxes = boxes
@@ -111,7 +155,8 @@ class Map:
 
     def metres_off(self, point: FloatingArray) -> float:
         """Return how many metres a point of the frame, (2,), lies from the nearest point of the bounds; 0 inside."""
-        return metres_off(self.bounds, point)
+        low, high = np.array(self.bounds[:2]), np.array(self.bounds[2:])
+        return float(np.hypot(*np.maximum(np.maximum(low - point, point - high), 0.0)))
 
     @property
     def sides(self) -> tuple[float, float]:
@@ -181,33 +226,8 @@ class Map:
             raise InputError(f"A picture of {pixels} pixels a side cannot be cut; expected 1 to {_MAX_PIXELS}.")
         return self._read(window, pixels, (0, 0, pixels, pixels))
 
-    def windows(self, size: float, step: float, min_valid: float = _MIN_VALID) -> list[Window]:
-        """Return windows, north up, on a grid that covers the map.
-
-        Args:
-            size: side in metres.
-            step: metres from one centre to the next.
-            min_valid: least share of a window's ground that the map shows, 0 to 1. Shares are computed on the coverage, which
-                has up to 1024 cells along the map's longer side.
-
-        Raises:
-            InputError: if a number is out of range.
-        """
-        blocks = self._centres(size, step, min_valid)
-        return [Window(x, y, size) for centres in blocks for x, y in centres.tolist()]
-
-    def _centres(self, size: float, step: float, min_valid: float) -> Iterator[Float64Array]:
-        """Yield the centres of the windows of `windows` in blocks, (B, 2)."""
-        if not 0 <= min_valid <= 1:
-            raise InputError(f"The least valid share {min_valid:g} is out of range; expected 0 to 1.")
-        centres = windows.grid(self.bounds, size, step)
-        for start in range(0, len(centres), _WINDOWS):
-            some = centres[start : start + _WINDOWS]
-            # A share of exactly the least one must not fail by rounding.
-            yield some[self.valid_shares(some, size) >= min_valid - 1e-6]
-
     def pyramid(self, sizes: Sequence[float], overlap: float = 0.5) -> list[Window]:
-        """Return the windows of several sizes, in the order of `sizes`.
+        """Return windows, north up, in the order of `sizes`, on grids that cover the map; at least half of each has data.
 
         Sizes with a factor of sqrt(2) or 2 between them cover a range of flying heights.
 
@@ -216,23 +236,29 @@ class Map:
             overlap: share of a window's side that its neighbour covers too, 0 to below 1.
 
         Raises:
-            InputError: if a number is out of range, or there is no size.
+            InputError: if a number is out of range.
         """
         return [window for block in self.pyramid_blocks(sizes, overlap) for window in block]
 
     def count_pyramid(self, sizes: Sequence[float], overlap: float = 0.5) -> int:
         """Return the number of windows of `pyramid`, without making them."""
-        return sum(len(block) for size in sizes for block in self._centres(size, size * (1 - overlap), _MIN_VALID))
+        return sum(len(block) for size in sizes for block in self._centres(size, overlap))
 
     def pyramid_blocks(self, sizes: Sequence[float], overlap: float = 0.5) -> Iterator[list[Window]]:
         """Yield the windows of `pyramid` in blocks of at most 65,536, to bound the memory."""
+        for size in sizes:
+            for centres in self._centres(size, overlap):
+                yield [Window(x, y, size) for x, y in centres.tolist()]
+
+    def _centres(self, size: float, overlap: float) -> Iterator[Float64Array]:
+        """Yield the centres of windows of a size in blocks, (B, 2)."""
         if not 0 <= overlap < 1:
             raise InputError(f"The overlap {overlap:g} is out of range; expected 0 to below 1.")
-        if not len(sizes):
-            raise InputError("A pyramid needs at least one size of windows; found none.")
-        for size in sizes:
-            for centres in self._centres(size, size * (1 - overlap), _MIN_VALID):
-                yield [Window(x, y, size) for x, y in centres.tolist()]
+        centres = windows.grid(self.bounds, size, size * (1 - overlap))
+        for start in range(0, len(centres), _WINDOWS):
+            some = centres[start : start + _WINDOWS]
+            # A share of exactly the least one must not fail by rounding.
+            yield some[self.valid_shares(some, size) >= _MIN_VALID - 1e-6]
 
     def valid_shares(self, centres: Float64Array, size: float) -> Float64Array:
         """Return the share of ground, (N,), that the map shows in north-up windows of a size about centres (N, 2)."""
@@ -294,26 +320,18 @@ class Map:
         """
         facts: list[Any] = [self.frame.latitude, self.frame.longitude]
         for sheet in self.sheets:
-            treatment = sheet.raster.treatment
-            facts.append([sheet.bounds, sheet.matrix.tolist(), None if treatment is None else repr(treatment)])
+            facts.append([sheet.bounds, sheet.matrix.tolist(), sheet.raster.shown])
             for file in sheet.raster.files():
-                try:
-                    stat = file.stat()
-                except OSError:  # a file within an archive
-                    facts.append(str(file))
-                else:
-                    facts.append([file.name, stat.st_size, stat.st_mtime_ns])
+                stat = file.stat()
+                facts.append([file.name, stat.st_size, stat.st_mtime_ns])
         return hashlib.sha256(json.dumps(facts).encode()).hexdigest()
 
     def identity(self) -> str:
         """Return a digest of the sheets' places, names, and sizes; a copy of the map has the same one."""
         facts: list[Any] = [self.frame.latitude, self.frame.longitude]
         for sheet in self.sheets:
-            file = sheet.raster.path
-            size = file.stat().st_size if file.is_file() else None
-            facts.append(
-                [sheet.name, sheet.raster.width, sheet.raster.height, size, np.round(sheet.bounds, 2).tolist()]
-            )
+            raster, bounds = sheet.raster, np.round(sheet.bounds, 2).tolist()
+            facts.append([sheet.name, raster.width, raster.height, raster.path.stat().st_size, bounds])
         return hashlib.sha256(json.dumps(facts).encode()).hexdigest()[:16]
 
     def close(self) -> None:
@@ -365,12 +383,6 @@ class Map:
             valid |= new
             if valid.all():
                 return
-
-
-def metres_off(bounds: Bounds, point: FloatingArray) -> float:
-    """Return how many metres a point, (2,), lies from the nearest point of a box; 0 inside."""
-    low, high = np.array(bounds[:2]), np.array(bounds[2:])
-    return float(np.hypot(*np.maximum(np.maximum(low - point, point - high), 0.0)))
 
 
 def _frame_of(sheets: Sequence[Sheet]) -> LocalFrame:

@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import logging
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -19,14 +20,14 @@ from PIL import Image
 from lpn.core.arrays import Float64Array
 from lpn.core.errors import DataError
 from lpn.core.files import first_few, printable
-from lpn.core.numbers import SIGMA
+from lpn.core.numbers import SIGMA, upper_bound
 from lpn.core.requirements import missing_package
 from lpn.flight.maps import _gdal
-from lpn.flight.maps.elevation import ElevationFile, ElevationSource
-from lpn.flight.maps.folder import check_new, new_folder, open_folder, write_own_map
+from lpn.flight.maps.elevation import ElevationFile
+from lpn.flight.maps.folder import build_map, check_new
 from lpn.flight.maps.frame import LocalFrame
-from lpn.flight.maps.map import Map
-from lpn.flight.maps.place import MapPlace, checked_place, describe_placing
+from lpn.flight.maps.map import Map, MapPlace
+from lpn.flight.maps.sources import MapOptions
 
 # Fewest photos of a map, and most names in a sentence.
 _LEAST, _NAMED = 3, 5
@@ -36,6 +37,8 @@ _BLOCKS, _FAR, _OUTLIER = 5, 9.0, 4.45
 # The angle in radians that ends a leg; the error in metres that tags of one leg may share unseen; and the share of the photos
 # above which one leg is nearly all of the flight.
 _TURN, _SHARED, _MOST_OF_ONE_LEG = np.pi / 4, 5.0, 2 / 3
+# The beginning of the note that GPS tags place a map.
+_PLACING = "Place and scale are those of the GPS tags"
 # Sentences of progress, by the beginnings of the library's log lines.
 _STEPS = {
     "Extracting features": "Step 1 of 3: looking for points to match in {photos} photos.",
@@ -52,6 +55,7 @@ def build_from_photos(
     on_progress: Callable[[str], None] = lambda _: None,
     elevation: ElevationFile | None = None,
     place: MapPlace | None = None,
+    surveyed_error: float | None = None,
 ) -> Map:
     """Make an orthophoto of photos that look straight down, write it as the folder of a map, and return the map.
 
@@ -61,7 +65,7 @@ def build_from_photos(
         out: the folder, which must not exist; it appears when all is written.
         on_progress: called with a numbered sentence at each step.
         elevation: heights of the ground, copied into the folder in metres. The photos are still laid on a plane.
-        place: facts about the place; they are checked before any work.
+        place, surveyed_error: see `Map`.
 
     Raises:
         DataError: if fewer than three photos have GPS tags, or overlap, or the elevation is unusable or of another place.
@@ -69,38 +73,36 @@ def build_from_photos(
         OutputError: if `out` exists, or cannot be written.
         MissingPackageError: without the library.
     """
-    check_new(out)
+    check_new(out, surveyed_error)
     _library()
     _gdal.rasterio()
-    place = None if place is None else checked_place(place)
     _check_photos(photos, tags)
-    heights = None if elevation is None else _heights(elevation, tags)
-    with new_folder(out) as folder:
-        file = folder / f"{folder.name}.tif"
+    if elevation is not None:
+        # Heights of another place are refused before the long work.
+        known = tags[~np.isnan(tags).any(axis=1)]
+        frame = LocalFrame(*known.mean(axis=0).tolist())
+        places = frame.xy(*known.T)
+        elevation.box(frame, (*places.min(axis=0).tolist(), *places.max(axis=0).tolist()))
+    with TemporaryDirectory(prefix=".", dir=out.parent) as folder:
+        file = Path(folder) / f"{out.resolve().name}.tif"
         with _steps(len(photos), on_progress):
             report = lay_photos(photos, file)
-        file.with_name(f"{file.stem}_report.json").unlink()
-        on_progress(f"Making overviews of {printable(file.name)}.")
-        _gdal.build_overviews(file)
         middles, known = middles_and_tags(report, photos, tags)
-        own = place_error(middles, known)
-        notes = [_limits(report["images_used"], middles, known, own)]
+        error = place_error(middles, known)
+        notes = [_limits(report["images_used"], middles, known, error)]
         if names := [printable(name) for name in report["images_dropped"]]:
             notes.insert(
                 0,
                 f"{len(names)} of {report['images_total']} photos overlap too little with the others, and are not in the map: "
                 f"{first_few(names, _NAMED)}.",
             )
-        write_own_map(file, folder, notes, on_progress, heights, place, own)
-    return open_folder(out)
+        options = MapOptions(keep_borders=True)
+        return build_map([file], out, options, on_progress, elevation, place, error, surveyed_error, notes)
 
 
 def _check_photos(photos: Sequence[Path], tags: Float64Array) -> None:
     if len(photos) < _LEAST:
-        raise DataError(
-            f"There {'is' if len(photos) == 1 else 'are'} {len(photos)} photo{'s' * (len(photos) != 1)} for a map; expected "
-            f"{_LEAST} at least, which overlap."
-        )
+        raise DataError(f"A map needs {_LEAST} photos at least, which overlap; found {len(photos)}.")
     twice = [name for name, count in Counter(photo.name for photo in photos).items() if count > 1]
     if twice:
         raise DataError(f"{printable(twice[0])} is the name of several photos; give each its own name.")
@@ -110,16 +112,6 @@ def _check_photos(photos: Sequence[Path], tags: Float64Array) -> None:
             f"{len(without)} of {len(photos)} photos have no GPS tag, such as {printable(without[0])}; a map needs {_LEAST} with "
             "one, as place and scale come from the tags."
         )
-
-
-def _heights(given: ElevationFile, tags: Float64Array) -> ElevationSource:
-    """Open the heights, and refuse heights of another place before the long work."""
-    source = ElevationSource(given)
-    known = tags[~np.isnan(tags).any(axis=1)]
-    frame = LocalFrame(*known.mean(axis=0).tolist())
-    east, north = frame.xy(*known.T).T
-    source.box(frame, (east.min(), north.min(), east.max(), north.max()))
-    return source
 
 
 def _library() -> Any:
@@ -260,6 +252,13 @@ def _limits(used: int, middles: Float64Array, tags: Float64Array, error: float |
         else f"By their scatter its places have an error of ± {error:.1f} m ({SIGMA})."
     )
     return (
-        f"The map is made of {used} photos as if the ground were flat, so what stands on it leans. "
-        f"{describe_placing(float(np.median(off)), float(off.max()))} {open_places}"
+        f"The map is made of {used} photos as if the ground were flat, so what stands on it leans. {_PLACING}, which lie "
+        f"{np.median(off):.1f} m from the photos' middles on it in the median, {upper_bound(float(off.max()))} m at most. "
+        f"{open_places}"
     )
+
+
+def placing_sentence(notes: Iterable[str]) -> str:
+    """Return the sentence of a map's notes on the tags that place it; "" without one."""
+    note = next((note for note in notes if _PLACING in note), "")
+    return note[note.find(_PLACING) :]

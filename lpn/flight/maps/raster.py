@@ -1,7 +1,8 @@
 """One raster as RGB and alpha of 8 bits each, cut by turned rectangles from any thread.
 
 A VRT in memory turns the bands of a file into red, green, blue, and alpha: its sources stretch numbers, look up a palette, join
-masks, and cut a border without data out of the alpha. Every map is read through it.
+masks, and cut a border without data out of the alpha. Every map is read through it. It names its file by
+`vrt://FILE?if=DRIVER`, so that GDAL opens it by the driver that `_gdal.open_raster` chose.
 """
 
 from __future__ import annotations
@@ -9,20 +10,17 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from functools import cached_property
 from pathlib import Path
 from typing import Any
+from xml.sax.saxutils import escape
 
 import cv2
-import msgspec
 import numpy as np
 
 from lpn.core.arrays import AnyArray, BoolArray, Float64Array, UInt8Array
 from lpn.core.errors import DataError, InputError
 from lpn.core.files import printable
-from lpn.flight.maps import _gdal, vrt
-from lpn.flight.maps.borders import BorderColour, border_region, find_borders, overview_size
-from lpn.flight.maps.vrt import RasterSource, source_xml
+from lpn.flight.maps import _gdal
 
 # Percentiles of a band that become 0 and 255.
 _PERCENTILES = (2.0, 98.0)
@@ -30,42 +28,44 @@ _PERCENTILES = (2.0, 98.0)
 _LOSSY_OPAQUE = 128
 # An alpha band is odd if more than the share _VARIED of it lies farther than _CLEAR from both clear and opaque.
 _VARIED, _CLEAR = 0.5, 0.05
+# JPEG changes black and white by up to _NOISE; at least _CORE_SHARE of a border's pixels change by at most _CORE_NOISE.
+_NOISE, _CORE_NOISE, _CORE_SHARE = 16, 2, 0.8
+# Longest side of the overview on which borders and stretches are decided.
+_OVERVIEW = 1024
+# Smaller regions at the border, as a share of the overview, belong to the picture.
+_MIN_SHARE = 1e-3
 _RGB = ("red", "green", "blue")
 # Colour spaces that are not converted; GDAL converts CMYK, YCbCr, and Lab of most files itself.
 _OTHER_COLOURS = {"hue": "HSL", "cyan": "CMYK", "Y": "YCbCr"}
-
-
-class Treatment(msgspec.Struct, frozen=True):
-    """The conversion of a file's bands to RGB and alpha; decided once, and recorded in map.json.
-
-    Attributes:
-        bands: numbers, from 1, of the bands shown as red, green, and blue; one number for grey or a palette.
-        alpha: number of the alpha band. Values above 0 are data, as in GDAL's masks; in a JPEG, values from half of 255 on.
-        stretch: for each of `bands`, the values that become 0 and 255; None for bands of 8 bits.
-        border: colours that mean no data where they are connected to the border.
-    """
-
-    bands: tuple[int, ...]
-    alpha: int | None = None
-    stretch: tuple[tuple[float, float], ...] | None = None
-    border: tuple[BorderColour, ...] = ()
+# Inner parts of a band's source: 255 wherever it has data, and 255 for every number above 0.
+_OPAQUE = "<ScaleOffset>255</ScaleOffset><ScaleRatio>0</ScaleRatio>"
+_SOME = "<LUT>0:0,1e-6:255</LUT>"
+# Side above which a copy gets overviews; means of the pixels themselves are sharper.
+_LARGE = 2048
+# Creation options of the copy in a map's folder.
+_COPY = {
+    "COMPRESS": "ZSTD", "LEVEL": "3", "PREDICTOR": "YES", "BIGTIFF": "IF_SAFER", "OVERVIEW_RESAMPLING": "AVERAGE",
+    "SPARSE_OK": "YES", "NUM_THREADS": "ALL_CPUS",
+}  # fmt: skip
 
 
 class Raster:
     """The pixels of a sheet.
 
+    Values above 0 of an alpha band are data, as in GDAL's masks; in a JPEG, values from half of 255 on.
+
     Args:
-        source: the file, tiles, or mask, as GDAL opens it.
-        treatment: a recorded treatment; None decides one from the file.
+        path: the file.
         bands: numbers, from 1, of the bands to show, one or three; None takes the bands marked as colours.
         keep_borders: do not look for white and black borders.
         name: of the file in notes; by default its own.
+        decided: the file is RGB and alpha of a map's folder, of which nothing is left to decide.
 
     Attributes:
-        path: the file, or the folder of tiles.
+        path: the file.
         width, height: in pixels.
         notes: sentences about how the file is read.
-        treatment: the conversion of its bands to RGB and alpha.
+        shown: what decides its colours, for a digest.
 
     Raises:
         DataError: if it cannot be read, its numbers are complex, or it has no valid pixel.
@@ -74,50 +74,24 @@ class Raster:
 
     def __init__(
         self,
-        source: RasterSource,
-        treatment: Treatment | None = None,
+        path: Path,
         bands: Sequence[int] | None = None,
         keep_borders: bool = False,
         name: str | None = None,
+        decided: bool = False,
     ) -> None:
-        self.source, self.path = source, source.path
-        self._called = name or printable(self.path.name)
-        self.notes: list[str] = list(source.notes)
+        self.path, self._called = path, name or printable(path.name)
+        self.notes: list[str] = []
         self._handles: deque[Any] = deque()
-        with self._opened() as file:
+        with _gdal.opened(path) as file:
             self.width, self.height = int(file.width), int(file.height)
-            _gdal.check_work(file, self.path)
+            _gdal.check_work(file, path)
+            self._source = _gdal.vrt_name(path, file.driver)
             self._paletted = file.colorinterp[0].name == "palette" and file.dtypes[0] in ("uint8", "uint16")
-            self.treatment = self._bands(file, bands)
-            if treatment is not None:
-                self.treatment, self.notes = treatment, []
-            chosen = self.treatment.bands
-            stretch = self.treatment.stretch
-            ranges_fit = stretch is None or (len(stretch) == len(chosen) and all(low < high for low, high in stretch))
-            bands_fit = all(1 <= number <= file.count for number in (*chosen, self.treatment.alpha or 1))
-            if len(chosen) not in (1, 3) or not bands_fit or not ranges_fit:
-                raise DataError(
-                    f"{self._name} has {file.count} bands, which do not fit the map's record of them; write the map again with "
-                    "lpn map."
-                )
-            dtype = np.result_type(*(file.dtypes[number - 1] for number in chosen))
-            if dtype.kind == "c":
-                raise DataError(f"{self._name} holds complex numbers; expected a picture in grey or colour.")
-            bits = file.tags(chosen[0], ns="IMAGE_STRUCTURE").get("NBITS", "")
-            # GDAL gives bands of 1 to 7 bits as bytes.
-            few = dtype == np.uint8 and bits in set("1234567")
-            self._floats = dtype.kind == "f"
-            self._deep = not self._paletted and (few or dtype != np.uint8)
-            # JPEG smears alpha and nodata over several pixels.
-            self._lossy = is_jpeg(file)
-            kinds = _gdal.rasterio().enums.MaskFlags
-            flags = {kind for number in chosen for kind in file.mask_flag_enums[number - 1]}
-            self._nodata = kinds.nodata in flags
-            self._masked = self._nodata or kinds.per_dataset in flags
-            if treatment is None:
-                if len(pages := file.subdatasets) > 1:
-                    self.notes.append(f"{self._called} holds {len(pages)} pictures; the first is shown.")
-                self.treatment = self._decided(file, f"{bits}-bit" if few else str(dtype), keep_borders)
+            if len(pages := file.subdatasets) > 1:
+                self.notes.append(f"{self._called} holds {len(pages)} pictures; the first is shown.")
+            self._bands, self._alpha = self._chosen(file, bands)
+            self._decide(file, keep_borders, decided)
 
     def cut(self, matrix: Float64Array, size: tuple[int, int], reduction: float) -> tuple[UInt8Array, BoolArray]:
         """Cut a picture bilinearly; average pixels where the picture is coarser than the raster.
@@ -155,26 +129,24 @@ class Raster:
         shift = (matrix[:, 2] - low) * scale + turn.sum(axis=1) / 2 - 0.5
         return _resampled(picture, valid, np.column_stack([turn, shift]), (columns, rows), finer)
 
+    def copy(self, out: Path, crs: Any, matrix: Float64Array) -> None:
+        """Write the RGB and alpha as a tiled GeoTIFF, with overviews if it is large; `crs` and `matrix` are those of `Sheet`."""
+        (a, b, c), (d, e, f) = matrix.tolist()
+        place = f"<SRS>{escape(crs.to_wkt())}</SRS><GeoTransform>{c!r},{a!r},{b!r},{f!r},{d!r},{e!r}</GeoTransform>"
+        library = _gdal.rasterio()
+        with library.Env(), _gdal.open_vrt(self._vrt.replace(">", f">{place}", 1)) as file:
+            overviews = "AUTO" if max(self.width, self.height) > _LARGE else "NONE"
+            library.shutil.copy(file, str(out), driver="COG", OVERVIEWS=overviews, **_COPY)
+
     def files(self) -> list[Path]:
         """Return the files that the pixels are read from, overviews and masks included."""
-        return self.source.files()
+        with _gdal.opened(self.path) as file:
+            return sorted({Path(name) for name in file.files if not name.endswith(".aux.xml")})
 
     def close(self) -> None:
         """Close the file's handles."""
         while self._handles:
             self._handles.pop().close()
-
-    @property
-    def _name(self) -> str:
-        return printable(str(self.path))
-
-    @contextmanager
-    def _opened(self) -> Iterator[Any]:
-        with self.source.open() as file:
-            try:
-                yield file
-            except _gdal.failures() as error:
-                raise _gdal.damaged(self.path, error) from error
 
     @contextmanager
     def _handle(self) -> Iterator[Any]:
@@ -183,56 +155,26 @@ class Raster:
             try:
                 handle = self._handles.pop()
             except IndexError:
-                handle = _gdal.open_vrt(_gdal.in_memory(self._treated()).name)
+                handle = _gdal.open_vrt(self._vrt)
             yield handle
         except _gdal.failures() as error:
             raise _gdal.damaged(self.path, error) from error
         self._handles.append(handle)
 
-    def _treated(self) -> bytes:
-        treatment, name, own = self.treatment, self.source.name, (self.width, self.height)
-        box, method = (0, 0, *own), "nearest" if self._paletted else "average"
-
-        def source(number: int, inner: str) -> str:
-            return source_xml(name, number, own, box, inner, method)
-
-        chosen = treatment.bands
-        if self._paletted:
-            colours = [source(chosen[0], vrt.palette(entry)) for entry in (1, 2, 3)]
-        else:
-            limits = (
-                [""] * len(chosen) if treatment.stretch is None else [vrt.stretched(*two) for two in treatment.stretch]
-            )
-            colours = [source(one, limit) for one, limit in zip(chosen, limits, strict=True)]
-        if treatment.alpha is not None:
-            least = self._lossy_opaque if self._lossy else 1.0
-            alpha = [source(treatment.alpha, f"<LUT>{least * 0.999}:0,{least}:255</LUT>" if self._lossy else vrt.SOME)]
-        elif self._paletted:
-            alpha = [source(chosen[0], vrt.palette(4) + vrt.SOME)]
-        else:
-            nan = "<NODATA>nan</NODATA>" if self._floats else ""
-            masked = "<UseMaskBand>true</UseMaskBand>" if self._masked else ""
-            alpha = [
-                source(number, f"{masked}{vrt.OPAQUE}{nan}") for number in (chosen if self._nodata else chosen[:1])
-            ]
-        if treatment.border:
-            cut = overview_size(*own)
-            alpha.append(source_xml(self._cut_out.name, 1, cut, box, "<NODATA>255</NODATA>", "nearest"))
-        return vrt.rgba_xml(own, [*([one] for one in (colours if len(colours) == 3 else colours * 3)), alpha])
-
-    def _bands(self, file: Any, wanted: Sequence[int] | None) -> Treatment:
+    def _chosen(self, file: Any, wanted: Sequence[int] | None) -> tuple[tuple[int, ...], int | None]:
+        """Return the numbers, from 1, of the bands to show, one or three, and of the alpha band."""
         names = [meaning.name for meaning in file.colorinterp]
         marked = {name: number for number, name in enumerate(names, 1)}
         alpha = marked.get("alpha")
         if wanted is not None:
             if len(wanted) not in (1, 3) or not all(1 <= number <= file.count for number in wanted):
                 raise InputError(
-                    f"{self._name} has the bands 1 to {file.count}, and {', '.join(map(str, wanted))} cannot be shown; give "
-                    "one of them, or three for red, green, and blue."
+                    f"{printable(str(self.path))} has the bands 1 to {file.count}, and {', '.join(map(str, wanted))} cannot be "
+                    "shown; give one of them, or three for red, green, and blue."
                 )
-            return Treatment(tuple(wanted), alpha)
+            return tuple(wanted), alpha
         if other := next((space for name, space in _OTHER_COLOURS.items() if name in marked), None):
-            raise DataError(f"{self._name} has the colours of {other}; convert it to RGB.")
+            raise DataError(f"{printable(str(self.path))} has the colours of {other}; convert it to RGB.")
         described = {(text or "").strip().lower(): number for number, text in enumerate(file.descriptions, 1)}
         colours = next((bands for names in (marked, described) if all(bands := [names.get(c) for c in _RGB])), None)
         if colours:
@@ -245,77 +187,177 @@ class Raster:
                 f"{self._called} has {file.count} bands; {', '.join(map(str, chosen))} "
                 f"{'are shown as red, green, and blue' if len(chosen) == 3 else 'is shown as grey'}."
             )
-        return Treatment(chosen, alpha)
+        return chosen, alpha
 
-    def _decided(self, file: Any, numbers: str, keep_borders: bool) -> Treatment:
-        chosen, deep = self.treatment, self._deep
-        values = self._overview(file, chosen.bands)
-        with self._handle() as handle:
+    def _decide(self, file: Any, keep_borders: bool, decided: bool) -> None:
+        """Decide how numbers become colours, and which of them are data."""
+        kinds = _gdal.rasterio().enums.MaskFlags
+        chosen, alpha = self._bands, self._alpha
+        dtype = np.result_type(*(file.dtypes[number - 1] for number in chosen))
+        if dtype.kind == "c":
+            raise DataError(f"{printable(str(self.path))} holds complex numbers; expected a picture in grey or colour.")
+        bits = file.tags(chosen[0], ns="IMAGE_STRUCTURE").get("NBITS", "")
+        # GDAL gives bands of 1 to 7 bits as bytes.
+        few = dtype == np.uint8 and bits in set("1234567")
+        deep = not self._paletted and (few or dtype != np.uint8)
+        # JPEG smears alpha and nodata over several pixels.
+        lossy = "JPEG" in file.tags(ns="IMAGE_STRUCTURE").get("COMPRESSION", "")
+        flags = {kind for number in chosen for kind in file.mask_flag_enums[number - 1]}
+        nodata = kinds.nodata in flags
+        if alpha is not None:
+            data = [(alpha, _SOME)]
+            if lossy:
+                # Some programs write alpha as 0 and 1.
+                least = min(_LOSSY_OPAQUE, float(self._overview(file, (alpha,)).max()) / 2 or 1.0)
+                data = [(alpha, f"<LUT>{least * 0.999}:0,{least}:255</LUT>")]
+        elif self._paletted:
+            data = [(chosen[0], _component(4) + _SOME)]
+        else:
+            masked = "<UseMaskBand>true</UseMaskBand>" if nodata or kinds.per_dataset in flags else ""
+            nan = "<NODATA>nan</NODATA>" if dtype.kind == "f" else ""
+            data = [(number, f"{masked}{_OPAQUE}{nan}") for number in (chosen if nodata else chosen[:1])]
+        self._vrt, self.shown = self._rgba(data, None), repr([chosen, alpha])
+        if decided:
+            return
+        with _gdal.open_vrt(self._vrt) as handle:
             valid = self._overview(handle, (4,))[0] > 0
         # Some programs write an alpha band that is opaque everywhere, or a nodata value that no pixel has, and leave unknown
         # ground white.
-        unclear = bool(valid.all()) or (self._lossy and self._nodata)
-        look = unclear and not (keep_borders or (deep and self._nodata) or self._paletted)
+        unclear = bool(valid.all()) or (lossy and nodata)
+        look = unclear and not (keep_borders or (deep and nodata) or self._paletted)
+        values: AnyArray = self._overview(file, chosen) if look or deep else np.zeros((0, 1, 1))
         borders = find_borders(values, deep) if look else {}
-        if self._nodata and borders and np.logical_or.reduce(list(borders.values())).all():
+        if nodata and borders and np.logical_or.reduce(list(borders.values())).all():
             borders = {}  # a dark picture, whose own nodata value says that it is none
         for colour, region in borders.items():
             self.notes.append(f"The {colour} border of {self._called} ({region.mean():.0%} of it) is taken as no data.")
             valid &= ~region
         if not valid.any():
             raise DataError(f"{self._called} has no valid pixel; expected a map.")
-        if chosen.alpha is not None:
-            opacity = self._overview(file, (chosen.alpha,))
+        if alpha is not None:
+            opacity = self._overview(file, (alpha,))
             between = (opacity > _CLEAR * opacity.max()) & (opacity < (1 - _CLEAR) * opacity.max())
             if between.mean() > _VARIED:
                 self.notes.append(
-                    f"Band {chosen.alpha} of {self._called} is marked as alpha, and most of it is between clear and opaque; data "
-                    "is where it is above 0. If it is another band, such as near infrared, mark it so (gdal_edit "
-                    f"-colorinterp_{chosen.alpha} undefined)."
+                    f"Band {alpha} of {self._called} is marked as alpha, and most of it is between clear and opaque; data is "
+                    "where it is above 0. If it is another band, such as near infrared, mark it so (gdal_edit "
+                    f"-colorinterp_{alpha} undefined)."
                 )
-        stretch = None
+        limits = None
         if deep:
-            limits = [np.percentile(band[valid].astype(np.float64), _PERCENTILES).tolist() for band in values]
-            stretch = tuple((low, high if high > low else low + 1) for low, high in limits)
-            ranges = ", ".join(f"{low:g} to {high:g}" for low, high in stretch)
+            ends = np.array([np.percentile(band[valid].astype(np.float64), _PERCENTILES) for band in values]).tolist()
+            limits = [(low, high if high > low else low + 1) for low, high in ends]
+            ranges = ", ".join(f"{low:g} to {high:g}" for low, high in limits)
             self.notes.append(
-                f"{self._called} holds {numbers} numbers; the percentiles {_PERCENTILES[0]:g} and {_PERCENTILES[1]:g} of "
-                f"each band ({ranges}) become 0 and 255."
+                f"{self._called} holds {f'{bits}-bit' if few else dtype} numbers; the percentiles {_PERCENTILES[0]:g} and "
+                f"{_PERCENTILES[1]:g} of each band ({ranges}) become 0 and 255."
             )
-        self.close()  # handles of another treatment
-        return Treatment(chosen.bands, chosen.alpha, stretch, tuple(borders))
+        self._vrt = self._rgba(data, limits)
+        self.shown = repr([chosen, alpha, limits, sorted(borders)])
+        if borders:
+            self._mask = _mask(np.logical_or.reduce(list(borders.values())))
+            size = _overview_size(self.width, self.height)
+            cut = _source(self._mask.name, 1, size, (self.width, self.height), "<NODATA>255</NODATA>", "nearest")
+            self._vrt = self._vrt.replace("</VRTRasterBand></VRTDataset>", f"{cut}</VRTRasterBand></VRTDataset>")
+
+    def _rgba(self, data: Sequence[tuple[int, str]], limits: Sequence[tuple[float, float]] | None) -> str:
+        """Return the VRT of red, green, blue, and alpha.
+
+        Args:
+            data: number and inner part of the sources of alpha.
+            limits: the values of each band that become 0 and 255; None for bands of 8 bits.
+        """
+        if self._paletted:
+            colours = [(self._bands[0], _component(entry)) for entry in (1, 2, 3)]
+        else:
+            inner = [""] * len(self._bands) if limits is None else [_stretched(*two) for two in limits]
+            colours = list(zip(self._bands, inner, strict=True))
+        own, method = (self.width, self.height), "nearest" if self._paletted else "average"
+        bands = [*([one] for one in (colours if len(colours) == 3 else colours * 3)), data]
+        made = "".join(
+            f'<VRTRasterBand dataType="Byte" band="{number}"><ColorInterp>{colour}</ColorInterp>'
+            + "".join(_source(self._source, band, own, own, inner, method) for band, inner in sources)
+            + "</VRTRasterBand>"
+            for number, (colour, sources) in enumerate(zip((*_RGB, "alpha"), bands, strict=True), 1)
+        )
+        return f'<VRTDataset rasterXSize="{self.width}" rasterYSize="{self.height}">{made}</VRTDataset>'
 
     def _overview(self, file: Any, bands: Sequence[int]) -> AnyArray:
-        """Read bands of the open source, (n, height, width), on the overview of `overview_size`."""
+        """Read bands of the open file, (n, height, width), on the overview of `_overview_size`."""
         methods = _gdal.rasterio().enums.Resampling
-        columns, rows = overview_size(self.width, self.height)
+        columns, rows = _overview_size(self.width, self.height)
         method = methods.nearest if self._paletted else methods.average
         return np.stack([file.read(number, out_shape=(rows, columns), resampling=method) for number in bands])
 
-    @cached_property
-    def _lossy_opaque(self) -> float:
-        """The least opacity of data in a JPEG: half of the largest one, as some programs write alpha as 0 and 1."""
-        assert self.treatment.alpha is not None
-        with self._opened() as file:
-            return min(_LOSSY_OPAQUE, float(self._overview(file, (self.treatment.alpha,)).max()) / 2 or 1.0)
 
-    @cached_property
-    def _cut_out(self) -> RasterSource:
-        """The mask of the border at the size of the overview: 0 where there is no data, else 255."""
-        with self._opened() as file:
-            values = self._overview(file, self.treatment.bands)
-        border = np.zeros(values.shape[1:], np.uint8)
-        for colour in self.treatment.border:
-            border |= border_region(values, colour, self._deep)
-        # Pixels at the edge are mixed with the border's colour.
-        return RasterSource.of_mask(
-            np.where(cv2.dilate(border, np.ones((3, 3), np.uint8)) > 0, 0, 255).astype(np.uint8)
-        )
+def find_borders(values: AnyArray, deep: bool) -> dict[str, BoolArray]:
+    """Find white and black that is connected to the border.
+
+    Args:
+        values: an overview, (bands, height, width).
+        deep: True if the numbers are not bytes; black is then 0 and below, and there is no white.
+
+    Returns:
+        The regions of the colours that have one, (height, width).
+    """
+    noises = (0, 0) if deep else (_NOISE, _CORE_NOISE)
+    regions = {}
+    for colour in ("black",) if deep else ("white", "black"):
+        like, core = (values.max(0) <= n if colour == "black" else values.min(0) >= 255 - n for n in noises)
+        count, labels, stats, _ = cv2.connectedComponentsWithStats(like.astype(np.uint8), connectivity=4)
+        edge = np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]])
+        chosen = np.zeros(count, bool)
+        chosen[edge] = True
+        chosen[0] = False
+        area = stats[:, cv2.CC_STAT_AREA]
+        # Dark water is not uniform as a border is.
+        uniform = np.bincount(labels.ravel(), core.ravel(), count) >= _CORE_SHARE * area
+        region: BoolArray = (chosen & (area >= _MIN_SHARE * labels.size) & uniform)[labels]
+        if region.any():
+            regions[colour] = region
+    return regions
 
 
-def is_jpeg(file: Any) -> bool:
-    """Return whether an open raster's pixels are compressed as JPEG."""
-    return "JPEG" in file.tags(ns="IMAGE_STRUCTURE").get("COMPRESSION", "")
+def _overview_size(width: int, height: int) -> tuple[int, int]:
+    """Return width and height of the overview on which borders and stretches are decided."""
+    factor = max(1.0, max(width, height) / _OVERVIEW)
+    return max(1, round(width / factor)), max(1, round(height / factor))
+
+
+def _mask(border: BoolArray) -> Any:
+    """Return a file in memory that is 0 in a border and at its edge, whose pixels are mixed with its colour, else 255."""
+    memory = _gdal.rasterio().MemoryFile(ext=".tif")
+    shape = {"width": border.shape[1], "height": border.shape[0], "count": 1, "dtype": "uint8"}
+    with _gdal.quietly(), memory.open(driver="GTiff", **shape) as file:
+        file.write(np.where(cv2.dilate(border.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0, 0, 255), 1)
+    return memory
+
+
+def _source(
+    name: str, band: int, size: tuple[int, int], whole: tuple[int, int], inner: str = "", resampling: str = "average"
+) -> str:
+    """Return the XML of a band's source, `size` in pixels, that fills a band of `whole` pixels.
+
+    Args:
+        inner: further elements, see `_OPAQUE`, `_stretched`, `_component`.
+        resampling: GDAL's method of reduction.
+    """
+    return (
+        f'<ComplexSource resampling="{resampling}"><SourceFilename relativeToVRT="0" shared="0">{escape(name)}</SourceFilename>'
+        f'<SourceBand>{band}</SourceBand><SrcRect xOff="0" yOff="0" xSize="{size[0]}" ySize="{size[1]}"/>'
+        f'<DstRect xOff="0" yOff="0" xSize="{whole[0]}" ySize="{whole[1]}"/>{inner}</ComplexSource>'
+    )
+
+
+def _stretched(low: float, high: float) -> str:
+    """Return the inner part of a source whose values from `low` to `high` become 0 to 255."""
+    ratio = 255 / (high - low)
+    return f"<ScaleOffset>{-low * ratio!r}</ScaleOffset><ScaleRatio>{ratio!r}</ScaleRatio>"
+
+
+def _component(entry: int) -> str:
+    """Return the inner part of a source that shows an entry of its palette: 1 to 4 for red, green, blue, and alpha."""
+    return f"<ColorTableComponent>{entry}</ColorTableComponent>"
 
 
 def _resampled(

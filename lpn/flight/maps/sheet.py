@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
+import re
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
 
 from lpn.core.arrays import BoolArray, Float64Array, UInt8Array
 from lpn.core.errors import DataError
-from lpn.core.files import printable
+from lpn.core.files import first_few, printable
 from lpn.core.numbers import wrap_degrees
 from lpn.flight.maps import _gdal
 from lpn.flight.maps.frame import LocalFrame
@@ -29,6 +31,19 @@ _DEGREES_AT_MOST = 10.0
 # A corner is hardly on a map if both coordinates are smaller than these, in units of the CRS or degrees, or if its UTM easting
 # lies outside of the zone and its neighbours.
 _ORIGIN, _ORIGIN_DEGREES, _UTM_EASTINGS = 1000.0, 0.01, (100_000.0, 900_000.0)
+
+# Old datums by their WKT names, with the error in metres of EPSG's best transformation to WGS 84 without a national grid; 0 if
+# there is none.
+_DATUMS = {
+    "North_American_Datum_1927": 20, "Ordnance_Survey_of_Great_Britain_1936": 2, "Deutsches_Hauptdreiecksnetz": 3,
+    "System_of_the_Unified_Trigonometrical_Cadastral_Network": 6, "European_Datum_1950": 10, "Pulkovo_1942": 5,
+    "Pulkovo_1942_58": 10, "Pulkovo_1942_83": 5, "Tokyo": 9, "Nouvelle_Triangulation_Francaise": 2,
+    "Australian_Geodetic_Datum_1966": 5, "Australian_Geodetic_Datum_1984": 5, "New_Zealand_Geodetic_Datum_1949": 5,
+    "Monte_Mario": 4, "South_American_Datum_1969": 10, "Provisional_South_American_Datum_1956": 20, "Cape": 15,
+    "Corrego_Alegre_1970-72": 5, "Beijing_1954": 15, "Xian_1980": 0, "New_Beijing": 0,
+}  # fmt: skip
+# Variants of these datums with another prime meridian.
+_MERIDIANS = re.compile("_(Ferro|Paris|Rome)$")
 
 
 class Sheet:
@@ -53,15 +68,9 @@ class Sheet:
         self.outline = self._outline()
 
     def locate(self, frame: LocalFrame) -> None:
-        """Compute bounds and resolution in a frame.
-
-        Raises:
-            DataError: if its pixels have no possible size on the ground.
-        """
+        """Compute bounds and resolution in a frame; DataError if a pixel has no possible size on the ground."""
         self.frame = frame
         xy = frame.xy(*self.outline.T)
-        if not np.isfinite(xy).all():
-            raise DataError(f"{printable(self.name)} lies too far from the other sheets; open it as a map of its own.")
         (west, south), (east, north) = xy.min(0).tolist(), xy.max(0).tolist()
         self.bounds: Bounds = (west, south, east, north)
         width, height = self.raster.width, self.raster.height
@@ -169,6 +178,26 @@ def cells_of(crs: Any, matrix: Float64Array, width: int, frame: LocalFrame, xy: 
         x = middle + wrap_degrees(x - middle)
     inverse = np.linalg.inv(np.vstack([matrix, [0, 0, 1]]))[:2]
     return np.asarray(np.stack([x, y, np.ones(len(x))], axis=1) @ inverse.T)
+
+
+def datum_notes(sheets: Iterable[tuple[str, Any]]) -> list[str]:
+    """Return a sentence for each old datum that sheets, the name and the rasterio CRS of each, lie on."""
+    on: dict[tuple[str, int], list[str]] = {}
+    for name, crs in sheets:
+        found = re.search(r'\bDATUM\["([^"]+)",SPHEROID\["([^"]+)"', crs.to_wkt())
+        datum, ellipsoid = found.groups() if found else ("", "")
+        metres = _DATUMS.get(_MERIDIANS.sub("", datum))
+        ellipsoid_alone = datum.startswith(("Unknown", "Not_specified")) and not ellipsoid.startswith(("GRS", "WGS"))
+        if metres is None and ellipsoid_alone and "TOWGS84[" not in crs.to_wkt():
+            metres = 0
+        if metres is not None:
+            on.setdefault((printable(datum.replace("_", " ")), metres), []).append(printable(name))
+    return [
+        f"The datum of {first_few(names, 3)} is {datum}, by which places may be off by "
+        + (f"some {metres} m, unless PROJ's grids of its country are installed" if metres else "more than 100 m")
+        + ". Deliver the map on WGS 84, or tell its --error."
+        for (datum, metres), names in on.items()
+    ]
 
 
 def describe(crs: Any) -> str:

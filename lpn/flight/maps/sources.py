@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import itertools
 import re
+import weakref
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from shutil import rmtree
+from tempfile import mkdtemp
 from typing import Any
 
 import numpy as np
@@ -14,23 +17,34 @@ import numpy as np
 from lpn.core.arrays import Float64Array
 from lpn.core.errors import DataError, InputError
 from lpn.core.files import printable
+from lpn.core.lists import read_rows
 from lpn.flight.maps import _gdal
-from lpn.flight.maps.corners import LISTS, corners_of, read_list
-from lpn.flight.maps.raster import Raster, Treatment
+from lpn.flight.maps.raster import Raster
 from lpn.flight.maps.sheet import Sheet
-from lpn.flight.maps.tiles import is_tile_set, open_tiles, tiles_near
-from lpn.flight.maps.vrt import RasterSource
+from lpn.flight.maps.tiles import is_tile_set, pack_tiles, tiles_near
 
 # Largest error, in pixels, of the affine transform that stands for ground control points.
 _CONTROL_ERROR = 2.0
-# Files and folders of a tile cache.
-_ARCGIS = ("_alllayers", "conf.xml", "conf.cdi")
 # Files of a folder that are taken as sheets.
 _SUFFIXES = (".tif", ".tiff", ".jpg", ".jpeg", ".png", ".webp", ".jp2", ".mbtiles", ".img")
+# Lists of pictures with their corners: Filename,Top_left_lat,Top_left_lon,Bottom_right_lat,Bottom_right_lon (wildnav), and
+# mapname,LT_lat_map,LT_lon_map,RB_lat_map,RB_lon_map,region (UAV-VisLoc).
+_LISTS = ("map.csv", "satellite_coordinates_range.csv", "satellite_ coordinates_range.csv")
+# The columns, without signs and in lower case: the picture, then top, left, bottom, right.
+_COLUMNS = (
+    {"filename", "mapname", "name", "file"},
+    {"topleftlat", "topleftlatitude", "ltlatmap"},
+    {"topleftlon", "topleftlong", "topleftlng", "topleftlongitude", "ltlonmap"},
+    {"bottomrightlat", "bottomrightlatitude", "rblatmap"},
+    {"bottomrightlon", "bottomrightlong", "bottomrightlng", "bottomrightlongitude", "rblonmap"},
+)
 
 
 class NoPlaceError(DataError):
     """A picture has no georeference at all."""
+
+
+Corners = tuple[float, float, float, float]
 
 
 @dataclass(frozen=True)
@@ -45,7 +59,7 @@ class MapOptions:
     """
 
     crs: str | None = None
-    corners: tuple[float, float, float, float] | None = None
+    corners: Corners | None = None
     bands: tuple[int, ...] | None = None
     keep_borders: bool = False
 
@@ -77,57 +91,40 @@ def files_of(paths: Sequence[Path], options: MapOptions) -> tuple[list[Path], li
     return list(dict.fromkeys(files)), notes
 
 
-def open_sheet(
-    path: Path,
-    options: MapOptions,
-    treatment: Treatment | None = None,
-    copy: Path | None = None,
-    overviews: Path | None = None,
-) -> Sheet:
+def open_sheet(path: Path, options: MapOptions) -> Sheet:
     """Open a raster file with its georeference, or a folder of tiles.
-
-    Args:
-        treatment: a known treatment of its bands; None decides one.
-        copy: a file with the same pixels that is read in its place.
-        overviews: a separate file of its overviews, if there is one.
 
     Raises:
         DataError: if it cannot be read, or its georeference is missing or impossible.
         InputError: if an option is malformed, or does not apply.
     """
-    if is_tile_set(path):
-        if options != MapOptions(keep_borders=options.keep_borders):
-            raise InputError(f"{printable(str(path))} holds tiles in Web Mercator; leave CRS, corners, and bands out.")
-        source, _, crs, matrix = open_tiles(path, overviews)
-    else:
-        crs, matrix = georeference(path, options)
-        source = RasterSource.of_file(copy or path, overviews)
-    raster = Raster(source, treatment, options.bands, options.keep_borders, printable(path.name))
-    return Sheet(path.name, raster, crs, matrix)
-
-
-def georeference(path: Path, options: MapOptions) -> tuple[Any, Float64Array]:
-    """Return the CRS of a raster file and the (2, 3) matrix from its columns and rows to coordinates.
-
-    Raises:
-        DataError: if the file has none, or cannot be read.
-        InputError: if an option is malformed.
-    """
-    with _gdal.opened(path) as file:
-        return _georeference(path, file, options)
+    if not is_tile_set(path):
+        with _gdal.opened(path) as file:
+            crs, matrix = _georeference(path, file, options)
+        return Sheet(path.name, Raster(path, options.bands, options.keep_borders), crs, matrix)
+    if options != MapOptions(keep_borders=options.keep_borders):
+        raise InputError(f"{printable(str(path))} holds tiles in Web Mercator; leave CRS, corners, and bands out.")
+    folder = mkdtemp()
+    packed = Path(folder) / f"{path.name}.mbtiles"
+    try:
+        notes = pack_tiles(path, packed)
+        raster = Raster(packed, None, options.keep_borders, printable(path.name))
+    except BaseException:
+        rmtree(folder, ignore_errors=True)
+        raise
+    weakref.finalize(raster, rmtree, folder, ignore_errors=True)
+    raster.notes[:0] = notes
+    with _gdal.opened(packed) as file:
+        return Sheet(path.name, raster, *_georeference(packed, file, MapOptions()))
 
 
 def _files_in(folder: Path, options: MapOptions, notes: list[str]) -> list[Path]:
     """Return the rasters of a folder's list of corners, else its georeferenced rasters; note the others."""
-    for name in LISTS:
+    for name in _LISTS:
         if (folder / name).is_file():
             return _listed(folder / name)
     files = sorted(path for path in folder.iterdir() if path.suffix.lower() in _SUFFIXES and path.is_file())
     if not files:
-        if any((folder / name).exists() for name in _ARCGIS):
-            raise DataError(
-                f"{printable(str(folder))} is a tile cache of ArcGIS, whose levels are its own; export the map as GeoTIFF."
-            )
         if inner := tiles_near(folder) or next((file.parent for file in _deeper(folder)), None):
             raise DataError(
                 f"{printable(str(folder))} is not the folder of the map itself; give {printable(str(inner))}."
@@ -159,7 +156,7 @@ def _deeper(folder: Path) -> Iterator[Path]:
 
 
 def _listed(path: Path) -> list[Path]:
-    files = [path.parent / name for name in read_list(path)]
+    files = [path.parent / name for name in _read_list(path)]
     missing = [file.name for file in files if not file.is_file()]
     if missing:
         raise DataError(
@@ -167,6 +164,44 @@ def _listed(path: Path) -> list[Path]:
             f"{printable(missing[0])}; add them, or give the pictures themselves, which find their line."
         )
     return files
+
+
+def _read_list(path: Path) -> dict[str, Corners]:
+    """Read a list of pictures with their corners: latitude and longitude of the top left, then of the bottom right.
+
+    Raises:
+        DataError: if it is no such list; the message names the line.
+    """
+    file_name = printable(str(path))
+    rows = read_rows(path, file_name)
+    header = [re.sub("[^a-z]", "", name.lower()) for name in next(rows, (0, []))[1]]
+    places = [next((i for i, name in enumerate(header) if name in names), None) for names in _COLUMNS]
+    if None in places:
+        raise DataError(
+            f"The first line of {file_name} is {printable(','.join(header))[:200] or 'empty'}; expected "
+            "Filename,Top_left_lat,Top_left_lon,Bottom_right_lat,Bottom_right_lon."
+        )
+    corners = {}
+    for line, values in rows:
+        try:
+            name, top, left, bottom, right = (values[place].strip() for place in places if place is not None)
+            corners[name] = (float(top), float(left), float(bottom), float(right))
+        except (IndexError, ValueError):
+            raise DataError(
+                f"Line {line} of {file_name} is {printable(','.join(values))[:200]}; expected a file and four numbers."
+            ) from None
+    if not corners:
+        raise DataError(f"{file_name} names no picture; expected a line for each.")
+    return corners
+
+
+def _corners_of(path: Path) -> tuple[Corners, str] | None:
+    """Return the corners of a picture, and the list that has them, beside it or one folder up; None without a list."""
+    for folder in (path.parent, path.parent / ".."):
+        for name in _LISTS:
+            if (folder / name).is_file() and (corners := _read_list(folder / name).get(path.name)):
+                return corners, f"{printable(path.name)} in {name}"
+    return None
 
 
 # A code, its URN, a datum, or PROJ parameters.
@@ -181,7 +216,6 @@ def parse_crs(text: str) -> Any:
 
     Raises:
         InputError: if it is none.
-        DataError: if it names a file by its path.
     """
     text = re.sub(
         r"^(?:EPSG:\s+|https?://www\.opengis\.net/def/crs/EPSG/[\w.]+/)?(\d+)$", r"EPSG:\1", text.strip(), flags=re.I
@@ -194,8 +228,6 @@ def parse_crs(text: str) -> Any:
 
 def _crs(text: str, **options: bool) -> Any:
     """Return the rasterio CRS of a text; `from_user_input` alone would open a text that is a path or an address."""
-    if _gdal.names_a_path(text):
-        raise DataError(f"The CRS {printable(text)[:100]!r} names a file by its path; expected one such as EPSG:32632.")
     library = _gdal.rasterio()
     with library.Env():
         if _SAFE.match(text):
@@ -208,7 +240,7 @@ def _georeference(path: Path, file: Any, options: MapOptions) -> tuple[Any, Floa
         raise InputError("Corners are latitudes and longitudes; give --corners or --crs, not both.")
     matrix = None if options.corners is not None else _matrix(path, file)
     known = (options.corners, "--corners") if options.corners is not None else None
-    if matrix is None and (known := known or corners_of(path)) is not None:
+    if matrix is None and (known := known or _corners_of(path)) is not None:
         if (turn := file.tags().get("EXIF_Orientation", "1")) != "1":
             raise DataError(
                 f"{printable(str(path))} is shown turned or mirrored (EXIF orientation {printable(turn)}), so that its corners "
@@ -260,11 +292,6 @@ def _matrix(path: Path, file: Any) -> Float64Array | None:
         return np.asarray(matrix, np.float64)
     suffixes = [f".{path.suffix[1:2]}{path.suffix[-1:]}w", f"{path.suffix}w", ".wld"]
     world = _beside(path, suffixes)
-    if world is None and (rough := _beside(path, [f"{suffix}x" for suffix in suffixes])):
-        raise DataError(
-            f"{printable(str(rough))} stands for a transform that no world file can hold; rectify the raster, such as in ArcGIS, "
-            "or warp it with gdalwarp."
-        )
     return None if world is None else _world_file(world)
 
 

@@ -1,40 +1,29 @@
-"""Folders of picture tiles in Web Mercator, {z}/{x}/{y}.png, as one raster of their deepest zoom."""
+"""Folders of picture tiles in Web Mercator, {z}/{x}/{y}.png, packed as an .mbtiles, which GDAL reads."""
 
 from __future__ import annotations
 
 import itertools
 import json
-import math
 import os
 import re
-from collections import Counter
+import sqlite3
 from collections.abc import Iterator
-from contextlib import suppress
+from contextlib import closing, suppress
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from PIL import Image
 
-from lpn.core.arrays import Float64Array
 from lpn.core.errors import DataError
 from lpn.core.files import printable
-from lpn.flight.maps import _gdal, vrt
-from lpn.flight.maps.vrt import RasterSource, source_xml
 
-# Half the side of the square that Web Mercator (EPSG:3857) shows, in its own metres.
-_HALF = math.pi * 6_378_137.0
-# Most files and folders that are searched for a first tile, and most pixels along a side of the raster.
-_MAX_ENTRIES, _MAX_PIXELS = 20_000, 1 << 30
-_VECTOR = (".pbf", ".mvt")
+# Most files and folders that are searched for a first tile.
+_MAX_ENTRIES = 20_000
 _TILE = re.compile(
-    r"(?P<z>[12]?\d|30)/(?P<x>\d{1,9})/(?P<y>\d{1,9})(?:@2x)?(?:\.(?:png|jpe?g|webp|gif|bmp|pbf|mvt))?(?:\.tile)?",
+    r"(?P<z>[12]?\d|30)/(?P<x>\d{1,9})/(?P<y>\d{1,9})(?:@2x)?(?:\.(?:png|jpe?g|webp|pbf|mvt))?(?:\.tile)?",
     re.IGNORECASE | re.ASCII,
 )
-# Formats by their names in Pillow and GDAL alike. The list keeps Pillow from running Ghostscript for a tile in PostScript.
-_FORMATS = ("PNG", "JPEG", "WEBP", "GIF", "BMP")
-# GDAL opens files with these endings beside a tile; `_gdal` checks each.
-_BESIDE = (".ovr", ".msk", ".aux", ".aux.xml")
+# The beginnings of files that GDAL reads as tiles.
+_PICTURE = re.compile(rb"\x89PNG|\xff\xd8\xff|RIFF....WEBP", re.DOTALL)
 # gdal2tiles writes this file beside tiles that count rows from the south (TMS).
 _TMS = "tilemapresource.xml"
 _METADATA = ("metadata.json", "tilejson.json", "tile.json", "tiles.json")
@@ -55,14 +44,8 @@ def tiles_near(folder: Path) -> Path | None:
     return next((path for path in inside if is_tile_set(path)), None)
 
 
-def open_tiles(folder: Path, overviews: Path | None = None) -> tuple[RasterSource, bytes, Any, Float64Array]:
-    """Return the deepest zoom of a folder of tiles as a source of RGB and alpha; missing tiles have no data.
-
-    Args:
-        overviews: a separate file of its overviews, if there is one.
-
-    Returns:
-        The source, its VRT, its CRS, and the matrix, (2, 3), from column and row to coordinates.
+def pack_tiles(folder: Path, out: Path) -> list[str]:
+    """Write the deepest zoom of a folder of tiles as an .mbtiles, in which missing tiles have no data; return notes.
 
     Raises:
         DataError: if it holds no tiles, or the tiles are no pictures in Web Mercator.
@@ -72,100 +55,50 @@ def open_tiles(folder: Path, overviews: Path | None = None) -> tuple[RasterSourc
     for name, file in _walk(folder):
         if match := _TILE.fullmatch(name):
             zoom, x, y = int(match["z"]), int(match["x"]), int(match["y"])
-            place = x, (1 << zoom) - 1 - y if from_south else y
+            place = x, y if from_south else (1 << zoom) - 1 - y
             # {y}@2x.png takes precedence over {y}.png.
             if place not in (tiles := zooms.setdefault(zoom, {})) or "@2x" in file.name:
                 tiles[place] = file
-    if not zooms:
-        raise DataError(f"{printable(str(folder))} holds no tiles {{z}}/{{x}}/{{y}}.png; check the path.")
     zoom = max(zooms)
     tiles = zooms[zoom]
-    (west, north), (east, south) = np.min([*tiles], 0).tolist(), np.max([*tiles], 0).tolist()
-    if min(west, north) < 0 or max(east, south) >= 1 << zoom:
+    low, high = np.min([*tiles], 0), np.max([*tiles], 0)
+    if low.min() < 0 or high.max() >= 1 << zoom:
         raise DataError(
-            f"{printable(str(folder))} has tiles up to {east}, {south} at zoom {zoom}; expected numbers below {1 << zoom}."
-        )
-    pictures, broken = _pictures(folder, tiles)
-    side = Counter(width for _, width, _, _ in pictures.values()).most_common(1)[0][0]
-    size = (east - west + 1) * side, (south - north + 1) * side
-    if max(size) > _MAX_PIXELS:
-        raise DataError(
-            f"The tiles of {printable(str(folder))} lie too far apart for one map; take out those of other places."
+            f"{printable(str(folder))} has tiles beyond {(1 << zoom) - 1} at zoom {zoom}; expected numbers of Web Mercator."
         )
     called = printable(folder.name)
-    missing = 1 - len(pictures) * side * side / (size[0] * size[1])
+    missing = 1 - len(tiles) / float(np.prod(high - low + 1.0))
     gaps = f"; {missing:.0%} of its rectangle have no tile." if missing > 0 else "."
     notes.insert(0, f"{called} is shown at zoom {zoom}, the deepest of {len(zooms)}{gaps}")
-    if broken:
-        notes.append(f"Some tiles of {called} are text, as a failed download leaves them; they have no data.")
-    corners = np.array([(west, north), (east, south)])
-    ends = {
-        z: np.array([np.min([*other], 0), np.max([*other], 0)]) - (corners >> zoom - z) for z, other in zooms.items()
-    }
-    if further := [z for z, (low, high) in ends.items() if (low < 0).any() or (high > 0).any()]:
-        notes.append(f"Zoom {max(further)} of {called} reaches further than zoom {zoom}; that part is not shown.")
-    bands: list[list[str]] = [[], [], [], []]
-    for (x, y), (file, width, mode, driver) in pictures.items():
-        box = (x - west) * float(side), (y - north) * float(side), float(side), float(side)
-        name = _gdal.vrt_name(str(file.absolute()), driver)
-        for band, (number, inner) in zip(bands, _sources(mode), strict=True):
-            band.append(source_xml(name, number, (width, width), box, inner, "nearest" if mode == "P" else "average"))
-    xml = vrt.rgba_xml(size, bands)
-    memory = _gdal.in_memory(xml if overviews is None else _gdal.with_overviews(xml, overviews))
-    used = sorted([file for file, *_ in pictures.values()] + ([] if overviews is None else [overviews]))
-    source = RasterSource(
-        folder, memory.name, lambda: _gdal.open_vrt(memory.name), lambda: used, notes, overviews, memory
-    )
-    pixel = 2 * _HALF / (side << zoom)
-    matrix = np.array([[pixel, 0, west * side * pixel - _HALF], [0, -pixel, _HALF - north * side * pixel]])
-    return source, xml, _gdal.rasterio().crs.CRS.from_epsg(3857), matrix
-
-
-def _pictures(
-    folder: Path, tiles: dict[tuple[int, int], Path]
-) -> tuple[dict[tuple[int, int], tuple[Path, int, str, str]], bool]:
-    """Return file, side, mode, and GDAL driver of each tile that is not empty or text, and whether some tile is text."""
-    beside = {name.lower() for name, _ in _walk(folder) if name.lower().endswith(_BESIDE)}
-    pictures, broken = {}, False
-    for place, file in tiles.items():
-        if file.suffix.lower() in _VECTOR:
-            raise DataError(
-                f"{printable(str(folder))} holds vector tiles (pbf); expected pictures, so render it, or take tiles of an "
-                "orthophoto."
-            )
-        try:
-            with file.open("rb") as opened:
-                head = opened.read(64)
-                if not head or head.lstrip().startswith((b"<", b"{")):
-                    broken |= bool(head)
-                    continue
-                with Image.open(opened, formats=_FORMATS) as image:
-                    width, height, mode, driver = *image.size, image.mode, str(image.format)
-        except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
-            raise DataError(
-                f"The tile {printable(str(file))} cannot be read as a picture; delete it, or make it again."
-            ) from error
-        if width != height or mode not in ("RGB", "RGBA", "L", "LA", "P"):
-            raise DataError(
-                f"The tile {printable(str(file))} has {width} x {height} pixels of the kind {mode}; expected a square in RGB or "
-                "grey, or with a palette."
-            )
-        if beside and any(f"{file.relative_to(folder).as_posix()}{end}".lower() in beside for end in _BESIDE):
-            with _gdal.opened(file):
-                pass
-        pictures[place] = file, width, mode, driver
-    if not pictures:
-        raise DataError(f"All tiles of {printable(str(folder))} at its deepest zoom are empty; make them again.")
-    return pictures, broken
-
-
-def _sources(mode: str) -> list[tuple[int, str]]:
-    """Return the band of a tile and the inner part of its source for red, green, blue, and alpha."""
-    if mode == "P":
-        return [(1, vrt.palette(entry)) for entry in (1, 2, 3, 4)]
-    colours = (1, 2, 3) if mode.startswith("RGB") else (1, 1, 1)
-    alpha = (len(mode), vrt.SOME) if mode.endswith("A") else (1, vrt.OPAQUE)
-    return [*((number, "") for number in colours), alpha]
+    for z, other in zooms.items():
+        at = np.array([*other])
+        if (at < low >> zoom - z).any() or (at > high >> zoom - z).any():
+            notes.append(f"Zoom {z} of {called} reaches further than zoom {zoom}; that part is not shown.")
+    unread = 0
+    with closing(sqlite3.connect(out)) as database, database:
+        database.execute("CREATE TABLE metadata (name TEXT, value TEXT)")
+        database.execute(
+            "CREATE TABLE tiles (zoom_level INTEGER, tile_column INTEGER, tile_row INTEGER, tile_data BLOB, "
+            "PRIMARY KEY (zoom_level, tile_column, tile_row))"
+        )
+        for (x, y), file in tiles.items():
+            data = file.read_bytes()
+            if _PICTURE.match(data):
+                database.execute("INSERT INTO tiles VALUES (?, ?, ?, ?)", (zoom, x, y, data))
+            else:
+                unread += 1
+    if unread == len(tiles):
+        raise DataError(
+            f"The tiles of {printable(str(folder))} at zoom {zoom} are no PNG, JPEG, or WebP; expected pictures, so render "
+            "vector tiles, or take tiles of an orthophoto."
+        )
+    if unread:
+        notes.append(
+            f"{unread} tiles of {called} are no PNG, JPEG, or WebP, as failed downloads are; they have no data."
+        )
+    newest = max(file.stat().st_mtime_ns for file in tiles.values())
+    os.utime(out, ns=(newest, newest))
+    return notes
 
 
 def _declared(folder: Path) -> tuple[bool, list[str]]:

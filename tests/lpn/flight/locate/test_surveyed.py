@@ -32,7 +32,6 @@ from lpn.flight.locate.surveyed import (
 )
 from lpn.flight.locate.tracks import best_track
 from lpn.flight.maps import LocalFrame, Map
-from lpn.flight.maps.map import metres_off
 
 # On the middle of UTM zone 14, whose grid shortens metres by 0.04 %.
 ORIGIN = LocalFrame(30.17, -99.0)
@@ -42,7 +41,8 @@ ORIGIN = LocalFrame(30.17, -99.0)
 LAID = [1.0, 0, -39.5, 0, -1, 30.5, 0, 0, 1]
 # A map of 2 by 1 km about the origin.
 BOUNDS = (-1000.0, -500.0, 1000.0, 500.0)
-BASEMAP = cast(Map, SimpleNamespace(frame=ORIGIN, bounds=BOUNDS, metres_off=lambda point: metres_off(BOUNDS, point)))
+BASEMAP = cast(Map, SimpleNamespace(frame=ORIGIN, bounds=BOUNDS))
+BASEMAP.metres_off = lambda point: Map.metres_off(BASEMAP, point)  # type: ignore[method-assign]
 
 
 def flight(*frames: LocatedFrame) -> LocatedFlight:

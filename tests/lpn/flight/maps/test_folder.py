@@ -26,29 +26,38 @@ def same(one: Map, other: Map, tolerance: float = 0) -> None:
         found, expected = one.read(window, pixels), other.read(window, pixels)
         np.testing.assert_array_equal(found[1], expected[1])
         np.testing.assert_allclose(found[0].astype(int), expected[0], atol=tolerance)
-    assert one.windows(20, 10) == other.windows(20, 10)
+    assert one.pyramid([20]) == other.pyramid([20])
 
 
-def test_a_map_folder_names_small_sheets_where_they_are(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    deep = smooth(200, 200).astype(np.uint16) * 10 + 1000
+def test_a_map_folder_holds_copies_of_its_sheets(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    import rasterio
+
+    deep = smooth(300, 2100).astype(np.uint16) * 10 + 1000
     deep[:, :80] = 0
     (tmp_path / "data").mkdir()
     first = write_geotiff(tmp_path / "data" / "town.tif", deep)
-    second = write_geotiff(tmp_path / "data" / "next.tif", smooth(200, 200, 1), matrix=(1, 0, EAST + 60, 0, -1, NORTH))
+    turned = (0.9, 0.1, EAST + 600, 0.1, -0.9, NORTH)
+    second = write_geotiff(tmp_path / "data" / "next.tif", smooth(200, 200, 1), matrix=turned)
     out = tmp_path / "maps" / "town"
+    files = open_map([first, second])
     assert main(["map", str(first), str(second), "--out", str(out)]) == 0
     printed = capsys.readouterr().out
+    assert "Copying town.tif into the map." in printed
     assert "uint16 numbers" in printed
     assert "from 2 sheets; the finest has 0.5 m per pixel." in printed
-    assert sorted(path.name for path in out.iterdir()) == ["coverage.png", "map.json"]
-    record = json.loads((out / "map.json").read_text())
-    assert [sheet["file"] for sheet in record["sheets"]] == ["../../data/town.tif", "../../data/next.tif"]
-    same(open_map(out), open_map([first, second]))
-    # Both move together.
-    (tmp_path / "elsewhere").mkdir()
-    for name in ("data", "maps"):
-        (tmp_path / name).rename(tmp_path / "elsewhere" / name)
-    assert open_map(tmp_path / "elsewhere" / "maps" / "town").name == "town"
+    assert sorted(path.name for path in out.rglob("*")) == ["01.tif", "02.tif", "coverage.png", "map.json", "sheets"]
+    with rasterio.open(out / "sheets" / "02.tif") as copy:
+        assert copy.overviews(1) == []
+    with rasterio.open(out / "sheets" / "01.tif") as copy:
+        assert (copy.count, copy.overviews(1)) == (4, [2, 4, 8])
+        assert (copy.crs, copy.transform[:6]) == ("EPSG:32632", (0.5, 0, EAST, 0, -0.5, NORTH))
+    same(open_map(out), files, 2)
+    whole = (open_map(out).overview(400), files.overview(400))
+    np.testing.assert_allclose(whole[0][0].astype(int), whole[1][0], atol=3)
+    # The folder needs no other file, wherever it is.
+    first.unlink()
+    out.rename(tmp_path / "moved")
+    assert open_map(tmp_path / "moved").read(Window(0, 0, 20), 16)[1].all()
 
 
 def test_a_map_keeps_the_name_of_its_place_and_the_day_of_its_pictures(
@@ -95,39 +104,6 @@ def test_options_are_recorded(tmp_path: Path) -> None:
     )
 
 
-def test_a_large_sheet_gets_overviews_beside_map_json(tmp_path: Path) -> None:
-    path = write_geotiff(tmp_path / "a.tif", smooth(700, 3000), tiled=True, blockxsize=256, blockysize=256)
-    before = path.read_bytes()
-    messages: list[str] = []
-    build_map([path], tmp_path / "map", on_progress=messages.append)
-    assert "Making overviews of a.tif." in messages
-    assert [file.name for file in (tmp_path / "map" / "sheets").iterdir()] == ["01.ovr"]
-    assert path.read_bytes() == before
-    town = open_map(tmp_path / "map")
-    assert {file.name for file in town.sheets[0].raster.files()} == {"a.tif", "01.ovr"}
-    same(town, open_map(path), 3)
-    whole = (town.overview(400), open_map(path).overview(400))
-    np.testing.assert_allclose(whole[0][0].astype(int), whole[1][0], atol=3)
-
-
-def test_a_large_picture_that_is_not_tiled_is_copied(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from lpn.flight.maps import folder
-
-    monkeypatch.setattr(folder, "_MAX_UNTILED", 10_000)
-    path = tmp_path / "a.png"
-    Image.fromarray(smooth(200, 300)).save(path)
-    options = MapOptions(corners=(48.0, 9.0, 47.999, 9.002))
-    build_map([path], tmp_path / "map", options)
-    assert [file.name for file in (tmp_path / "map" / "sheets").iterdir()] == ["01.tif"]
-    # The copy is another file, which may not be the input for the same folder.
-    with pytest.raises(InputError, match=r"the files that it was made of: a\.png\.$"):
-        build_map([tmp_path / "map"], tmp_path / "again")
-    path.unlink()
-    town = open_map(tmp_path / "map")
-    Image.fromarray(smooth(200, 300)).save(path)
-    same(town, open_map(path, options))
-
-
 def test_what_lpn_map_refuses_leaves_nothing_behind(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     Image.fromarray(smooth(60, 60)).save(tmp_path / "bare.png")
     good = write_geotiff(tmp_path / "a.tif", smooth(60, 60))
@@ -145,7 +121,7 @@ def test_what_lpn_map_refuses_leaves_nothing_behind(tmp_path: Path, capsys: pyte
             "written is a map that lpn map wrote; give the files that it was made of: a.tif.",
         ),
         ([tmp_path / "many"], "08.tif, 09.tif, and 2 more."),
-        ([other], "other holds map.json; expected GeoTIFF files"),
+        ([other], "is damaged, or no map"),
         ([tmp_path / "bare.png"], "no georeference"),
         ([good, degrees], "look like degrees"),
         ([tmp_path / "missing.tif"], "There is no file"),
@@ -161,7 +137,7 @@ def test_what_lpn_map_refuses_leaves_nothing_behind(tmp_path: Path, capsys: pyte
 def test_a_folder_appears_when_all_is_written_and_replaces_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    good = write_geotiff(tmp_path / "a.tif", smooth(60, 3000), tiled=True, blockxsize=256, blockysize=256)
+    good = write_geotiff(tmp_path / "a.tif", smooth(60, 60))
     for taken in (tmp_path, good):
         with pytest.raises(OutputError, match="is there already"):
             build_map([good], taken)
@@ -192,17 +168,14 @@ def test_a_damaged_map_folder_is_refused(tmp_path: Path) -> None:
     for text, words in (
         (whole.replace("lpn-map/1", "lpn-map/2"), "later version"),
         (whole[:50], "is damaged"),
-        (json.dumps(json.loads(whole) | {"sheets": []}), "names no sheet"),
+        (json.dumps(json.loads(whole) | {"sheets": []}), "is damaged"),
         (json.dumps(json.loads(whole) | {"latitude": 91}), "is damaged"),
     ):
         manifest.write_text(text)
         with pytest.raises(DataError, match=words):
             open_map(tmp_path / "map")
     manifest.write_text(whole)
-    write_geotiff(path, smooth(60, 70))
-    with pytest.raises(DataError, match="it changed"):
-        open_map(tmp_path / "map")
-    path.unlink()
+    (tmp_path / "map" / "sheets" / "01.tif").unlink()
     with pytest.raises(DataError, match="is not there"):
         open_map(tmp_path / "map")
 
@@ -224,9 +197,9 @@ picture, valid = town.read(Window(0, 0, 500), 1000)
 assert valid.all() and abs(int(picture.mean()) - 100) <= 1, picture.mean()
 picture, valid = town.read(Window(0, 0, 1500), 3000)
 assert abs(valid.mean() - (1024 / 1500) ** 2) < 0.005, valid.mean()
-windows = town.windows(1000, 500, 0.4)
-assert 4 <= len(windows) <= 9, len(windows)
-assert all(town.read(window, 100)[1].mean() > 0.37 for window in windows)
+windows = town.pyramid([1000])
+assert 1 <= len(windows) <= 9, len(windows)
+assert all(town.read(window, 100)[1].mean() > 0.47 for window in windows)
 status = Path("/proc/self/status")
 if status.exists():
     # Linux counts the parent's memory before exec in ru_maxrss.

@@ -11,17 +11,15 @@ import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
-from xml.sax.saxutils import escape
 
 import numpy as np
 import pytest
 from PIL import Image
 
 from lpn.cli.main import main
-from lpn.core.demo import DEMO_FLIGHT
 from lpn.core.errors import DataError, LPNError
-from lpn.flight.maps import MapOptions, open_map
-from lpn.flight.maps.elevation import ElevationFile, ElevationSource
+from lpn.flight.maps import MapOptions, _gdal, open_map
+from lpn.flight.maps.elevation import ElevationFile
 from lpn.flight.maps.folder import build_map
 from lpn.flight.maps.sources import parse_crs
 from tests.lpn.flight.maps.small_maps import EAST, NORTH, smooth, write_geotiff
@@ -95,10 +93,10 @@ def listener(tmp_path: Path) -> Iterator[Listener]:
     made.close()
 
 
-def ask_plainly(*paths: Path, **environment: str) -> None:
+def ask_plainly(path: Path) -> None:
     """Open files by rasterio itself in a process of its own."""
     plain = {name: value for name, value in os.environ.items() if not name.startswith(("GDAL", "CPL_"))}
-    subprocess.run([sys.executable, "-c", _PLAIN, *paths], env=plain | environment, check=True)
+    subprocess.run([sys.executable, "-c", _PLAIN, path], env=plain, check=True)
 
 
 def text(contents: str, suffix: str = ".tif") -> Callable[[Path, str], Path]:
@@ -129,13 +127,6 @@ def inside(folder: Path, address: str) -> Path:
     return path
 
 
-def overviews_of_overviews(folder: Path, address: str) -> Path:
-    """Write a GeoTIFF with overviews beside it, whose own notes name further ones."""
-    path = write_geotiff(folder / "town.tif", smooth(600, 600)[:, :, :1])
-    inside(folder, address).rename(folder / "town.tif.ovr")
-    return write_geotiff(path, smooth(1200, 1200)[:, :, :1])
-
-
 def polyglot(folder: Path, address: str) -> Path:
     """Write a JPEG with a VRT as its comment, which stands before any zero."""
     path, packed = folder / "town.jpg", io.BytesIO()
@@ -156,28 +147,22 @@ CASES: dict[str, Callable[[Path, str], Path]] = {
     "overviews that are a VRT": beside(_VRT, ".OVR"),
     "notes that name overviews": beside(_NOTES, ".aux.xml"),
     "a tag that names overviews": inside,
-    "overviews that name overviews": overviews_of_overviews,
+    "a CRS that names a grid": beside(
+        "<PAMDataset><SRS>+proj=longlat +nadgrids={}/a.gsb</SRS></PAMDataset>", ".aux.xml"
+    ),
     "a JPEG that is a VRT, too": polyglot,
 }
 
 
 def doors(path: Path, out: Path) -> dict[str, Callable[[], Any]]:
     """Return the functions that open rasters of users."""
-    flight = str(DEMO_FLIGHT[1])
     town = write_geotiff(out / "ortho.tif", smooth(60, 60))
     return {
         "open_map": lambda: open_map(path).overview(8),
         "open_map with corners": lambda: open_map(path, MapOptions(corners=(48.0, 9.0, 47.999, 9.0014))).overview(8),
         "build_map": lambda: build_map([path], out / "map"),
-        "elevation": lambda: ElevationSource(ElevationFile(path)),
-        "lpn map": lambda: main(["map", str(path), "--out", str(out / "map")]),
+        "elevation": lambda: ElevationFile(path),
         "lpn map --elevation": lambda: main(["map", str(town), "--elevation", str(path), "--out", str(out / "map")]),
-        "lpn locate": lambda: main(
-            ["locate", "--map", str(path), "--flight", flight, "--out", str(out / "track.geojson")]
-        ),
-        "lpn map --from-flight": lambda: main(
-            ["map", "--from-flight", flight, "--elevation", str(path), "--out", str(out / "own")]
-        ),
     }
 
 
@@ -187,30 +172,24 @@ def outcome(door: Callable[[], Any]) -> str:
         result = door()
     except LPNError as error:
         return str(error)
-    return "a command said it" if result == 2 else f"opened: {result}"
+    return "a command said it" if result == 2 else "opened"
 
 
 @pytest.mark.parametrize("case", CASES)
 def test_no_file_of_a_user_makes_gdal_ask_a_server(tmp_path: Path, listener: Listener, case: str) -> None:
+    _gdal.rasterio()  # before anything else uses GDAL, as the commands do
     theirs, ours = tmp_path / "theirs", tmp_path / "ours"
     theirs.mkdir()
     ours.mkdir()
     path = CASES[case](theirs, listener.address)
     for name, door in doors(path, ours).items():
-        said = outcome(door)
-        assert not said.startswith("opened"), name
-        assert "\n" not in said, name
+        assert "\n" not in outcome(door), name
         assert not listener.heard(), name
     main(["doctor", "--data", str(theirs)])
     assert not listener.heard()
-    # The second line of defence.
-    from lpn.flight.maps import _gdal
-
-    ask_plainly(path, **_gdal._ENVIRONMENT)
-    assert not listener.heard()
-    # The same file is a breach without both.
+    # Rasterio by itself asks for most of them.
     ask_plainly(path)
-    assert listener.heard()
+    assert listener.heard() or case in ("a CRS that names a grid",)
 
 
 @pytest.mark.parametrize("suffix", [".tif", ".vrt"])
@@ -247,25 +226,19 @@ def grid(folder: Path, pixels: bytes, side: int) -> Path:
     return folder / "town.bil"
 
 
-def test_a_large_sheet_is_read_by_the_driver_that_opened_it(tmp_path: Path) -> None:
-    """Above 2048 pixels a sheet is read through a VRT that carries our overviews."""
+def test_a_sheet_is_read_by_the_driver_that_opened_it(tmp_path: Path) -> None:
     import rasterio
 
-    side = 2100
+    side = 400
     index = dimap(tmp_path, side)
     pixels = index + b"\0" + smooth(side, side)[:, :, 0].tobytes()[len(index) + 1 :]
     path = grid(tmp_path, pixels, side)
     with rasterio.open(path) as file:
         assert b"no map shows" in file.read(1).tobytes()
-    options = MapOptions(crs="EPSG:32632")
-    for whole in (build_map([path], tmp_path / "map", options), open_map(tmp_path / "map")):
-        raster = whole.sheets[0].raster
-        row = raster.cut(np.array([[1.0, 0, 0], [0, 1, 1000]]), (side, 1), 1)[0]
-        assert row[0, :, 0].tobytes() == pixels[1000 * side : 1001 * side]
-        reduced = raster.cut(np.array([[4.0, 0, 0], [0, 4, 1000]]), (side // 4, 250), 4)[0][:, :, 0]
-        assert {file.name for file in raster.files()} == {"town.bil", "town.hdr", "01.ovr"}
-        assert np.abs(reduced - smooth(side, side)[1002:2000:4, 2::4, 0].astype(float)).max() < 12
-        whole.close()
+    raster = open_map(path, MapOptions(crs="EPSG:32632")).sheets[0].raster
+    row = raster.cut(np.array([[1.0, 0, 0], [0, 1, 100]]), (side, 1), 1)[0]
+    assert row[0, :, 0].tobytes() == pixels[100 * side : 101 * side]
+    assert {file.name for file in raster.files()} == {"town.bil", "town.hdr"}
 
 
 def test_no_table_of_an_mbtiles_is_another_file(tmp_path: Path) -> None:
@@ -291,20 +264,10 @@ def test_no_table_of_an_mbtiles_is_another_file(tmp_path: Path) -> None:
     assert ran.stdout == "True\n"
 
 
-@pytest.mark.parametrize("end", [".ovr", ".MSK"])
-def test_a_folder_beside_a_raster_is_not_taken_for_its_overviews(tmp_path: Path, end: str) -> None:
-    import rasterio
-
+def test_a_folder_beside_a_raster_is_not_taken_for_its_overviews(tmp_path: Path) -> None:
     path = write_geotiff(tmp_path / "town.tif", smooth(600, 600)[:, :, :1])
-    folder = tmp_path / f"town.tif{end}"
-    folder.mkdir()
-    index = dimap(folder, 300)
-    for name in ("metadata.dim", "METADATA.DIM"):
-        (folder / name).write_bytes(index)
-    if end == ".ovr":
-        with rasterio.open(path) as file:
-            assert b"no map shows" in file.read(1, out_shape=(300, 300)).tobytes()
-    with pytest.raises(DataError, match=rf"town\.tif\{end} is no file"):
+    (tmp_path / "town.tif.OVR").mkdir()
+    with pytest.raises(DataError, match=r"town\.tif\.OVR holds no overviews and no mask"):
         open_map(path)
 
 
@@ -334,26 +297,19 @@ def test_a_file_of_imagine_takes_pixels_from_its_own_folder_alone(tmp_path: Path
             open_map(path).close()
 
 
-def test_a_large_sheet_with_a_question_mark_in_its_path_is_refused(tmp_path: Path) -> None:
-    path = write_geotiff(tmp_path / "a?if=VRT.tif", smooth(700, 3000), tiled=True, blockxsize=256, blockysize=256)
-    with pytest.raises(DataError, match="has a question mark in its path"):
-        build_map([path], tmp_path / "map")
+@pytest.mark.parametrize("name", ["a?if=VRT.tif", "<VRTDataset>.tif"])
+def test_a_name_by_which_gdal_would_open_another_file_is_refused(tmp_path: Path, name: str) -> None:
+    path = write_geotiff(tmp_path / "a.tif", smooth(60, 60)).rename(tmp_path / name)
+    with pytest.raises(DataError, match=r"has \? or < in its path"):
+        open_map(path)
 
 
-@pytest.mark.parametrize("change", ["a sheet", "overviews"])
-def test_a_folder_of_a_map_from_elsewhere_reads_no_text_file(tmp_path: Path, change: str) -> None:
-    path = write_geotiff(tmp_path / "a.tif", smooth(700, 3000), tiled=True, blockxsize=256, blockysize=256)
-    build_map([path], tmp_path / "map").close()
+def test_a_folder_of_a_map_from_elsewhere_reads_no_text_file(tmp_path: Path) -> None:
+    build_map([write_geotiff(tmp_path / "a.tif", smooth(60, 60))], tmp_path / "map").close()
     (tmp_path / "map" / "sheets" / "secret.txt").write_bytes(b"what no map shows. " * 30)
-    raw = text(_RAW)(tmp_path / "map" / "sheets", "")
-    manifest = tmp_path / "map" / "map.json"
-    known = json.loads(manifest.read_text())
-    assert known["sheets"][0]["overviews"] == "sheets/01.ovr"
-    known["sheets"][0] |= {"overviews": "sheets/town.tif"} if change == "overviews" else {"file": "sheets/town.tif"}
-    manifest.write_text(json.dumps(known))
-    with pytest.raises(DataError, match=r"town\.tif (begins with .* cannot be read as a map|holds neither overviews)"):
-        open_map(tmp_path / "map").overview(8)
-    assert raw.exists()
+    text(_RAW)(tmp_path / "map" / "sheets", "").replace(tmp_path / "map" / "sheets" / "01.tif")
+    with pytest.raises(DataError, match=r"01\.tif begins with .* cannot be read as a map"):
+        open_map(tmp_path / "map")
 
 
 def test_no_coordinate_reference_system_is_asked_of_a_server_or_read_from_a_file(
@@ -383,73 +339,7 @@ def test_no_coordinate_reference_system_is_asked_of_a_server_or_read_from_a_file
     assert listener.heard()
 
 
-_DEGREES = 'PRIMEM["Greenwich",0],UNIT["degree",0.0174532925199433]]'
-_BOUND = (
-    'BOUNDCRS[SOURCECRS[GEOGCRS["x",DATUM["d",ELLIPSOID["WGS 84",6378137,298.257223563]],CS[ellipsoidal,2],AXIS["lat",north],'
-    'AXIS["lon",east],UNIT["degree",0.0174532925199433]]],TARGETCRS[GEOGCRS["WGS 84",DATUM["World Geodetic System 1984",'
-    'ELLIPSOID["WGS 84",6378137,298.257223563]],CS[ellipsoidal,2],AXIS["lat",north],AXIS["lon",east],'
-    'UNIT["degree",0.0174532925199433],ID["EPSG",4326]]],ABRIDGEDTRANSFORMATION["t",METHOD["NTv2",ID["EPSG",9615]],'
-    'PARAMETERFILE["Latitude and longitude difference file","{}"]]]'
-)
-_GRIDS = {
-    "PROJ": "+proj=longlat +ellps=WGS84 +nadgrids=@null,{} +no_defs",
-    "heights": "+proj=utm +zone=32 +ellps=WGS84 +geoidgrids={}",
-    "quoted": '+proj=longlat +ellps=WGS84 +nadgrids="{}"',
-    "init": "+proj=longlat +init={}:x",
-    "WKT 1": 'GEOGCS["x",DATUM["d",SPHEROID["W",6378137,298.2572],EXTENSION["PROJ4_GRIDS","{}"]],' + _DEGREES,
-    "PROJ in WKT 1": 'GEOGCS["x",DATUM["d",SPHEROID["W",6378137,298.2572]],'
-    + _DEGREES.removesuffix("]")
-    + ',EXTENSION["PROJ4","+proj=longlat +ellps=WGS84 +nadgrids={}"]]',
-    "WKT 2": _BOUND,
-}
-
-
-@pytest.fixture
-def pipe(tmp_path: Path) -> Iterator[tuple[Path, Path]]:
-    """A pipe, and a file that has a line for each time that it was opened for reading."""
-    path, log = tmp_path / "grid", tmp_path / "opened.txt"
-    os.mkfifo(path)
-    log.touch()
-    # Nobody who opens it waits.
-    writer = subprocess.Popen(["sh", "-c", 'while : > "$0"; do echo opened >> "$1"; done', path, log])
-    yield path, log
-    writer.kill()
-    writer.wait()
-
-
-@pytest.mark.parametrize("kind", _GRIDS)
-def test_no_coordinate_reference_system_makes_proj_open_a_path(
-    tmp_path: Path, pipe: tuple[Path, Path], capfd: pytest.CaptureFixture[str], kind: str
-) -> None:
-    crs = _GRIDS[kind].format(pipe[0])
-    for text in (crs, f" {crs}\n"):
-        with pytest.raises(DataError, match="names a file by its path"):
-            parse_crs(text)
-    plain = write_geotiff(tmp_path / "a.tif", smooth(60, 60), crs=None)
-    plain.with_suffix(".prj").write_text(crs)
-    with pytest.raises(DataError, match="names a file by its path"):
-        open_map(plain)
-    plain.with_suffix(".prj").unlink()
-    build_map([write_geotiff(tmp_path / "b.tif", smooth(60, 60))], tmp_path / "map").close()
-    manifest = tmp_path / "map" / "map.json"
-    known = json.loads(manifest.read_text())
-    known["sheets"][0]["crs"] = crs
-    manifest.write_text(json.dumps(known))
-    with pytest.raises(DataError, match="names a file by its path"):
-        open_map(tmp_path / "map")
-    assert not pipe[1].read_text()
-    if kind != "init":  # which GDAL itself refuses
-        # Rasterio opens the path where it lies in a raster, before any of us knows of it.
-        (tmp_path / "grid.txt").write_text("what no map shows")
-        crs = _GRIDS[kind].format(tmp_path / "grid.txt")
-        Path(f"{plain}.aux.xml").write_text(f"<PAMDataset><SRS>{escape(crs)}</SRS></PAMDataset>")
-        for door in (lambda: open_map(plain), lambda: ElevationSource(ElevationFile(plain))):
-            with pytest.raises(DataError, match="has a CRS that names a file by its path"):
-                door()
-    assert "PROJ" not in capfd.readouterr().err
-
-
-def test_grids_of_bare_names_and_none_are_no_paths() -> None:
+def test_a_crs_may_name_grids() -> None:
     from rasterio.crs import CRS
 
     mercator = CRS.from_epsg(3857)
@@ -468,15 +358,6 @@ def test_overviews_and_notes_beside_a_file_are_used(tmp_path: Path) -> None:
     assert (tmp_path / "a.tif.ovr").is_file()
     files = {file.name for file in open_map(path).sheets[0].raster.files()}
     assert files == {"a.tif", "a.tif.ovr"}
-    (tmp_path / "a.tif.ovr").write_bytes(b"")
-    with pytest.raises(DataError, match=r"a\.tif\.ovr holds neither overviews nor a mask as a TIFF; delete it"):
-        open_map(path)
-
-
-def test_a_name_that_gdal_takes_for_xml_is_refused(tmp_path: Path) -> None:
-    path = write_geotiff(tmp_path / "a.tif", smooth(60, 60)).rename(tmp_path / "<VRTDataset>.tif")
-    with pytest.raises(DataError, match="has a name that GDAL takes for a list of files; rename it"):
-        open_map(path)
 
 
 @pytest.mark.parametrize("fine_overviews", [False, True])
@@ -495,7 +376,7 @@ def test_a_sparse_file_of_many_gigapixels_is_refused_before_any_work(tmp_path: P
     for door in (
         lambda: open_map(path),
         lambda: build_map([path], tmp_path / "map"),
-        lambda: ElevationSource(ElevationFile(path)),
+        lambda: ElevationFile(path),
     ):
         with pytest.raises(
             DataError, match=r"00000 pixels, and a first look at it would take 31 minutes or more; cut it"

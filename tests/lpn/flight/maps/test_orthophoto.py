@@ -74,7 +74,7 @@ def test_the_map_of_photos_shows_the_ground_at_its_place(tmp_path: Path, capsys:
     assert "Step 1 of 3" in printed
     assert "Step 3 of 3" in printed
     assert "is made of 9 photos as if the ground were flat" in printed
-    assert sorted(path.name for path in out.iterdir()) == ["coverage.png", "here.tif", "map.json", "sheets"]
+    assert sorted(path.name for path in out.iterdir()) == ["coverage.png", "map.json", "sheets"]
     assert list((tmp_path / "maps").iterdir()) == [out]
     made = open_map(out)
     assert made.resolution == pytest.approx(PIXEL, rel=0.02)
@@ -195,7 +195,7 @@ def test_photos_that_make_no_map_are_named_in_one_sentence(
     photos.mkdir()
     expected = {
         "no photo": "There is no photo in",
-        "one photo": "There is 1 photo for a map",
+        "one photo": "A map needs 3 photos at least, which overlap; found 1.",
         "no tags": "4 of 4 photos have no GPS tag, such as 0.jpg",
         "no overlap": "Too few of the 4 photos overlap",
     }

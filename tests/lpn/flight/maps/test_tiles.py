@@ -6,11 +6,10 @@ from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
-from unittest.mock import MagicMock
 
 import numpy as np
 import pytest
-from PIL import EpsImagePlugin, Image
+from PIL import Image
 
 from lpn.cli.main import main
 from lpn.core.arrays import UInt8Array
@@ -123,11 +122,6 @@ def test_tiles_of_512_pixels(tmp_path: Path, fine: Map) -> None:
     tiles = write_folder(tmp_path / "both", PICTURE)
     write_folder(tiles, FINE, "{z}/{x}/{y}@2x.png", side=512)
     check(open_map(tiles), fine)
-    # A tile that is there in 256 pixels alone is enlarged.
-    (tiles / f"{ZOOM}/{WEST}/{NORTH}@2x.png").unlink()
-    town = open_map(tiles)
-    assert town.read(Window(-40, 40, 60), 60)[1].all()
-    assert town.resolution == pytest.approx(fine.resolution)
 
 
 @pytest.mark.parametrize(
@@ -162,62 +156,28 @@ def test_tiles_in_another_projection_are_refused(tmp_path: Path, file: str, text
     refused(tiles, words, "expected Web Mercator (EPSG:3857)")
 
 
-def first_tile(data: bytes) -> Callable[[Path], None]:
-    def change(tiles: Path) -> None:
-        (tiles / f"{ZOOM}/{WEST}/{NORTH}.png").write_bytes(data)
-
-    return change
-
-
-def all_tiles(tiles: Path) -> None:
-    for file in tiles.rglob("*.png"):
-        file.write_bytes(b"")
-
-
-def far_tile(tiles: Path) -> None:
-    (tiles / f"{ZOOM}/{1 << ZOOM}").mkdir()
-    (tiles / f"{ZOOM}/{1 << ZOOM}/1.png").write_bytes(encoded(PICTURE[:256, :256]))
-
-
-def named_overviews(tiles: Path) -> None:
-    notes = "<PAMDataset><Metadata domain='OVERVIEWS'><MDI key='OVERVIEW_FILE'>/vsicurl/http://127.0.0.1:9/a.tif</MDI></Metadata>"
-    (tiles / f"{ZOOM}/{WEST}/{NORTH}.png.aux.xml").write_text(f"{notes}</PAMDataset>")
-
-
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        (first_tile(b"broken"), "cannot be read as a picture"),
-        (
-            first_tile(b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 256 256\n%%EndComments\nshowpage\n"),
-            "cannot be read",
-        ),
-        (first_tile(encoded(smooth(256, 128))), "128 x 256 pixels of the kind RGB; expected a square"),
-        (all_tiles, "are empty"),
-        (far_tile, "expected numbers below 262144"),
-        (named_overviews, "names a file of its overviews"),
-    ],
-)
-def test_sets_with_impossible_tiles_are_refused(
-    tmp_path: Path, change: Callable[[Path], None], words: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    ran = MagicMock()
-    monkeypatch.setattr(EpsImagePlugin, "Ghostscript", ran)
+def test_tiles_that_are_no_pictures_have_no_data(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     tiles = write_folder(tmp_path / "town", PICTURE)
-    change(tiles)
-    refused(tiles, words)
-    assert not ran.called
-
-
-def test_empty_tiles_and_pages_of_html_have_no_data(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    tiles = write_folder(tmp_path / "town", PICTURE)
-    first_tile(b"<!DOCTYPE html><html>Not found</html>")(tiles)
+    (tiles / f"{ZOOM}/{WEST}/{NORTH}.png").write_bytes(b"<!DOCTYPE html><html>Not found</html>")
     (tiles / f"{ZOOM}/{WEST + 1}/{NORTH}.png").write_bytes(b"")
+    broken = tiles / f"{ZOOM}/{WEST}/{NORTH + 1}.png"
+    broken.write_bytes(broken.read_bytes()[:100])
     assert main(["map", str(tiles), "--out", str(tmp_path / "map")]) == 0
     printed = capsys.readouterr().out
-    assert "Some tiles of town are text, as a failed download leaves them; they have no data." in printed
-    assert "50% of its rectangle have no tile." in printed
+    assert "2 tiles of town are no PNG, JPEG, or WebP, as failed downloads are; they have no data." in printed
     assert "50% of it with data" in printed
+    for file in tiles.rglob("*.png"):
+        file.rename(file.with_suffix(".pbf")).write_bytes(b"\x1a\x10")
+    refused(tiles, "are no PNG, JPEG, or WebP; expected pictures, so render vector tiles")
+
+
+def test_gaps_and_tiles_beyond_the_world_are_told(tmp_path: Path) -> None:
+    tiles = write_folder(tmp_path / "town", PICTURE)
+    (tiles / f"{ZOOM}/{WEST}/{NORTH}.png").unlink()
+    assert "town is shown at zoom 18, the deepest of 1; 25% of its rectangle have no tile." in open_map(tiles).notes
+    (tiles / f"{ZOOM}/{1 << ZOOM}").mkdir()
+    (tiles / f"{ZOOM}/{1 << ZOOM}/1.png").write_bytes(encoded(PICTURE[:256, :256]))
+    refused(tiles, "has tiles beyond 262143 at zoom 18")
 
 
 def test_a_white_border_of_tiles_has_no_data(tmp_path: Path) -> None:
@@ -232,14 +192,6 @@ def test_a_white_border_of_tiles_has_no_data(tmp_path: Path) -> None:
         assert built.overview(200)[1].mean() == pytest.approx(0.6, abs=0.015)
     with pytest.raises(InputError, match="leave CRS, corners, and bands out"):
         open_map(tmp_path / "town", MapOptions(bands=(1,)))
-
-
-def test_a_large_set_of_tiles_gets_overviews(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("lpn.flight.maps.folder._LARGE", 512)
-    tiles = write_folder(tmp_path / "town", FINE)
-    town = build_map([tiles], tmp_path / "map")
-    assert [file.name for file in (tmp_path / "map" / "sheets").iterdir()] == ["01.ovr"]
-    np.testing.assert_allclose(town.overview(300)[0].astype(int), open_map(tiles).overview(300)[0], atol=3)
 
 
 def jpeg(tile: UInt8Array) -> bytes:
