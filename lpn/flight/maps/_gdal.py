@@ -22,6 +22,9 @@ _DRIVERS = [
     *("GTiff", "JPEG", "PNG", "WEBP", "JP2OpenJPEG", "GPKG", "HFA", "BMP", "GIF", "ENVI"),
     *("MBTiles", "AAIGrid", "EHdr", "DTED", "SRTMHGT", "USGSDEM"),
 ]
+# PROJ parameters that open files, and a path in them. A bare name is a file of PROJ's folders; a CRS name has blanks around "/".
+_GRIDS = re.compile(r'grids\s*=(?!@null(?:["\s]|$))|(?:file|model|init)\s*=|PROJ4_GRIDS|PARAMETERFILE', re.IGNORECASE)
+_PATH = re.compile(r"(?<! )[/\\]|[/\\](?! )")
 # Variables that are set already take precedence. GDAL_CACHEMAX is in megabytes; GDAL's default is 5 % of the memory. The others
 # keep GDAL from servers, from code in a VRT, and from databases (GeoPackage, MBTiles) that open other files as tables.
 _ENVIRONMENT = {
@@ -129,11 +132,21 @@ def _flaw(file: Any, path: Path) -> str | None:
         return f"holds {len(names)} rasters ({first_few(names, 3)}), and a map is one; export the right one as GeoTIFF."
     if file.driver == "MBTiles" and file.tags().get("scheme", "").lower() == "xyz":
         return "counts its rows from the north (scheme xyz), and an .mbtiles from the south; make it anew, such as with QGIS."
+    if file.tags(ns="OVERVIEWS"):
+        return "names a file of its overviews; make a copy without, such as with gdal_translate."
+    systems = [crs for crs in (file.crs, file.gcps[1]) if crs]
+    if any(names_a_path(crs.to_wkt(version=version)) for version in (None, "WKT2_2019") for crs in systems):
+        return "has a CRS that names a file by its path; give it another one, such as with gdal_edit -a_srs EPSG:32632."
     folder = os.path.normpath(path.absolute().parent)
     # Pixels of a file of Imagine may lie elsewhere.
     if other := next((name for name in file.files if not Path(os.path.normpath(name)).is_relative_to(folder)), None):
         return f"takes pixels from another folder ({printable(other)}); make one file of it with gdal_translate."
     return None
+
+
+def names_a_path(crs: str) -> bool:
+    """Tell whether the text of a CRS makes PROJ open a path or an address."""
+    return bool(_GRIDS.search(crs) and _PATH.search(crs))
 
 
 def open_vrt(xml: str) -> Any:

@@ -216,6 +216,7 @@ def parse_crs(text: str) -> Any:
 
     Raises:
         InputError: if it is none.
+        DataError: if it names a file by its path.
     """
     text = re.sub(
         r"^(?:EPSG:\s+|https?://www\.opengis\.net/def/crs/EPSG/[\w.]+/)?(\d+)$", r"EPSG:\1", text.strip(), flags=re.I
@@ -228,6 +229,8 @@ def parse_crs(text: str) -> Any:
 
 def _crs(text: str, **options: bool) -> Any:
     """Return the rasterio CRS of a text; `from_user_input` alone would open a text that is a path or an address."""
+    if _gdal.names_a_path(text):
+        raise DataError(f"The CRS {printable(text)[:100]!r} names a file by its path; expected one such as EPSG:32632.")
     library = _gdal.rasterio()
     with library.Env():
         if _SAFE.match(text):

@@ -11,6 +11,7 @@ import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
+from xml.sax.saxutils import escape
 
 import numpy as np
 import pytest
@@ -183,7 +184,9 @@ def test_no_file_of_a_user_makes_gdal_ask_a_server(tmp_path: Path, listener: Lis
     ours.mkdir()
     path = CASES[case](theirs, listener.address)
     for name, door in doors(path, ours).items():
-        assert "\n" not in outcome(door), name
+        said = outcome(door)
+        assert "\n" not in said, name
+        assert said != "opened" or case == "a JPEG that is a VRT, too", name
         assert not listener.heard(), name
     main(["doctor", "--data", str(theirs)])
     assert not listener.heard()
@@ -339,7 +342,73 @@ def test_no_coordinate_reference_system_is_asked_of_a_server_or_read_from_a_file
     assert listener.heard()
 
 
-def test_a_crs_may_name_grids() -> None:
+_DEGREES = 'PRIMEM["Greenwich",0],UNIT["degree",0.0174532925199433]]'
+_BOUND = (
+    'BOUNDCRS[SOURCECRS[GEOGCRS["x",DATUM["d",ELLIPSOID["WGS 84",6378137,298.257223563]],CS[ellipsoidal,2],AXIS["lat",north],'
+    'AXIS["lon",east],UNIT["degree",0.0174532925199433]]],TARGETCRS[GEOGCRS["WGS 84",DATUM["World Geodetic System 1984",'
+    'ELLIPSOID["WGS 84",6378137,298.257223563]],CS[ellipsoidal,2],AXIS["lat",north],AXIS["lon",east],'
+    'UNIT["degree",0.0174532925199433],ID["EPSG",4326]]],ABRIDGEDTRANSFORMATION["t",METHOD["NTv2",ID["EPSG",9615]],'
+    'PARAMETERFILE["Latitude and longitude difference file","{}"]]]'
+)
+_GRIDS = {
+    "PROJ": "+proj=longlat +ellps=WGS84 +nadgrids=@null,{} +no_defs",
+    "heights": "+proj=utm +zone=32 +ellps=WGS84 +geoidgrids={}",
+    "quoted": '+proj=longlat +ellps=WGS84 +nadgrids="{}"',
+    "init": "+proj=longlat +init={}:x",
+    "WKT 1": 'GEOGCS["x",DATUM["d",SPHEROID["W",6378137,298.2572],EXTENSION["PROJ4_GRIDS","{}"]],' + _DEGREES,
+    "PROJ in WKT 1": 'GEOGCS["x",DATUM["d",SPHEROID["W",6378137,298.2572]],'
+    + _DEGREES.removesuffix("]")
+    + ',EXTENSION["PROJ4","+proj=longlat +ellps=WGS84 +nadgrids={}"]]',
+    "WKT 2": _BOUND,
+}
+
+
+@pytest.fixture
+def pipe(tmp_path: Path) -> Iterator[tuple[Path, Path]]:
+    """A pipe, and a file that has a line for each time that it was opened for reading."""
+    path, log = tmp_path / "grid", tmp_path / "opened.txt"
+    os.mkfifo(path)
+    log.touch()
+    # Nobody who opens it waits.
+    writer = subprocess.Popen(["sh", "-c", 'while : > "$0"; do echo opened >> "$1"; done', path, log])
+    yield path, log
+    writer.kill()
+    writer.wait()
+
+
+@pytest.mark.parametrize("kind", _GRIDS)
+def test_no_coordinate_reference_system_makes_proj_open_a_path(
+    tmp_path: Path, pipe: tuple[Path, Path], capfd: pytest.CaptureFixture[str], kind: str
+) -> None:
+    crs = _GRIDS[kind].format(pipe[0])
+    for text in (crs, f" {crs}\n"):
+        with pytest.raises(DataError, match="names a file by its path"):
+            parse_crs(text)
+    plain = write_geotiff(tmp_path / "a.tif", smooth(60, 60), crs=None)
+    plain.with_suffix(".prj").write_text(crs)
+    with pytest.raises(DataError, match="names a file by its path"):
+        open_map(plain)
+    plain.with_suffix(".prj").unlink()
+    build_map([write_geotiff(tmp_path / "b.tif", smooth(60, 60))], tmp_path / "map").close()
+    manifest = tmp_path / "map" / "map.json"
+    known = json.loads(manifest.read_text())
+    known["sheets"][0]["crs"] = crs
+    manifest.write_text(json.dumps(known))
+    with pytest.raises(DataError, match="names a file by its path"):
+        open_map(tmp_path / "map")
+    assert not pipe[1].read_text()
+    if kind != "init":  # which GDAL itself refuses
+        # Rasterio opens the path where it lies in a raster, before any of us knows of it.
+        (tmp_path / "grid.txt").write_text("what no map shows")
+        crs = _GRIDS[kind].format(tmp_path / "grid.txt")
+        Path(f"{plain}.aux.xml").write_text(f"<PAMDataset><SRS>{escape(crs)}</SRS></PAMDataset>")
+        for door in (lambda: open_map(plain), lambda: ElevationFile(plain)):
+            with pytest.raises(DataError, match="has a CRS that names a file by its path"):
+                door()
+    assert "PROJ" not in capfd.readouterr().err
+
+
+def test_a_crs_may_name_grids_without_a_path() -> None:
     from rasterio.crs import CRS
 
     mercator = CRS.from_epsg(3857)
