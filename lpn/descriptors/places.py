@@ -67,11 +67,12 @@ class Place:
     def copy(self, folder: Path, *, vectors: bool = True) -> None:
         """Copy the store here to a folder of this machine; without vectors, only what lists its rows."""
         names = (MANIFEST, ROWS, VECTORS) if vectors else (ROWS,)
-        for path in self._files.find(self._root) if self._files.exists(self._root) else []:
-            name = path.removeprefix(self._root).lstrip("/")
-            if name.rpartition("/")[2] in names:
-                (folder / name).parent.mkdir(parents=True, exist_ok=True)
-                self._files.get_file(path, str(folder / name))
+        there = self._files.find(self._root) if self._files.exists(self._root) else []
+        paths = [path for path in there if path.rpartition("/")[2] in names]
+        here = [folder / path.removeprefix(self._root).lstrip("/") for path in paths]
+        for file in here:
+            file.parent.mkdir(parents=True, exist_ok=True)
+        self._files.get(paths, list(map(str, here)))  # many at once, as storage is slow to answer
 
 
 @contextmanager

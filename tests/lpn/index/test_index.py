@@ -312,16 +312,6 @@ def test_an_add_killed_at_any_step_leaves_the_index_as_it_was(
         )
 
 
-def test_an_index_that_is_open_sees_what_another_adds(tmp_path: Path) -> None:
-    tiles = Tiles.draw(200)
-    with create_index(tmp_path / "index", KIND) as one, open_index(tmp_path / "index") as other:
-        tiles.add_to(one, 30)
-        assert other.count() == 200
-        other.add(tiles.names[:5], tiles.descriptors[:5], tiles.positions[:5])
-        query = tiles.descriptors[150]
-        tiles.check(one.search(query, None, 200), query, None, 200, None)
-
-
 def test_a_reader_finds_what_another_learns_while_it_searches(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The codes are opened at the first search, and deleted between the read of the manifest and this search."""
     kind = DescriptorKind("f", 4, 9)  # codes of a byte for each number
