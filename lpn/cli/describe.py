@@ -93,7 +93,6 @@ class DescribeCommand(ModelOptions):
             self.workers,
             1 if self.threads is None else self.threads,
             self.role,
-            lambda line: print(line, flush=True),
         )
         broken = len(summary.broken)
         print(f"{self.out} holds {summary.pictures - broken:,} descriptors, {summary.computed:,} of them computed now.")

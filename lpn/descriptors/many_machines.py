@@ -18,9 +18,8 @@ import re
 import shutil
 import socket
 import tempfile
-import time
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -33,6 +32,7 @@ from lpn.core import images
 from lpn.core.arrays import Float32Array
 from lpn.core.csv_cells import csv_bytes
 from lpn.core.errors import InputError, LPNError, PictureError, StoreError
+from lpn.core.progress import report_progress
 from lpn.core.resources import usable_cores
 from lpn.core.views import View
 from lpn.datasets.integrity import DAMAGED, stream_error
@@ -60,8 +60,8 @@ from lpn.models.onnx_engine import Engine, graph_files
 from lpn.models.shipped import model_file
 
 BROKEN = "broken.csv"
-# Pictures of a part, which a killed worker loses; retries of a part whose worker died; seconds between two lines of progress.
-_PICTURES, _RETRIES, _PROGRESS_SECONDS = 256, 5, 5.0
+# Pictures of a part, which a killed worker loses, and retries of a part whose worker died.
+_PICTURES, _RETRIES = 256, 5
 _QUIET = {
     "RAY_USAGE_STATS_ENABLED": "0",
     "RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO": "0",
@@ -94,11 +94,10 @@ def describe_by_many(
     workers: int | None = None,
     threads: int = 1,
     role: Role | None = None,
-    say: Callable[[str], None] = print,
     size: int = _PICTURES,
     worker: type[DescribeWorker] | None = None,
 ) -> Summary:
-    """Describe all pictures below a folder or prefix into a store, except for those that it has already.
+    """Describe all pictures below a folder or prefix into a store, except for those that it has; it reports its progress.
 
     Args:
         model: an exported model, `.onnx`; only this machine needs the file.
@@ -107,7 +106,6 @@ def describe_by_many(
         workers: number of workers; by default as many as fit the cores.
         threads: cores of a worker; each worker has its own copy of the model.
         role: of the branch, see `Model.in_role`.
-        say: called with each line of progress.
         size: pictures of a part.
         worker: the worker's class.
 
@@ -126,27 +124,22 @@ def describe_by_many(
     source, target = Place(pictures), Place(out)
     rows = source.rows()
     entries, missing, number = _held(target, kind, rows)
-    summary, started, said = Summary(len(rows)), time.monotonic(), time.monotonic()
-    if len(missing) < len(rows):
-        say(f"{len(rows) - len(missing):,} of {len(rows):,} pictures are there already.")
+    summary, there, stage = Summary(len(rows)), len(rows) - len(missing), f"Describing {view} pictures"
+    report_progress(stage, there, len(rows))
     if missing:
         tasks = [
             {"number": number + i, "rows": json.dumps(missing[start : start + size])}
             for i, start in enumerate(range(0, len(missing), size))
         ]
         files = {path.name: path.read_bytes() for path in graph_files(model, list(Engine(model).contract.groups))}
+        task = WorkerTask(source.where, target.where, kind, model.name, threads)
         with _ray_session(address, workers, threads) as (ray, count):
-            task = WorkerTask(source.where, target.where, kind, model.name, threads)
-            started = said = time.monotonic()
             for result in _results(ray, worker or DescribeWorker, task, tasks, files, min(count, len(tasks))):
                 if result["error"]:
                     raise StoreError(str(result["error"]))
                 summary.computed += int(result["described"])
                 summary.broken |= json.loads(result["broken"])
-                if time.monotonic() - said >= _PROGRESS_SECONDS:
-                    said = time.monotonic()
-                    say(_progress(summary, len(rows) - len(missing), said - started))
-        say(_progress(summary, len(rows) - len(missing), time.monotonic() - started))
+                report_progress(stage, there + summary.computed + len(summary.broken), len(rows))
         entries, missing, _ = _held(target, kind, rows)
     if lost := [row.file for row in missing if row.file not in summary.broken]:
         raise StoreError(
@@ -160,14 +153,6 @@ def describe_by_many(
         manifest.write(Path(target.where))
     target.write(BROKEN, csv_bytes([("name", "reason"), *sorted(summary.broken.items())]))
     return summary
-
-
-def _progress(summary: Summary, before: int, seconds: float) -> str:
-    done, broken = before + summary.computed + len(summary.broken), len(summary.broken)
-    speed = summary.computed / max(seconds, 1e-9)
-    return (
-        f"{done:,} of {summary.pictures:,} pictures, {speed:.1f} per second{f', {broken:,} broken' if broken else ''}"
-    )
 
 
 def _held(target: Place, kind: DescriptorKind, rows: Sequence[Row]) -> tuple[list[PartEntry], list[Row], int]:

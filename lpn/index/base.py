@@ -12,7 +12,7 @@ scores, whatever the engine's rounding.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Self
 
@@ -129,9 +129,7 @@ class Index(ABC):
         rows = self._rows(ids)
         if missing := [name for name in ids if name not in rows]:
             raise no_such_tile(missing[0])
-        vectors = np.array([rows[name][0] for name in ids], np.float32)
-        shape = len(ids), self.kind.n_parts, self.kind.embedding
-        return vectors.reshape(shape), np.array([rows[name][1] for name in ids], np.float64).reshape(-1, 2)
+        return self._tiles(ids, rows)[1:]
 
     def holds(self, ids: Sequence[str]) -> BoolArray:
         """Return which names are in the index, (B,)."""
@@ -165,6 +163,13 @@ class Index(ABC):
     @abstractmethod
     def close(self) -> None:
         """Release files, threads, and connections."""
+
+    def _tiles(self, names: Sequence[str], rows: Mapping[str, TileRow]) -> Tiles:
+        """Return the tiles of these names from the result of `_rows`."""
+        vectors = np.array([rows[name][0] for name in names], np.float32)
+        positions = np.array([rows[name][1] for name in names], np.float64)
+        shape = len(names), self.kind.n_parts, self.kind.embedding
+        return list(names), vectors.reshape(shape), positions.reshape(-1, 2)
 
     def check_model(self, fingerprint: str) -> None:
         """Raise StoreError unless the descriptors are of this model."""

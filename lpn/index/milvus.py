@@ -32,11 +32,7 @@ _STEP, _CALL = 500, {"timeout": 30.0}
 
 
 class MilvusIndex(Index):
-    """A collection on a Milvus server, 2.3 or later.
-
-    Args:
-        url: its address.
-        kind: makes the collection if it is missing; None opens an existing one.
+    """A collection on a Milvus server, 2.3 or later, which is made if it is missing and a kind is given.
 
     Raises:
         StoreError: when there is no such server or collection, or it holds something else.
@@ -50,35 +46,25 @@ class MilvusIndex(Index):
     def __init__(self, url: str, kind: DescriptorKind | None = None) -> None:
         self._milvus = cast(Any, import_module("pymilvus"))
         logging.getLogger("pymilvus").setLevel(logging.CRITICAL + 1)  # it logs a traceback of each error
+        parts, port = urlsplit(url), None
         with suppress(ValueError):  # of a port that is no number
-            parts = urlsplit(url)
-            host, port, self._name, self._hnsw = (
-                parts.hostname,
-                parts.port,
-                parts.path.strip("/"),
-                parts.query == "hnsw",
+            port = parts.port
+        self._name, self._hnsw, self._url = parts.path.strip("/"), parts.query == "hnsw", url.rpartition("@")[2]
+        if not (parts.hostname and port and self._name.isidentifier()):
+            raise InputError(
+                f"{self._url} is not the address of a Milvus collection; expected milvus://host:port/collection, its name of "
+                "letters, digits, and underscores."
             )
-            if host and port and self._name.isidentifier():
-                host = f"[{host}]" if ":" in host else host
-                self._url = f"milvus://{host}:{port}/{self._name}"
-                token = f"{unquote(parts.username)}:{unquote(parts.password or '')}" if parts.username else ""
-                self._client = self._connected(f"http://{host}:{port}", token, kind)
-                return
-        raise InputError(
-            f"{url.rpartition('@')[2]} is not the address of a Milvus collection; expected milvus://host:port/collection, "
-            "its name of letters, digits, and underscores."
-        )
-
-    def _connected(self, uri: str, token: str, kind: DescriptorKind | None) -> Any:
+        uri = f"http://{parts.netloc.rpartition('@')[2]}"
+        token = f"{unquote(parts.username)}:{unquote(parts.password or '')}" if parts.username else ""
         with self._told():
-            client = self._milvus.MilvusClient(uri=uri, token=token, **_CALL)
+            self._client = self._milvus.MilvusClient(uri=uri, token=token, **_CALL)
             try:
-                self.kind = self._opened(client, kind)
-                client.load_collection(self._name)
+                self.kind = self._opened(self._client, kind)
+                self._client.load_collection(self._name)
             except BaseException:
-                client.close()
+                self.close()
                 raise
-        return client
 
     def _opened(self, client: Any, kind: DescriptorKind | None) -> DescriptorKind:
         """Return the kind of the collection, which is made if it is missing and a kind is given."""
@@ -123,15 +109,12 @@ class MilvusIndex(Index):
 
     def _nearest(self, wanted: Float64Array, k: int, box: DegreeBox | None) -> Tiles:
         """See `Index._nearest`; hnsw may return too few tiles, as in a box. Milvus's ties come in any order, so sort by name."""
-        options: dict[str, Any] = {"limit": k, "consistency_level": "Session", "filter": expression(box)}
+        options: dict[str, Any] = {"limit": k, "consistency_level": "Session", "filter": _inside(box)}
         options["search_params"] = {"metric_type": "IP", "params": {"ef": max(128, k)}}
         with self._told():
             hits = self._client.search(self._name, data=[wanted.astype(np.float32).tolist()], **options, **_CALL)[0]
-        rows = sorted(self._read([str(hit["id"]) for hit in hits], level="Session").items())
-        vectors = np.array([row[0] for _, row in rows], np.float32)
-        shape = len(rows), self.kind.n_parts, self.kind.embedding
-        places = np.array([row[1] for _, row in rows], np.float64).reshape(-1, 2)
-        return [name for name, _ in rows], vectors.reshape(shape), places
+        rows = self._read([str(hit["id"]) for hit in hits], level="Session")
+        return self._tiles(sorted(rows), rows)
 
     def _rows(self, names: Sequence[str], vectors: bool = True) -> dict[str, TileRow]:
         return self._read([_key(name) for name in names], vectors)
@@ -175,16 +158,14 @@ class MilvusIndex(Index):
             ) from error
 
 
-def expression(box: DegreeBox | None) -> str:
+def _inside(box: DegreeBox | None) -> str:
     """Format a box as a filter expression."""
     if box is None:
         return ""
     south, west, north, east = box
-    # Across the antimeridian, the "or" would include tiles without a position.
-    return (
-        f"latitude >= {south!r} and latitude <= {north!r} and longitude <= 180.0 and "
-        f"(longitude >= {west!r} {'and' if west <= east else 'or'} longitude <= {east!r})"
-    )
+    both = "and" if west <= east else "or"  # across the antimeridian, "or" would include tiles without a position
+    both = f"longitude <= 180.0 and (longitude >= {west!r} {both} longitude <= {east!r})"
+    return f"latitude >= {south!r} and latitude <= {north!r} and {both}"
 
 
 def _key(name: str) -> str:

@@ -24,6 +24,7 @@ pytest.importorskip("ray", reason="the extra cluster is not installed")
 from lpn import descriptors
 from lpn.cli.main import main
 from lpn.core.errors import DataError, InputError, LPNError, StoreError
+from lpn.core.progress import listening
 from lpn.descriptors import many_machines
 from lpn.descriptors.many_machines import DescribeWorker, Summary, describe_by_many
 from lpn.index import open_index
@@ -66,8 +67,7 @@ def folder(tmp_path: Path) -> Path:
 
 
 def describe(model_file: Path, folder: Path, out: str | Path, workers: int = 1, **given: Any) -> Summary:
-    options = {"size": 8, "say": lambda _: None} | given
-    return describe_by_many(model_file, folder, "drone", out, workers=workers, **options)
+    return describe_by_many(model_file, folder, "drone", out, workers=workers, size=8, **given)
 
 
 def expected(model_file: Path, folder: Path, out: Path) -> descriptors.Store:
@@ -83,11 +83,11 @@ def assert_equal(store: descriptors.Store, alone: descriptors.Store) -> None:
 
 
 def test_two_workers_say_what_one_machine_says(model_file: Path, folder: Path, tmp_path: Path) -> None:
-    out, lines = tmp_path / "store", list[str]()
-    summary = describe(model_file, folder, out, workers=2, say=lines.append)
+    out, counts = tmp_path / "store", list[tuple[int, int]]()
+    with listening(lambda _, *count: counts.append(count)):
+        summary = describe(model_file, folder, out, workers=2)
     assert (summary.pictures, summary.computed, summary.broken) == (PICTURES, PICTURES, {})
-    assert "40 of 40 pictures" in lines[-1]
-    assert "per second" in lines[-1]
+    assert (counts[0], counts[-1]) == ((0, PICTURES), (PICTURES, PICTURES))
     alone, store = expected(model_file, folder, tmp_path / "alone"), descriptors.open_store(out)
     assert store.rows == alone.rows
     assert_equal(store, alone)
