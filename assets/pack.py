@@ -29,11 +29,7 @@ from lpn.core.files import write_atomic
 from lpn.core.views import View
 from lpn.datasets import Picture, open_dataset
 from lpn.datasets.city_model import PACKED
-from lpn.descriptors import STORES, Manifest, Precision, descriptor_reader
-from lpn.descriptors.partial_store import PartialStore
-from lpn.descriptors.store import row_of
-from lpn.descriptors.transforms import UNCHANGED
-from lpn.descriptors.writer import write_store
+from lpn.descriptors import STORES, DescriptorKind, PartialStore, Precision, descriptor_reader, row_of, write_store
 from lpn.models.base import Model
 from lpn.models.checkpoints import load_torch, save
 from lpn.models.export import export
@@ -128,14 +124,14 @@ def write_calibration(
     """
     read, moved = descriptor_reader(root), calibration.applied(model)
     for name, (view, pictures, precision) in sides.items():
-        rows = tuple(row_of(picture.path, picture.path.parents[1], picture.box) for picture in pictures)
-        manifest = Manifest.for_model(moved, view, UNCHANGED, rows, precision)
+        rows = [row_of(picture.path, picture.path.parents[1], picture.box) for picture in pictures]
+        kind = DescriptorKind.of_model(moved, view, precision=precision)
         described = calibration.read(model, pictures, view, read)
 
         def fill(partial: PartialStore, described: Float32Array = described) -> None:
             partial.put(range(len(described)), described)
 
-        write_store(root / FOLDER / name, manifest, fill)
+        write_store(root / FOLDER / name, kind, rows, fill)
     values: dict[str, Any] = {
         "fingerprint": np.array(model.fingerprint),
         "ratio": np.array(calibration.ratio),

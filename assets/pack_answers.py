@@ -22,10 +22,7 @@ from lpn.core.demo import DEMO_ANSWERS, DEMO_FLIGHT, DEMO_MODEL, DEMO_PLACE
 from lpn.core.errors import DataError
 from lpn.core.files import write_atomic
 from lpn.core.views import View
-from lpn.descriptors.partial_store import PartialStore
-from lpn.descriptors.store import Manifest, Precision, Row
-from lpn.descriptors.transforms import UNCHANGED
-from lpn.descriptors.writer import write_store
+from lpn.descriptors import DescriptorKind, PartialStore, Precision, Row, write_store
 from lpn.flight.files import Flight, open_flight
 from lpn.flight.locate import shipped
 from lpn.flight.locate.located import LocatedFlight, StageRecord
@@ -89,7 +86,7 @@ def write_descriptors(
     def fill(partial: PartialStore) -> None:
         partial.put(range(len(rows)), described)
 
-    write_store(folder / name, Manifest.for_model(model, view, UNCHANGED, tuple(rows), precision), fill)
+    write_store(folder / name, DescriptorKind.of_model(model, view, precision=precision), rows, fill)
 
 
 def write_record(

@@ -11,7 +11,6 @@ from lpn.cli.parsing import part_values
 from lpn.core.arrays import Float32Array
 from lpn.core.errors import InputError
 from lpn.core.files import printable
-from lpn.core.progress import report_progress
 from lpn.core.resources import ProviderName
 from lpn.core.views import View
 from lpn.sources import ModelOptions
@@ -26,9 +25,9 @@ class IndexCommand:
     """Put the descriptors of a store, or the windows of a map, into an index that lpn search searches; resumable."""
 
     out: str
-    """Folder of the index, or milvus://host:port/collection; tiles are added to an existing index."""
+    """Folder of the index, or an address such as milvus://host:port/collection; tiles are added to an existing index."""
     descriptors: str | None = None
-    """Store of tiles written by lpn describe, or folder or address of parts written by describe --engine ray."""
+    """Store of tiles written by lpn describe; an address such as s3://bucket/store is copied to this machine first."""
     map: Path | None = None
     """Map whose windows are described straight into the index, block by block, for more than memory holds; needs --model."""
     model: Path | None = None
@@ -46,17 +45,14 @@ class IndexCommand:
     """With --map: provider: auto (LPN_PROVIDER, else a GPU if one works, else the CPU), cpu, cuda, or, for an .onnx, any
     of ONNX Runtime's, such as coreml."""
     data: Path | None = None
-    """Folder with the tiles' positions, in geo.csv or as its data set gives them; they replace those in parts."""
+    """Folder with the tiles' positions, in geo.csv or as its data set gives them."""
     engine: Literal["exact", "faiss", "milvus"] | None = None
     """exact finds every match; faiss is for millions of tiles on one machine, milvus for a server; by default that of --out."""
-    structure: Literal["flat", "hnsw"] | None = None
-    """For milvus: flat (default) compares every vector; hnsw is approximate, and faster on many tiles."""
     replace: bool = False
     """Add all tiles again, also existing names, for example after pictures or positions have changed."""
 
     def run(self) -> None:
-        import numpy as np
-
+        from lpn.descriptors.places import local_store
         from lpn.index import create_index
         from lpn.index.tiles import open_tiles
 
@@ -67,52 +63,40 @@ class IndexCommand:
             raise InputError(
                 "An index is of descriptors, or of a map's windows; give --descriptors, or --map with --model."
             )
-        tiles = open_tiles(self.descriptors, self.data)
-        added = read = 0
-        with create_index(self.out, tiles.kind, self.engine, structure=self.structure) as index:
-            for chunk in tiles.chunks:
-                some = np.arange(len(chunk.names))
-                if not self.replace:
-                    some = some[~index.holds(chunk.names)]
-                if len(some):
-                    chosen = [chunk.names[i] for i in some.tolist()]
-                    index.add(chosen, chunk.rows(some), None if chunk.positions is None else chunk.positions[some])
-                    added += len(some)
-                read += len(chunk.names)
-                report_progress("Indexing", read, tiles.count)
-            print(f"{printable(_displayed(self.out))} holds {index.count()} tiles, {added} of them added now.")
-        if there := tiles.count - added:
+        with local_store(self.descriptors) as store:
+            tiles = open_tiles(store, self.data)
+            with create_index(self.out, tiles.kind, self.engine) as index:
+                added = tiles.add_to(index, self.replace)
+                print(f"{printable(_displayed(self.out))} holds {index.count()} tiles, {added} of them added now.")
+        if there := len(tiles.names) - added:
             print(
                 f"{there} were there already and were left as they are; give --replace where pictures or positions changed."
             )
-        if tiles.broken:
-            print(f"{tiles.broken} pictures are broken and not in it; broken.csv beside the parts names them.")
 
     def _index_map(self, where: Path) -> None:
         from lpn.flight.locate.retrieval import pyramid_sizes
         from lpn.flight.maps import open_map
         from lpn.index import create_index
-        from lpn.index.base import DescriptorKind, check_box
-        from lpn.index.from_map import index_windows, window_describer, windows_record
+        from lpn.index.base import check_box
+        from lpn.index.from_map import index_windows, window_describer, windows_kind
 
         if self.descriptors is not None or self.data is not None or self.model is None:
             raise InputError(
                 "A map's windows need --model, and neither --descriptors nor --data; give --map with --model."
             )
         model = lpn.load(self.model, self.provider).in_role("satellite", None)
-        basemap = open_map(where)
+        basemap, box = open_map(where), check_box(self.box)
         if not 1 <= self.turns <= 360:
             raise InputError(f"Windows cannot be described at {self.turns} headings; expected 1 to 360 as --turns.")
-        box = check_box(self.box)
-        describe, sizes = window_describer(model, basemap), self.size or pyramid_sizes(basemap, [])
-        record = windows_record(basemap, sizes, self.overlap, self.turns)
-        if not record.count:
+        sizes = self.size or pyramid_sizes(basemap, [])
+        kind = windows_kind(model, basemap, sizes, self.overlap, self.turns)
+        if kind.windows is None or not kind.windows.count:
             raise InputError(
                 f"No window of {min(sizes):.0f} m or more fits on the map {printable(basemap.name)}; give smaller ones as --size."
             )
-        kind = DescriptorKind(model.fingerprint, model.n_parts, model.embedding, record)
-        with create_index(self.out, kind, self.engine, structure=self.structure) as index:
-            added = index_windows(index, basemap, describe, replace=self.replace, box=box)
+        describe = window_describer(model, basemap)
+        with create_index(self.out, kind, self.engine) as index:
+            added = index_windows(index, basemap, describe, again=self.replace, box=box)
             print(f"{printable(_displayed(self.out))} holds {index.count()} windows, {added} of them added now.")
 
     def resume_hint(self) -> str:
@@ -125,7 +109,7 @@ class SearchCommand(ModelOptions):
     """Find the tiles of an index that a picture matches best, and each part's share of the distance."""
 
     index: str
-    """Folder of the index, or milvus://host:port/collection."""
+    """Folder of a store or an index, or an address such as milvus://host:port/collection."""
     model: Path = field()  # no default, unlike that of `ModelOptions`
     """Trained LPN whose descriptors the index holds: .onnx (needs no torch), .safetensors, or .pth."""
     picture: Path

@@ -1,8 +1,8 @@
 """Checksums of written files, to detect flipped bytes.
 
 A model file has a seal in its metadata: the SHA-256 of the whole file, computed with zeros as the seal's own digits. It is
-checked whenever the file is opened, before anything else is read. A store's array is too large for that: its manifest holds
-a CRC-32 of every block, compared by `lpn doctor PATH` and before rows are copied into another store.
+checked whenever the file is opened, before anything else is read. A store's arrays are too large for that; `lpn doctor PATH`
+compares them with the sums in its files.
 """
 
 from __future__ import annotations
@@ -13,15 +13,10 @@ import mmap
 import zipfile
 import zlib
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
-
-from msgspec import Meta
+from typing import Any
 
 from lpn.core.errors import ModelFileError
-
-UInt32 = Annotated[int, Meta(ge=0, lt=2**32)]
 
 # The entry of a model file's metadata that holds the seal, and its value before the file is sealed.
 SEAL = "seal"
@@ -30,8 +25,6 @@ _DIGITS = 64
 UNSEALED = _PREFIX.decode() + "0" * _DIGITS
 # The seal lies within this many bytes of either end: .safetensors begin with their metadata, our .onnx end with it.
 _SEARCHED = 4_000_000
-# Bytes of a block of an array.
-BLOCK = 1 << 22
 # A model file may claim this many times its size (shared weights count up to three times), and always this many bytes.
 _MAX_RATIO, _ALLOWANCE = 8, 1_000_000
 
@@ -101,35 +94,6 @@ def check_claimed_size(path: Path, claimed: int, remedy: str) -> None:
         raise ModelFileError(
             f"{path.name} has {size:,} bytes and claims to hold {claimed:,}, which no saved model does; {remedy}."
         )
-
-
-@dataclass(frozen=True)
-class Checksums:
-    """The checksums of a store.
-
-    Attributes:
-        block: bytes of a block of the array's file; the last block may be shorter.
-        blocks: CRC-32 of each block.
-        manifest: CRC-32 of everything else in the manifest.
-    """
-
-    block: Annotated[int, Meta(gt=0, lt=2**32)]
-    blocks: tuple[UInt32, ...]
-    manifest: UInt32
-
-    @classmethod
-    def compute(cls, array: Path, manifest: Mapping[str, Any]) -> Checksums:
-        """Compute the checksums of an array's file and of a manifest without its checksums."""
-        return cls(BLOCK, crc_of_blocks(array, BLOCK), crc_of_values(manifest))
-
-
-def crc_of_blocks(path: Path, block: int) -> tuple[int, ...]:
-    """Return the CRC-32 of each block of a file."""
-    sums = []
-    with path.open("rb") as file:
-        while data := file.read(block):
-            sums.append(zlib.crc32(data))
-    return tuple(sums)
 
 
 def crc_of_values(values: Mapping[str, Any]) -> int:

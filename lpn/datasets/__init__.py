@@ -43,7 +43,6 @@ _INSTEAD = {
     ),
     **dict.fromkeys((".mp4", ".mov", ".srt"), "make a flight of it with lpn flight, and give that with a --map"),
     **dict.fromkeys((".pth", ".safetensors", ".onnx"), "give it as --model, beside a data set's folder"),
-    "descriptors.npy": "give the index that lpn index --descriptors makes of such a store",
 }
 # The deepest list of a split is three folders below (Testing/150/query_drone).
 _LEVELS = 3

@@ -1,5 +1,5 @@
-"""Descriptors of many pictures on disk: `store` defines the format, `writer` fills a store, `partial_store` resumes one
-after a kill, and `cache` finds existing stores.
+"""Descriptors of many pictures on disk: `store` defines the folder of parts, `writer` fills it, `cache` finds existing ones,
+and `many_machines` lets Ray's workers fill it.
 
 The package imports `core`, `datasets`, and `models`.
 """
@@ -17,26 +17,30 @@ from lpn.descriptors.cache import (
     shipped_or_cached,
     temporary_descriptors,
 )
-from lpn.descriptors.store import FORMAT, CropBox, Manifest, Precision, Row, Store, open_store
-from lpn.descriptors.writer import describe, pictures_below
+from lpn.descriptors.store import CropBox, DescriptorKind, Precision, Row, Store, WindowsRecord, open_store, row_of
+from lpn.descriptors.writer import PartialStore, describe, describe_share, pictures_below, write_store
 
 __all__ = [
-    "FORMAT",
     "STORES",
     "CropBox",
-    "Manifest",
+    "DescriptorKind",
+    "PartialStore",
     "Precision",
     "Reader",
     "Row",
     "Store",
     "StoredDescriptors",
+    "WindowsRecord",
     "cached_descriptors",
     "describe",
+    "describe_share",
     "descriptor_reader",
     "open_store",
     "pictures_below",
+    "row_of",
     "shipped_descriptors",
     "shipped_only",
     "shipped_or_cached",
     "temporary_descriptors",
+    "write_store",
 ]

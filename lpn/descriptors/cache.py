@@ -14,13 +14,12 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from lpn.core.arrays import Float32Array
-from lpn.core.errors import OutputError, StoreError
+from lpn.core.errors import NewerStoreError, OutputError, StoreError
 from lpn.core.files import cache_folder, linked_folder, printable
 from lpn.core.resources import FLOAT32_DEVICES
 from lpn.core.views import View
 from lpn.datasets import Picture
-from lpn.descriptors.partial_store import complete_store
-from lpn.descriptors.store import CropBox, Manifest, open_store, row_of
+from lpn.descriptors.store import DescriptorKind, Row, open_store, row_of
 from lpn.descriptors.transforms import UNCHANGED, Change
 from lpn.descriptors.writer import describe
 from lpn.models.base import Model
@@ -57,12 +56,13 @@ def _cached(model: Model, pictures: Sequence[Picture], view: View, change: Chang
     # The key contains the folder, not the list of files, so that the other rows are reused if one picture changes.
     common = os.path.commonpath({file.parent for file in files})
     boxes = [picture.box for picture in pictures]
-    of = Manifest.for_model(model, view, change, ()).to_json().decode()
+    kind = DescriptorKind.of_model(model, view, change)
     device = "" if model.device in FLOAT32_DEVICES else model.device
-    key = json.dumps([of, common, any(boxes), device]).encode()
+    key = json.dumps([kind.digest, common, any(boxes), device]).encode()
     folder = cache_folder() / "descriptors" / hashlib.sha256(key).hexdigest()[:24]
     with in_cache():
-        if (cached := _from_complete_store(model, files, view, folder, change, boxes)) is not None:
+        rows = [row_of(file, None, box) for file, box in zip(files, boxes, strict=True)]
+        if (cached := _from_store(folder, kind, rows)) is not None:
             return cached
         store = describe(model, files, view, folder, change=change, boxes=boxes)
         return StoredDescriptors(store.float32, store.identity)
@@ -108,12 +108,10 @@ def shipped_descriptors(
         shipped = open_store(store)
     except StoreError:
         return None
-    manifest = shipped.manifest
-    wanted = (model.fingerprint, view, UNCHANGED, model.n_parts, len(pictures))
-    stored = (manifest.fingerprint, manifest.view, manifest.change, manifest.n_parts, len(manifest.rows))
-    if stored != wanted or (exact and manifest.precision != "float32"):
+    kind = DescriptorKind.of_model(model, view, UNCHANGED, shipped.kind.precision)
+    if shipped.kind != kind or len(shipped) != len(pictures) or (exact and kind.precision != "float32"):
         return None
-    rows = [(printable(str(row.file)), row.size, row.box) for row in manifest.rows]
+    rows = [(printable(row.file), row.size, row.box) for row in shipped.rows]
     these = [(f"{p.path.parent.name}/{p.path.name}", p.path.stat().st_size, p.box) for p in pictures]
     return StoredDescriptors(shipped.float32, shipped.identity) if rows == these else None
 
@@ -166,21 +164,22 @@ def temporary_descriptors(
         return np.array(store.descriptors)
 
 
-def _from_complete_store(
-    model: Model, files: Sequence[Path], view: View, folder: Path, change: Change, boxes: Sequence[CropBox | None]
-) -> StoredDescriptors | None:
-    """Read descriptors from a complete store that has all of these files, and perhaps more; None without such a store."""
-    store = complete_store(folder)
-    if store is None or len(store.manifest.rows) < len(files):
+def _from_store(folder: Path, kind: DescriptorKind, wanted: Sequence[Row]) -> StoredDescriptors | None:
+    """Read descriptors from a store of the kind that has all of these rows, and perhaps more; None without such a store."""
+    try:
+        store = open_store(folder)
+        held = store.rows
+    except NewerStoreError:
+        raise
+    except StoreError:
         return None
-    if not Manifest.for_model(model, view, change, ()).comparable(store.manifest):
+    if store.kind != kind:
         return None
-    wanted_rows = tuple(row_of(file, None, box) for file, box in zip(files, boxes, strict=True))
-    if wanted_rows == store.manifest.rows:
+    if held == wanted:
         return StoredDescriptors(store.float32, store.identity)
-    rows = {row: position for position, row in enumerate(store.manifest.rows)}
-    wanted = [rows.get(row) for row in wanted_rows]
-    if None in wanted:
+    place_of = {row: place for place, row in enumerate(held)}
+    places = [place_of.get(row) for row in wanted]
+    if None in places:
         return None
-    some = np.array(wanted, np.int64)
-    return StoredDescriptors(store.rows(some), hashlib.sha256(store.identity.encode() + some.tobytes()).hexdigest())
+    some = np.array(places, np.int64)
+    return StoredDescriptors(store.some(some), hashlib.sha256(store.identity.encode() + some.tobytes()).hexdigest())

@@ -1,274 +1,523 @@
-"""The format of a store of descriptors: a folder that a later step can read, resume, or check.
+"""A store: a folder of immutable parts, which hold descriptors of pictures or of tiles.
 
-    descriptors.npy   (N, n, D) float32, float16, or int8, memory-mapped when read. Each part has norm 1/sqrt(n);
-                      int8 stores only its direction, scaled so that the largest number is 127
-    manifest.json     format, model fingerprint, view, the transform of the pictures, and for each row its file with size,
-                      modification time, and crop box
+    store.json               format, kind of the descriptors, the parts of the store in order, checksum
+    part-0000012-a1b2c3/     a part
+        vectors.npy          (B, n, D) float32, float16, or int8. Each part of a descriptor has norm 1/sqrt(n); int8 stores only
+                             its direction, scaled so that the largest number is 127
+        rows.json            file, size, time, crop box, and position of each row, and the SHA-256 of vectors.npy
 
-The manifest is written last, so a folder with a manifest is complete. It holds checksums of the array (`lpn.core.checksums`).
+- A part is written once, and its rows.json last. A part without a whole rows.json is a leftover.
+- store.json is replaced last. A part that it does not name belongs to an unfinished run: the next run takes its rows over.
+- A row that a newer part replaces is listed in store.json; files of older parts stay as they are.
+
+Resuming, adding, replacing, sharing the work among machines, searching, and verifying follow from these rules.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
-from dataclasses import asdict, dataclass, field, fields, replace
+import re
+import secrets
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, NamedTuple
 
 import msgspec
 import numpy as np
 from msgspec import Meta
 
-from lpn.core.arrays import AnyArray, BoolArray, Float16Array, Float32Array, Int8Array, IntegerArray
-from lpn.core.checksums import Checksums, crc_of_blocks, crc_of_values
+from lpn.core.arrays import AnyArray, Float32Array, Float64Array, Int64Array, IntegerArray
+from lpn.core.checksums import crc_of_values
 from lpn.core.errors import InputError, NewerStoreError, PictureError, StoreError
-from lpn.core.files import open_memmap, unreadable_error
-from lpn.core.formats import is_newer, newer_version
+from lpn.core.files import open_memmap, space_remedy, unreadable_error, write_atomic
+from lpn.core.formats import decode_json, is_newer, newer_version
 from lpn.core.views import View
-from lpn.descriptors.transforms import Change
-from lpn.descriptors.weather import CLEAR, Weather
+from lpn.descriptors.transforms import UNCHANGED, Change
 from lpn.models.base import Model
 from lpn.models.contract import Role
 
-FORMAT = "lpn-descriptors/2"
+FORMAT = "lpn-store/1"
+MANIFEST, VECTORS, ROWS = "store.json", "vectors.npy", "rows.json"
 Precision = Literal["float32", "float16", "int8"]
 CropBox = tuple[float, float, float, float]
 _Count = Annotated[int, Meta(gt=0, lt=2**31)]
+_PART = re.compile(r"part-(\d{7,})-[0-9a-f]{6}")
+_AGAIN = "describe the pictures again, or make the index again"
 
 
-@dataclass(frozen=True)
-class Row:
-    """The file behind one row.
+class Row(NamedTuple):
+    """The picture of one row.
 
     Attributes:
-        file: its path, relative to the described folder.
+        file: its path, relative to the described folder, or a tile's name.
         size: its size in bytes.
         time_ns: its modification time.
         box: the crop (left, top, right, bottom) in pixels; None for the whole picture.
     """
 
     file: str
-    size: int
-    time_ns: int
+    size: int = 0
+    time_ns: int = 0
     box: CropBox | None = None
 
 
 @dataclass(frozen=True)
-class Manifest:
-    """The contents of a store.
+class WindowsRecord:
+    """The windows of a map in an index.
+
+    Attributes:
+        map: `Map.identity` of the map.
+        sizes: their sides in metres, ascending.
+        overlap: share of a side that a neighbour also covers.
+        turns: number of headings at which each window is described, evenly spaced from 0 on.
+        count: windows of the whole map, each counted once for all its turns.
+    """
+
+    map: str
+    sizes: tuple[float, ...]
+    overlap: float
+    turns: int
+    count: int
+
+    def __str__(self) -> str:
+        sizes = ", ".join(f"{size:g}" for size in self.sizes)
+        return f"{sizes} m with an overlap of {self.overlap:g} at {self.turns} headings, of the map {self.map}"
+
+
+@dataclass(frozen=True)
+class DescriptorKind:
+    """The kind of descriptors that a store holds.
 
     Attributes:
         fingerprint: fingerprint of the model; descriptors of different models cannot be compared.
-        view: the branch used.
-        rotate: degrees counter-clockwise by which the pictures were rotated first.
         n_parts, embedding: n and D.
-        rows: the file of each row.
-        precision: precision of the numbers on disk.
-        shift: pixels of the network's input by which the pictures were shifted right.
-        scale: factor by which the pictures were zoomed, their own zoom included.
-        down: pixels of the network's input by which the pictures were shifted down; written only if not zero.
-        around: the pictures are panoramas, rotated by rolling their columns; written only if true.
-        role: of the branch, if branches have roles; written only if there is one.
-        released: whether the pictures were read and rotated as in the released test; written only if true.
-        weather: the weather drawn on the pictures first; written only if there is one.
-        checksums: None before the store is complete.
+        windows: the record of a map's windows; None for other pictures.
+        view: the branch used; empty if the store does not say.
+        change: the transform of the pictures; their own zoom is part of its scale.
+        precision: of the numbers on disk.
+        role: of the branch, if branches have roles.
     """
 
     fingerprint: str
-    view: str
-    rotate: float
     n_parts: _Count
     embedding: _Count
-    rows: tuple[Row, ...]
+    windows: WindowsRecord | None = None
+    view: str = ""
+    change: Change = UNCHANGED
     precision: Precision = "float32"
-    shift: int = 0
-    scale: float = 1.0
-    down: int = 0
-    around: bool = False
     role: Role | None = None
-    released: bool = False
-    weather: Weather = CLEAR
-    format: str = FORMAT
-    checksums: Checksums | None = field(default=None, compare=False)
 
     @classmethod
-    def for_model(
-        cls, model: Model, view: View, change: Change, rows: tuple[Row, ...], precision: Precision = "float32"
-    ) -> Manifest:
-        """Return the manifest of files that a model describes."""
-        transform = (change.shift, change.scale * change.zoom, change.down, change.around)
-        n, embedding = model.n_parts, model.embedding
+    def of_model(
+        cls, model: Model, view: View, change: Change = UNCHANGED, precision: Precision = "float32"
+    ) -> DescriptorKind:
+        """Return the kind of the descriptors that a model gives of changed pictures."""
+        change = replace(change, scale=change.scale * change.zoom, zoom=1.0)
         role = model.role(view) if model.contract.roles == "role" else None
-        further = (role, change.released, change.weather)
-        return cls(model.fingerprint, view, change.rotate, n, embedding, rows, precision, *transform, *further)
+        return cls(model.fingerprint, model.n_parts, model.embedding, None, view, change, precision, role)
 
     @property
-    def change(self) -> Change:
-        """The transform of the pictures."""
-        moves = (self.rotate, self.shift, self.scale, self.down, self.around)
-        return Change(*moves, released=self.released, weather=self.weather)
+    def numbers(self) -> int:
+        """Length n D of a descriptor."""
+        return self.n_parts * self.embedding
 
     @property
-    def cropped(self) -> bool:
-        """True if any picture was cropped to a box."""
-        return any(row.box is not None for row in self.rows)
+    def digest(self) -> str:
+        """A hash of all values, by which parts of one kind are recognised."""
+        return hashlib.sha256(msgspec.json.encode(self, order="sorted")).hexdigest()[:24]
 
-    def to_json(self) -> bytes:
-        """Return the manifest as the contents of its file."""
-        values = self._values()
-        if self.checksums is not None:
-            values["checksums"] = asdict(self.checksums)
-        return json.dumps(values, separators=(",", ":")).encode()
+    def __str__(self) -> str:
+        view = f"{self.view} descriptors" if self.view else "descriptors"
+        windows = f", of windows of {self.windows}" if self.windows else ""
+        shape = f"{self.n_parts} x {self.embedding} numbers in {self.precision}"
+        return f"{view} of model {self.fingerprint}, {self.change.describe() or 'unchanged'}, {shape}{windows}"
 
-    def with_checksums(self, array: Path) -> Manifest:
-        """Return the manifest with checksums of the array's file and of itself."""
-        return replace(self, checksums=Checksums.compute(array, self._values()))
 
-    @property
-    def damaged(self) -> bool:
-        """True if the manifest differs from its own checksum."""
-        return self.checksums is not None and self.checksums.manifest != crc_of_values(self._values())
+class PartEntry(msgspec.Struct, frozen=True):
+    """A part of a store.
 
-    def _values(self) -> dict[str, Any]:
-        values = asdict(self)
-        del values["checksums"]
-        for optional in ("down", "around", "role", "released", "weather"):
-            if not getattr(self, optional):
-                del values[optional]
-        for row in values["rows"]:
-            if row["box"] is None:
-                del row["box"]
-        return values
+    Attributes:
+        name: its folder.
+        rows: number of its rows, replaced ones included.
+        sum: SHA-256 of its rows.json.
+        replaced: rows that newer parts replace, ascending.
+    """
+
+    name: str
+    rows: Annotated[int, Meta(ge=0)]
+    sum: str
+    replaced: tuple[Annotated[int, Meta(ge=0)], ...] = ()
+
+
+class CodesEntry(msgspec.Struct, frozen=True):
+    """A file of faiss beside the parts.
+
+    Attributes:
+        name: of the file.
+        parts: the oldest parts, which it covers.
+        sum: its SHA-256.
+    """
+
+    name: str
+    parts: tuple[str, ...]
+    sum: str
+
+
+class Manifest(msgspec.Struct, frozen=True, kw_only=True):
+    """The contents of store.json.
+
+    Attributes:
+        engine: the engine that searches the store: "exact" or "faiss".
+        parts: oldest first.
+        codes: the file of faiss, if there is one.
+
+    The file also has `checksum`, the CRC-32 of all other values.
+    """
+
+    format: str = FORMAT
+    kind: DescriptorKind
+    engine: str = "exact"
+    parts: tuple[PartEntry, ...] = ()
+    codes: CodesEntry | None = None
 
     @classmethod
-    def from_json(cls, data: bytes, name: str) -> Manifest:
-        """Read the output of `to_json`; messages name the file `name`.
+    def read(cls, folder: Path) -> Manifest:
+        """Read the store.json of a folder.
 
         Raises:
             NewerStoreError: if a later version wrote it.
-            StoreError: if it is invalid.
+            StoreError: if there is none, or it is damaged.
         """
         try:
-            # Names of files may be no UTF-8; msgspec's decoder refuses the lone surrogates that Python writes for them.
-            values: Any = json.loads(data)
-            stated = values.get("format") if isinstance(values, dict) else None
-            if is_newer(stated, FORMAT):
-                raise NewerStoreError(newer_version(name, str(stated), FORMAT))
-            if stated != FORMAT:
-                raise ValueError("another format")
-            if not values.keys() <= {entry.name for entry in fields(cls)}:  # for example a transform of a later lpn
-                raise ValueError("unknown entries")
-            manifest = msgspec.convert(values, cls)
-            _ = manifest.change  # checks its numbers
+            data = (folder / MANIFEST).read_bytes()
+            manifest = decode_json(data, cls, f"{MANIFEST} in {folder}", FORMAT, NewerStoreError)
+            values = json.loads(data)
+            if values.pop("checksum", None) != crc_of_values(values):
+                raise ValueError("the checksum does not match")
             return manifest
-        except (msgspec.MsgspecError, ValueError, OverflowError, RecursionError, InputError) as error:
+        except (FileNotFoundError, NotADirectoryError) as error:
+            unfinished = " (its description was not finished; run lpn describe again)" if parts_of(folder) else ""
             raise StoreError(
-                f"{name} is not a manifest of descriptors ({FORMAT}); describe the pictures again."
+                f"{folder} has no {MANIFEST}, so it is not a store of descriptors and not an index{unfinished}."
+            ) from error
+        except OSError as error:
+            raise unreadable_error(folder / MANIFEST, error) from error
+        except (ValueError, RecursionError, InputError) as error:
+            raise StoreError(
+                f"{MANIFEST} in {folder} is damaged or not of the format {FORMAT}; {_AGAIN}, after you delete that file, or in "
+                "another folder."
             ) from error
 
-    def comparable(self, other: Manifest) -> bool:
-        """Return whether rows of the same file can be copied from another store."""
-        return self._kind == other._kind
+    def encoded(self) -> bytes:
+        """Return the contents of store.json."""
+        values = msgspec.to_builtins(self)
+        return json.dumps(values | {"checksum": crc_of_values(values)}, indent=1).encode()
 
-    @property
-    def _kind(self) -> tuple[str, str, Change, str]:
-        return self.fingerprint, self.view, self.change, self.precision
+    def write(self, folder: Path) -> None:
+        """Replace the store.json of a folder, and delete the parts and codes that it does not name."""
+        write_atomic(folder / MANIFEST, self.encoded())
+        named = {entry.name for entry in self.parts} | {self.codes.name if self.codes else MANIFEST}
+        for path in folder.iterdir():
+            if path.name in named or path.is_symlink():
+                continue
+            if _PART.fullmatch(path.name):
+                _delete(path)
+            elif _PART.fullmatch(path.stem) and path.suffix == ".faiss":
+                path.unlink(missing_ok=True)
 
 
-@dataclass(frozen=True, eq=False)
-class Store:
-    """A complete store.
+class PartRows(msgspec.Struct, kw_only=True):
+    """The contents of rows.json.
 
     Attributes:
-        manifest: its contents.
-        descriptors: (N, n, D) in the manifest's precision, memory-mapped, read-only.
-        identity: a digest of the manifest and of the array's size and time.
-        file: the array's file.
+        kind: `DescriptorKind.digest` of the descriptors.
+        sum: SHA-256 of vectors.npy.
+        files, sizes, times, boxes: the values of each `Row`; boxes are left out where there are none.
+        positions: latitude and longitude in degrees; left out where there are none.
     """
 
-    manifest: Manifest
-    descriptors: Float32Array | Float16Array | Int8Array
-    identity: str = ""
-    file: Path | None = None
+    format: str = FORMAT
+    kind: str
+    sum: str
+    files: list[str]
+    sizes: list[int]
+    times: list[int]
+    boxes: list[CropBox | None] = []
+    positions: list[tuple[float, float] | None] = []
 
-    def damaged(self) -> BoolArray:
-        """Return the mask of rows in blocks that differ from their checksums, (N,); reads the whole array."""
-        damaged = np.zeros(len(self.descriptors), np.bool_)
-        checksums = self.manifest.checksums
-        if checksums is None or self.file is None:
-            return damaged
-        if -(-self.file.stat().st_size // checksums.block) != len(checksums.blocks):
-            return ~damaged
-        blocks = crc_of_blocks(self.file, checksums.block)
-        row = self.descriptors.dtype.itemsize * self.manifest.n_parts * self.manifest.embedding
-        header = self.file.stat().st_size - row * len(damaged)
-        for i in (i for i, (now, then) in enumerate(zip(blocks, checksums.blocks, strict=True)) if now != then):
-            start, end = i * checksums.block - header, (i + 1) * checksums.block - header
-            damaged[max(start // row, 0) : max(-(-end // row), 0)] = True
-            if start < 0:
-                damaged[:] = True  # the array's shape may be wrong
-        return damaged
+    @classmethod
+    def read(cls, part: Path) -> PartRows:
+        """Read the rows of a part.
+
+        Raises:
+            NewerStoreError: if a later version wrote them.
+            OSError, ValueError, RecursionError: if they cannot be read, or are damaged.
+        """
+        # Names of files may be no UTF-8, and msgspec's decoder refuses the lone surrogates that Python writes for them.
+        values: Any = json.loads((part / ROWS).read_bytes())
+        stated = values.get("format") if isinstance(values, dict) else None
+        if is_newer(stated, FORMAT):
+            raise NewerStoreError(newer_version(f"{ROWS} in {part}", str(stated), FORMAT))
+        rows = msgspec.convert(values, cls)
+        count = len(rows.files)
+        if stated != FORMAT or any(len(some) != count for some in (rows.sizes, rows.times)):
+            raise ValueError("another format, or another number of values")
+        if any(len(some) not in (0, count) for some in (rows.boxes, rows.positions)):
+            raise ValueError("another number of values")
+        return rows
+
+    def rows(self) -> list[Row]:
+        """Return the rows of the part."""
+        boxes = self.boxes or [None] * len(self.files)
+        return list(map(Row, self.files, self.sizes, self.times, boxes))
+
+
+class Part:
+    """The rows of a part, with memory-mapped descriptors.
+
+    Attributes:
+        vectors: (B, n, D) in the precision of the store.
+    """
+
+    def __init__(self, folder: Path, vectors: AnyArray, notes: PartRows | None = None) -> None:
+        self.folder, self.vectors = folder, vectors
+        if notes is not None:
+            self.notes = notes
+
+    @classmethod
+    def open(cls, folder: Path, kind: DescriptorKind, rows: int) -> Part:
+        """Open a part of a store.
+
+        Raises:
+            StoreError: if it is missing, is damaged, or cannot be read.
+        """
+        with readable(folder / VECTORS):
+            vectors = open_memmap(folder / VECTORS)
+            if vectors.shape != (rows, kind.n_parts, kind.embedding) or vectors.dtype != np.dtype(kind.precision):
+                raise ValueError("another shape")
+            return cls(folder, vectors)
+
+    @cached_property
+    def notes(self) -> PartRows:
+        """The contents of rows.json."""
+        with readable(self.folder / ROWS):
+            notes = PartRows.read(self.folder)
+            if len(notes.files) != len(self.vectors):
+                raise ValueError("another number of rows")
+            return notes
+
+    @cached_property
+    def row_of(self) -> dict[str, int]:
+        """The row of each file."""
+        return {name: row for row, name in enumerate(self.notes.files)}
+
+    @cached_property
+    def positions(self) -> Float64Array:
+        """Latitude and longitude in degrees, (B, 2), NaN for a row without a position."""
+        nowhere = (np.nan, np.nan)
+        known = self.notes.positions or [None] * len(self.vectors)
+        return np.array([nowhere if at is None else at for at in known], np.float64).reshape(-1, 2)
+
+
+class Store:
+    """The parts that store.json names, at the time when it was read.
+
+    Attributes:
+        folder, manifest: where it is, and its contents.
+        kind: the kind of descriptors.
+        parts: oldest first.
+        stamp: identifies the version of store.json, for a reader that follows it.
+        kept: the rows of each part that no newer part replaces, ascending; None for all.
+    """
+
+    def __init__(self, folder: Path, manifest: Manifest, parts: Sequence[Part]) -> None:
+        self.folder, self.manifest, self.kind, self.parts = folder, manifest, manifest.kind, parts
+        self.stamp: tuple[int, ...] = ()
+        self.kept: list[Int64Array | None] = [
+            np.delete(np.arange(entry.rows), list(entry.replaced)) if entry.replaced else None
+            for entry in manifest.parts
+        ]
+        # The place of each part's first row among all rows, and the number of all rows.
+        self.starts: Int64Array = np.cumsum([0, *(entry.rows for entry in manifest.parts)], dtype=np.int64)
+
+    def __len__(self) -> int:
+        return sum(entry.rows - len(entry.replaced) for entry in self.manifest.parts)
+
+    @cached_property
+    def rows(self) -> list[Row]:
+        """The picture of each row."""
+        found: list[Row] = []
+        for part, some in zip(self.parts, self.kept, strict=True):
+            rows = part.notes.rows()
+            found += rows if some is None else [rows[i] for i in some.tolist()]
+        return found
+
+    @property
+    def names(self) -> list[str]:
+        """The file of each row."""
+        return [row.file for row in self.rows]
+
+    @property
+    def positions(self) -> Float64Array:
+        """Latitude and longitude in degrees, (N, 2), NaN for a row without a position."""
+        return self._joined([part.positions for part in self.parts], np.zeros((0, 2)))
+
+    @cached_property
+    def descriptors(self) -> AnyArray:
+        """The descriptors (N, n, D) in the store's precision; those of a single part are memory-mapped, read-only."""
+        empty = np.zeros((0, self.kind.n_parts, self.kind.embedding), self.kind.precision)
+        return self._joined([part.vectors for part in self.parts], empty)
 
     @property
     def float32(self) -> Float32Array:
-        """The descriptors (N, n, D) in float32: memory-mapped if stored so, else a copy."""
-        return self.rows(slice(None))
+        """The descriptors (N, n, D) in float32: memory-mapped if stored so in a single part, else a copy."""
+        return to_float32(self.descriptors)
 
-    def rows(self, rows: slice | IntegerArray) -> Float32Array:
+    @property
+    def identity(self) -> str:
+        """A digest of the contents."""
+        return hashlib.sha256(json.dumps(msgspec.to_builtins(self.manifest)).encode()).hexdigest()
+
+    def some(self, rows: IntegerArray) -> Float32Array:
         """Return some rows in float32 without reading the others."""
-        values = self.descriptors[rows].astype(np.float32, copy=False)
-        if self.manifest.precision == "int8":
-            norms = np.linalg.norm(values, axis=2, keepdims=True)
-            values *= np.float32(self.manifest.n_parts**-0.5) / np.maximum(norms, np.float32(1e-12))
-        return values
+        return to_float32(self.descriptors[rows])
+
+    def find(self, names: Sequence[str]) -> Int64Array:
+        """Return the place of each name among the rows of all parts, (B,), -1 for a name that is in none."""
+        places = np.full(len(names), -1, np.int64)
+        for part, entry, start in zip(self.parts, self.manifest.parts, self.starts.tolist(), strict=False):
+            gone = set(entry.replaced)
+            for i, name in enumerate(names):
+                if (row := part.row_of.get(name)) is not None and row not in gone:
+                    places[i] = start + row
+        return places
+
+    def check(self) -> int:
+        """Compare all files with their checksums; return the number of unfinished parts beside the store's.
+
+        Raises:
+            StoreError: if a file is damaged.
+        """
+        for part, entry in zip(self.parts, self.manifest.parts, strict=True):
+            _check_sum(part.folder / ROWS, entry.sum)
+            _check_sum(part.folder / VECTORS, part.notes.sum)
+        if self.manifest.codes is not None:
+            _check_sum(self.folder / self.manifest.codes.name, self.manifest.codes.sum)
+        return len({path.name for path in parts_of(self.folder)} - {entry.name for entry in self.manifest.parts})
+
+    def _joined(self, arrays: Sequence[AnyArray], empty: AnyArray) -> AnyArray:
+        found = [one if some is None else one[some] for one, some in zip(arrays, self.kept, strict=True)]
+        return found[0] if len(found) == 1 else np.concatenate([empty, *found])
 
 
-def open_store(folder: str | Path) -> Store:
-    """Open a store; StoreError if the folder is not a complete store, or its files do not match."""
-    folder = Path(folder)
-    if not (folder / "manifest.json").is_file():
-        unfinished = (
-            " (its description was not finished; run lpn describe again)"
-            if (folder / "descriptors.log").is_file()
-            else ""
-        )
-        raise StoreError(f"{folder} has no manifest.json, so it is not a store of descriptors{unfinished}.")
-    written = (folder / "manifest.json").read_bytes()
-    return open_array(folder, Manifest.from_json(written, "manifest.json"), written)
+def open_store(folder: str | Path, known: Mapping[str, Part] | None = None) -> Store:
+    """Open a store.
 
-
-def open_array(folder: Path, manifest: Manifest, written: bytes) -> Store:
-    """Open the array of a manifest; `written` is the manifest's file contents.
+    Args:
+        known: open parts by their names, which are used again.
 
     Raises:
-        StoreError: if the array does not fit the manifest.
+        StoreError: if the folder is not a complete store, or its files do not match.
     """
-    expected = (len(manifest.rows), manifest.n_parts, manifest.embedding)
-    file = folder / "descriptors.npy"
+    folder = Path(folder)
+    manifest, known = Manifest.read(folder), known or {}
+    parts = [known.get(one.name) or Part.open(folder / one.name, manifest.kind, one.rows) for one in manifest.parts]
+    return Store(folder, manifest, parts)
+
+
+def write_part(
+    folder: Path,
+    kind: DescriptorKind,
+    rows: Sequence[Row],
+    blocks: Iterable[AnyArray],
+    positions: Float64Array | None = None,
+    number: int | None = None,
+) -> PartEntry:
+    """Write a part that no store.json names yet.
+
+    Args:
+        rows: the pictures, (B,).
+        blocks: their descriptors in the precision of the kind, block by block, (B, n, D) in all.
+        positions: latitude and longitude in degrees, (B, 2), NaN for a row without a position; None for no positions.
+        number: by which parts are ordered; by default after all others.
+    """
+    number = number or 1 + max((int(path.name.split("-")[1]) for path in parts_of(folder)), default=0)
+    part = folder / f"part-{number:07d}-{secrets.token_hex(3)}"
+    part.mkdir()
     try:
-        stat = file.stat()
-        descriptors = open_memmap(file)
-    except (FileNotFoundError, ValueError) as error:
-        raise StoreError(f"descriptors.npy in {folder} is missing or damaged; describe the pictures again.") from error
-    except OSError as error:
-        raise unreadable_error(file, error) from error
-    if descriptors.shape != expected or descriptors.dtype != np.dtype(manifest.precision):
-        raise StoreError(
-            f"descriptors.npy in {folder} is {descriptors.dtype} {descriptors.shape}, but its manifest says "
-            f"{manifest.precision} {expected}; describe the pictures again."
+        header = {"descr": np.lib.format.dtype_to_descr(np.dtype(kind.precision)), "fortran_order": False}
+        with (part / VECTORS).open("wb") as file:
+            shape = (len(rows), kind.n_parts, kind.embedding)
+            np.lib.format.write_array_header_1_0(file, header | {"shape": shape})
+            for block in blocks:
+                file.write(block.tobytes())
+        known = [] if positions is None or np.isnan(positions).all() else positions.tolist()
+        notes = PartRows(
+            kind=kind.digest,
+            sum=sum_of(part / VECTORS),
+            files=[row.file for row in rows],
+            sizes=[row.size for row in rows],
+            times=[row.time_ns for row in rows],
+            boxes=[row.box for row in rows] if any(row.box for row in rows) else [],
+            positions=[None if at[0] != at[0] else (at[0], at[1]) for at in known],
         )
-    identity = hashlib.sha256(written + f"{stat.st_size} {stat.st_mtime_ns}".encode()).hexdigest()
-    return Store(manifest, descriptors, identity, file)
+        data = json.dumps(msgspec.to_builtins(notes), separators=(",", ":")).encode()
+        (part / ROWS).write_bytes(data)
+    except OSError:
+        _delete(part)
+        raise
+    return PartEntry(part.name, len(rows), hashlib.sha256(data).hexdigest())
+
+
+def parts_of(folder: Path) -> list[Path]:
+    """Return the folders of all parts, whole or not and named by store.json or not, in order of their numbers."""
+    with suppress(OSError):
+        return sorted(path for path in folder.iterdir() if _PART.fullmatch(path.name) and not path.is_symlink())
+    return []
+
+
+def rows_of_part(part: Path, kind: DescriptorKind) -> list[Row] | None:
+    """Return the rows of a part; None if it is cut off, or of another kind."""
+    try:
+        notes = PartRows.read(part)
+    except (OSError, ValueError, RecursionError):
+        return None
+    return notes.rows() if notes.kind == kind.digest else None
+
+
+def is_sound(part: Path) -> bool:
+    """Compare the descriptors of a whole part with their checksum."""
+    try:
+        return sum_of(part / VECTORS) == PartRows.read(part).sum
+    except OSError:
+        return False
+
+
+def entry_of(part: Path) -> PartEntry:
+    """Return the entry of a whole part in store.json."""
+    return PartEntry(part.name, len(PartRows.read(part).files), sum_of(part / ROWS))
 
 
 def encode(descriptors: Float32Array, precision: Precision) -> AnyArray:
     """Convert descriptors (B, n, D) to their representation on disk."""
     if precision == "int8":
         largest = np.abs(descriptors).max(axis=2, keepdims=True)
-        directions: Int8Array = np.round(descriptors * (127 / np.maximum(largest, 1e-12))).astype(np.int8)
+        directions: AnyArray = np.round(descriptors * (127 / np.maximum(largest, 1e-12))).astype(np.int8)
         return directions
     return descriptors.astype(precision, copy=False)
+
+
+def to_float32(stored: AnyArray) -> Float32Array:
+    """Convert descriptors (B, n, D) from their representation on disk; float32 is not copied."""
+    values: Float32Array = stored.astype(np.float32, copy=False)
+    if stored.dtype == np.int8:
+        norms = np.linalg.norm(values, axis=2, keepdims=True)
+        values *= np.float32(stored.shape[1] ** -0.5) / np.maximum(norms, np.float32(1e-12))
+    return values
 
 
 def row_of(file: Path, root: Path | None, box: CropBox | None) -> Row:
@@ -277,12 +526,48 @@ def row_of(file: Path, root: Path | None, box: CropBox | None) -> Row:
         stat = file.stat()
     except OSError as error:
         raise PictureError(f"The picture {file} cannot be read ({error.strerror or error}); check the path.") from error
-    return Row(str(file.relative_to(root) if root else file), stat.st_size, stat.st_mtime_ns, float_box(box))
+    four = None if box is None else (float(box[0]), float(box[1]), float(box[2]), float(box[3]))
+    return Row(str(file.relative_to(root) if root else file), stat.st_size, stat.st_mtime_ns, four)
 
 
-def float_box(values: Any) -> CropBox | None:
-    """Convert a box to four floats, as JSON returns them."""
-    if values is None:
-        return None
-    left, top, right, bottom = (float(value) for value in values)
-    return left, top, right, bottom
+def sum_of(file: Path) -> str:
+    """Return the SHA-256 of a file."""
+    with file.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+def unwritable(folder: Path, error: Exception) -> StoreError:
+    """Return the error for a store that cannot be written."""
+    why = getattr(error, "strerror", None) or str(error)
+    remedy = space_remedy(error) if isinstance(error, OSError) else ""
+    return StoreError(f"The store {folder} cannot be written ({why}); {remedy}choose another folder.")
+
+
+@contextmanager
+def readable(file: Path) -> Iterator[None]:
+    """Turn errors of reading a file of a store into sentences."""
+    try:
+        yield
+    except FileNotFoundError as error:
+        raise StoreError(f"{file} is missing; {_AGAIN}.") from error
+    except OSError as error:
+        raise unreadable_error(file, error) from error
+    except (ValueError, RecursionError) as error:
+        raise StoreError(f"{file.name} in {file.parent} is damaged; {_AGAIN}.") from error
+
+
+def _check_sum(file: Path, wanted: str) -> None:
+    with readable(file):
+        if sum_of(file) != wanted:
+            raise StoreError(f"{file.name} in {file.parent} does not match its checksum; delete it, and {_AGAIN}.")
+
+
+def _delete(part: Path) -> None:
+    """Delete a part's files, and its folder if nothing else is in it."""
+    for name in (ROWS, VECTORS):
+        # Some systems cannot delete files that another process has open.
+        with suppress(OSError):
+            if not (part / name).is_symlink():
+                (part / name).unlink()
+    with suppress(OSError):
+        part.rmdir()

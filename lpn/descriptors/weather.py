@@ -154,28 +154,25 @@ def frequency_noise(height: int, width: int, side: int, rng: Generator) -> Float
 
 
 def rain(picture: UInt8Array, rng: Generator, drop: tuple[float, float]) -> UInt8Array:
-    """Draw one layer of rain: imgaug's RainLayer with the settings of its Rain.
+    """Draw one layer of rain, imgaug's RainLayer: drops of opacity 1.3 noise / 255, at most 1.
+
+    The drops' grey is 110 + 130 mod (the sum of the first 1000 values of the noise, each repeated for red, green, and blue), and
+    so 240 unless these are nearly 0.
 
     Args:
         drop: range of the drop size, 0 .. 1; noise is drawn at 1 - drop size of the picture's size.
     """
     size, angle, speed = rng.uniform(*drop), rng.uniform(-15, 15), rng.uniform(0.04, 0.06)
-    noise = falling(picture.shape[:2], size, (0.03, 0.14), rng.uniform(0.8, 1), rng)
-    return rained(picture, streaked(noise, angle, speed))
-
-
-def rained(picture: UInt8Array, noise: UInt8Array) -> UInt8Array:
-    """Blend a picture with drops (H, W) uint8: opacity 1.3 noise / 255, at most 1.
-
-    The drops' colour is 240. It is 110 + 130 mod their sum, and so darker, if the first 1000 values of the noise, each repeated
-    for red, green, and blue, are nearly 0.
-    """
+    noise = streaked(falling(picture.shape[:2], size, (0.03, 0.14), rng.uniform(0.8, 1), rng), angle, speed)
     total = int(np.repeat(noise.ravel()[:334].astype(np.int64), 3)[:1000].sum())
     return _blended(picture, 110 + 130 % max(total, 1), np.minimum(noise * np.float32(1.3 / 255), 1))
 
 
 def snow(picture: UInt8Array, rng: Generator, flake: tuple[float, float]) -> UInt8Array:
-    """Draw one layer of snow: imgaug's SnowflakesLayer with the settings of its Snowflakes.
+    """Draw one layer of snow, imgaug's SnowflakesLayer.
+
+    The result is max(picture + (0.1 + 20 speed) flakes, (1 + 20 speed) flakes), at most 255, where flakes are noise of gamma
+    1 + 2 (1 - evenness), times 1 + 5 (1 - evenness).
 
     Args:
         flake: range of the flake size, 0 .. 1; noise is drawn at 1 - flake size of the picture's size.
@@ -185,18 +182,11 @@ def snow(picture: UInt8Array, rng: Generator, flake: tuple[float, float]) -> UIn
     noise = falling(picture.shape[:2], size, (0.005, 0.075), rng.uniform(0.3, 0.9), rng)
     sigma = min(max(spread * max(noise.shape), 0.5), 3.75)
     soft = cast(UInt8Array, cv2.GaussianBlur(noise, (5, 5), sigma, borderType=cv2.BORDER_REFLECT_101))
-    return snowed(picture, streaked(soft, angle, speed), evenness, speed)
-
-
-def snowed(picture: UInt8Array, noise: UInt8Array, evenness: float, speed: float) -> UInt8Array:
-    """Add flakes (H, W) uint8 to a picture: max(picture + (0.1 + 20 speed) flakes, (1 + 20 speed) flakes), at most 255.
-
-    Flakes are noise of gamma 1 + 2 (1 - evenness), times 1 + 5 (1 - evenness).
-    """
     table = np.linspace(0, 1, 256, dtype=np.float32) ** np.float32(1 + 2 * (1 - evenness)) * 255
-    flakes = (cv2.LUT(noise, table.astype(np.uint8)) * np.float32(1 + 5 * (1 - evenness)))[..., None]
-    added = np.minimum(picture + np.float32(0.1 + 20 * speed) * flakes, 255).astype(np.uint8)
-    return cast(UInt8Array, np.maximum(added, np.minimum(np.float32(1 + 20 * speed) * flakes, 255).astype(np.uint8)))
+    flakes = cv2.LUT(streaked(soft, angle, speed), table.astype(np.uint8)) * np.float32(1 + 5 * (1 - evenness))
+    added = np.minimum(picture + np.float32(0.1 + 20 * speed) * flakes[..., None], 255).astype(np.uint8)
+    white = np.minimum(np.float32(1 + 20 * speed) * flakes[..., None], 255).astype(np.uint8)
+    return cast(UInt8Array, np.maximum(added, white))
 
 
 def falling(
@@ -260,15 +250,7 @@ def brightness(picture: UInt8Array, rng: Generator, factor: float, offset: tuple
         offset: range of the summand, in grey levels.
     """
     there, back, channel = _BRIGHTNESS[int(rng.integers(len(_BRIGHTNESS)))]
-    summand, first = np.round(rng.uniform(*offset)), rng.integers(2)
-    return brightened(picture, (there, back, channel), factor, summand, bool(first))
-
-
-def brightened(
-    picture: UInt8Array, space: tuple[int, int, int], factor: float, summand: float, multiply_first: bool
-) -> UInt8Array:
-    """Multiply a picture's brightness and add to it, in either order; `space` is conversion, its inverse, and the channel."""
-    there, back, channel = space
+    summand, multiply_first = np.round(rng.uniform(*offset)), bool(rng.integers(2))
     values = np.arange(256, dtype=np.float32)
     for multiplies in (multiply_first, not multiply_first):
         changed = values * np.float32(factor) if multiplies else values + np.float32(summand)

@@ -1,24 +1,50 @@
-"""Describe pictures into a store. Existing rows are reused, and a kill loses about one second of work."""
+"""Describe pictures into a store. Rows on disk are used again, and a kill loses about one second of work."""
 
 from __future__ import annotations
 
-import os
-from collections.abc import Callable, Sequence
+import time
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
+import numpy as np
+
 from lpn.core import images
-from lpn.core.arrays import Float32Array, UInt8Array
-from lpn.core.errors import DataError, PictureError, StoreError
-from lpn.core.files import exclusive_lock, first_few, printable, space_remedy, write_atomic
+from lpn.core.arrays import AnyArray, BoolArray, Float32Array, UInt8Array
+from lpn.core.errors import DataError, OutputError, PictureError, StoreError
+from lpn.core.files import exclusive_lock, first_few, open_memmap, printable
 from lpn.core.progress import report_progress
 from lpn.core.views import View
 from lpn.datasets import files_below, unread_below, warn_left_out
 from lpn.datasets.integrity import check_whole
 from lpn.descriptors.parallel_inference import describe_each
-from lpn.descriptors.partial_store import LOG, PartialStore, reusable_store
-from lpn.descriptors.store import CropBox, Manifest, Precision, Row, Store, open_store, row_of
+from lpn.descriptors.store import (
+    MANIFEST,
+    VECTORS,
+    CropBox,
+    DescriptorKind,
+    Manifest,
+    Part,
+    PartEntry,
+    Precision,
+    Row,
+    Store,
+    encode,
+    entry_of,
+    is_sound,
+    open_store,
+    parts_of,
+    row_of,
+    rows_of_part,
+    unwritable,
+    write_part,
+)
 from lpn.descriptors.transforms import UNCHANGED, Change
 from lpn.models.base import Model
+
+# A kill loses the work of this many seconds.
+_SAVE_SECONDS = 1.0
+# Rows that are copied at a time.
+_STEP = 1024
 
 
 def describe(
@@ -33,13 +59,13 @@ def describe(
 ) -> Store:
     """Describe picture files, mirror included, into a store; existing rows are not computed again.
 
-    It reports its progress (`lpn.core.progress`). After a kill, the next call resumes. If `out` holds a complete store of the
-    same model, view, transform, and precision, the rows of unchanged files are copied from it.
+    It reports its progress (`lpn.core.progress`). After a kill, the next call resumes. If `out` holds a store of the same kind,
+    the rows of unchanged files are copied from it.
 
     Args:
         files: the pictures, in the order of the rows.
         out: the store's folder.
-        root: file names in the manifest are relative to this folder.
+        root: file names in the store are relative to this folder.
         change: the transform of each picture.
         boxes: the crop of each picture, applied first; None for a whole picture.
         precision: precision of the numbers on disk; the computation is in float32.
@@ -52,26 +78,61 @@ def describe(
     """
     model.check_view(view)
     change.check(model.input_size)
-    out = Path(out)
-    rows = tuple(row_of(file, root, box) for file, box in zip(files, boxes or [None] * len(files), strict=True))
-    manifest = Manifest.for_model(model, view, change, rows, precision)
-    before = reusable_store(out, manifest)
-    if before is not None and before.manifest == manifest and not (out / LOG).exists():
+    rows = [row_of(file, root, box) for file, box in zip(files, boxes or [None] * len(files), strict=True)]
+    kind = DescriptorKind.of_model(model, view, change, precision)
+    before = _before(Path(out), kind)
+    if before is not None and before.rows == rows and len(parts_of(Path(out))) == len(before.parts):
         return before
-    check_whole(files, "pictures")
+    return write_store(Path(out), kind, rows, _describer(model, files, rows, view, change))
+
+
+def describe_share(
+    model: Model,
+    files: Sequence[Path],
+    view: View,
+    out: str | Path,
+    root: Path,
+    share: tuple[int, int],
+    precision: Precision = "float32",
+) -> int:
+    """Describe the i-th of n equal shares of files, for a share (i, n), so that n machines share the work.
+
+    The rows become parts in `out`, of which a later `describe` of all files makes a store; see there for arguments and errors.
+
+    Returns:
+        The number of files in the share.
+    """
+    model.check_view(view)
+    out, (i, n) = Path(out), share
+    files = files[(i - 1) * len(files) // n : i * len(files) // n]
+    rows = [row_of(file, root, None) for file in files]
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        partial = PartialStore(out, DescriptorKind.of_model(model, view, UNCHANGED, precision), rows)
+        _fill(partial, _describer(model, files, rows, view, UNCHANGED))
+    except OSError as error:
+        raise unwritable(out, error) from error
+    return len(rows)
+
+
+def _describer(
+    model: Model, files: Sequence[Path], rows: Sequence[Row], view: View, change: Change
+) -> Callable[[PartialStore], None]:
+    """Return a function that describes the missing rows of files; PictureError if files are broken."""
 
     def prepare(row: int) -> Float32Array:
         picture = images.load_picture(files[row], upright=not change.released)
         return prepare_row(model, picture, rows[row], change, view)
 
     def fill(partial: PartialStore) -> None:
+        check_whole(files, "pictures")
         broken: dict[int, PictureError] = {}
+        stage = ", ".join(filter(None, (f"Describing {view} pictures", change.describe())))
         fill_store(model, partial, prepare, view, stage, broken)
         if broken:
             raise _broken([(rows[row].file, broken[row]) for row in sorted(broken)], len(rows))
 
-    stage = ", ".join(filter(None, (f"Describing {view} pictures", change.describe())))
-    return write_store(out, manifest, fill)
+    return fill
 
 
 def _broken(errors: Sequence[tuple[str, PictureError]], total: int) -> PictureError:
@@ -82,53 +143,142 @@ def _broken(errors: Sequence[tuple[str, PictureError]], total: int) -> PictureEr
     return PictureError(f"{len(errors)} of {total} pictures cannot be described: {names}. The first: {errors[0][1]}")
 
 
-def write_store(out: Path, manifest: Manifest, fill: Callable[[PartialStore], None], whole: bool = True) -> Store:
+class PartialStore:
+    """The rows of a future store: those of the parts on disk, and those that are put and become further parts."""
+
+    def __init__(self, folder: Path, kind: DescriptorKind, rows: Sequence[Row]) -> None:
+        self.folder, self.kind, self.rows = folder, kind, rows
+        wanted, found = set(rows), dict[Row, tuple[Path, int]]()
+        for part in parts_of(folder):
+            held = rows_of_part(part, kind) or []
+            here = {row: (part, i) for i, row in enumerate(held) if row in wanted and row not in found}
+            if here and is_sound(part):
+                found |= here
+        # The part of each row, and its place in it.
+        self._places = [found.get(row) for row in rows]
+        self._waiting: dict[int, AnyArray] = {}
+        self._saved = time.monotonic()
+
+    @property
+    def good(self) -> BoolArray:
+        """The finished rows, (N,)."""
+        return np.array([at is not None or i in self._waiting for i, at in enumerate(self._places)], bool)
+
+    def put(self, rows: Sequence[int], descriptors: Float32Array) -> None:
+        """Set rows from descriptors (B, n, D) float32; they are saved about once a second."""
+        self._waiting |= zip(rows, encode(descriptors, self.kind.precision), strict=True)
+        if time.monotonic() - self._saved >= _SAVE_SECONDS:
+            self.save()
+
+    def save(self) -> None:
+        """Write the waiting rows as a part."""
+        if self._waiting:
+            waiting = dict(sorted(self._waiting.items()))
+            entry = write_part(self.folder, self.kind, [self.rows[i] for i in waiting], [np.stack([*waiting.values()])])
+            for place, i in enumerate(waiting):
+                self._places[i] = (self.folder / entry.name, place)
+            self._waiting = {}
+        self._saved = time.monotonic()
+
+    def blocks(self) -> Iterator[AnyArray]:
+        """Yield all saved rows in order, block by block; missing ones are 0."""
+        shape = self.kind.n_parts, self.kind.embedding
+        for start in range(0, len(self.rows), _STEP):
+            places = self._places[start : start + _STEP]
+            block = np.zeros((len(places), *shape), self.kind.precision)
+            of_part: dict[Path, list[tuple[int, int]]] = {}
+            for i, at in enumerate(places):
+                if at is not None:
+                    of_part.setdefault(at[0], []).append((i, at[1]))
+            for part, pairs in of_part.items():
+                here, there = np.array(pairs).T
+                block[here] = open_memmap(part / VECTORS)[there]
+            yield block
+
+    def store(self) -> Store:
+        """Return all rows in memory; missing ones are 0."""
+        parts = [Part(self.folder, np.concatenate([*self.blocks()]))] if self.rows else []
+        entries = tuple(PartEntry("", len(self.rows), "") for _ in parts)
+        return Store(self.folder, Manifest(kind=self.kind, parts=entries), parts)
+
+    def finish(self) -> None:
+        """Make the rows the store: one part in their order, which is written unless there is such a one."""
+        one = {at[0] for at in self._places if at is not None}
+        entry = None
+        if len(one) == 1 and [at[1] for at in self._places if at is not None] == list(range(len(self.rows))):
+            entry = entry_of(one.pop())
+        if entry is None or entry.rows != len(self.rows):
+            entry = write_part(self.folder, self.kind, self.rows, self.blocks())
+        Manifest(kind=self.kind, parts=(entry,)).write(self.folder)
+
+
+def write_store(
+    out: Path,
+    kind: DescriptorKind,
+    rows: Sequence[Row],
+    fill: Callable[[PartialStore], None],
+    whole: bool = True,
+) -> Store:
     """Write a store, or open the existing one.
 
     Args:
         out: the store's folder.
-        manifest: the store's contents.
+        rows: the pictures, in order.
         fill: called to put every missing row.
-        whole: refuse a store with missing rows; otherwise these are 0, and rows on disk are final only in a complete store.
+        whole: refuse missing rows; otherwise these are 0, and the returned store is in memory.
 
     Raises:
         StoreError: if `out` cannot be written or holds other descriptors, or if `fill` leaves rows of a whole store out.
     """
+    rows = list(rows)
     try:
         out.mkdir(parents=True, exist_ok=True)
         with exclusive_lock(out, wait=True):
             # Another process may have described the same pictures while this one waited.
-            before = reusable_store(out, manifest)
-            if before is None or before.manifest != manifest:
-                partial = PartialStore(out, manifest, before)
-                try:
-                    fill(partial)
-                    if not partial.good.all():
-                        if not whole:
-                            return Store(manifest, partial.rows())
-                        raise StoreError(
-                            f"{int((~partial.good).sum())} of {len(manifest.rows)} rows of the store {out} were not written; "
-                            "run this again to resume."
-                        )
-                    _finish(out, manifest, partial)
-                finally:
-                    partial.close()
-            (out / LOG).unlink(missing_ok=True)
-    except OSError as error:
-        raise StoreError(
-            f"The store {out} cannot be written ({error.strerror or error}); {space_remedy(error)}choose another folder."
-        ) from error
+            before = _before(out, kind)
+            if before is not None and before.rows == rows:
+                before.manifest.write(out)
+                return before
+            partial = PartialStore(out, kind, rows)
+            _fill(partial, fill)
+            missing = int((~partial.good).sum())
+            if missing and not whole:
+                return partial.store()
+            if missing:
+                raise StoreError(
+                    f"{missing} of {len(rows)} rows of the store {out} were not written; run this again to resume."
+                )
+            partial.finish()
+    except (OSError, OutputError) as error:
+        raise unwritable(out, error) from error
     return open_store(out)
 
 
-def _finish(out: Path, manifest: Manifest, partial: PartialStore) -> None:
-    array = out / "descriptors.part"
-    partial.write(array)
-    final = manifest.with_checksums(array)
-    # Remove the old manifest first, so that it never describes the new rows, even after a kill.
-    (out / "manifest.json").unlink(missing_ok=True)
-    os.replace(array, out / "descriptors.npy")
-    write_atomic(out / "manifest.json", final.to_json())
+def _fill(partial: PartialStore, fill: Callable[[PartialStore], None]) -> None:
+    """Fill a store, and save what was put even if `fill` is interrupted."""
+    try:
+        fill(partial)
+    finally:
+        partial.save()
+
+
+def _before(out: Path, kind: DescriptorKind) -> Store | None:
+    """Return the store in a folder; None if there is none, or its arrays are damaged.
+
+    Raises:
+        StoreError: if it holds other descriptors, or its store.json is not ours.
+    """
+    if not (out / MANIFEST).exists():
+        return None
+    held = Manifest.read(out).kind
+    if held != kind:
+        raise StoreError(f"{out} holds {held}, and these would be {kind}; choose another folder, or delete that one.")
+    try:
+        store = open_store(out)
+        _ = store.rows
+    except StoreError:
+        return None
+    return store
 
 
 def fill_store(
@@ -149,9 +299,8 @@ def fill_store(
     Raises:
         PictureError: the first that `prepare` raises.
     """
-    missing = [row for row, good in enumerate(partial.good) if not good]
-    total = len(partial.good)
-    done = total - len(missing)
+    good = partial.good
+    missing, total, done = np.flatnonzero(~good).tolist(), len(good), int(good.sum())
     report_progress(stage, done, total)
     for batch in describe_each(model, missing, prepare, view):
         if batch.items:

@@ -12,106 +12,31 @@ scores, whatever the engine's rounding.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from types import TracebackType
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
 
-from lpn.core.arrays import BoolArray, Float32Array, Float64Array, FloatingArray, Int64Array
+from lpn.core.arrays import BoolArray, Float32Array, Float64Array, FloatingArray
 from lpn.core.errors import InputError, StoreError
 from lpn.core.files import printable
+from lpn.descriptors.store import DescriptorKind
 from lpn.retrieval import scoring
 
 # South, west, north, east in degrees; a box with west > east crosses the antimeridian.
 DegreeBox = tuple[float, float, float, float]
+# A tile's descriptor of n D numbers in any shape, and its latitude and longitude, NaN for none.
+TileRow = tuple[Any, Any]
+# Names, descriptors (B, n, D) float32, and positions (B, 2).
+Tiles = tuple[list[str], Float32Array, Float64Array]
 
 # Maximum length of a tile's name in characters.
 ID_LENGTH = 512
 # Maximum norm of a part times sqrt(n); rounding to float16 makes it exceed 1.
 LONGEST = 1.01
 _ROWS = 256
-
-
-@dataclass(frozen=True)
-class WindowsRecord:
-    """The windows of a map in an index.
-
-    Attributes:
-        map: `Map.identity` of the map.
-        sizes: their sides in metres, ascending.
-        overlap: share of a side that a neighbour also covers.
-        turns: number of headings at which each window is described, evenly spaced from 0 on.
-        count: windows of the whole map, each counted once for all its turns.
-    """
-
-    map: str
-    sizes: tuple[float, ...]
-    overlap: float
-    turns: int
-    count: int
-
-    def __str__(self) -> str:
-        sizes = ", ".join(f"{size:g}" for size in self.sizes)
-        return f"{sizes} m with an overlap of {self.overlap:g} at {self.turns} headings, of the map {self.map}"
-
-
-@dataclass(frozen=True)
-class DescriptorKind:
-    """The kind of descriptors that an index holds.
-
-    Attributes:
-        fingerprint: fingerprint of the model; descriptors of different models cannot be compared.
-        n_parts, embedding: n and D.
-        windows: the record of a map's windows; None for other pictures.
-    """
-
-    fingerprint: str
-    n_parts: int
-    embedding: int
-    windows: WindowsRecord | None = None
-
-    @property
-    def numbers(self) -> int:
-        """Length n D of a descriptor."""
-        return self.n_parts * self.embedding
-
-    def rescaled(self, query: npt.ArrayLike, weights: npt.ArrayLike | None) -> Float64Array:
-        """Compute w_i n q_i, whose inner product with a descriptor is its score: (n D,) float64.
-
-        Raises:
-            InputError: when the query is not (n, D) finite numbers, or the weights are not n numbers of 0 or more.
-        """
-        values = np.asarray(query, dtype=np.float64)
-        if values.shape != (self.n_parts, self.embedding) or not np.isfinite(values).all():
-            raise InputError(
-                f"The query is of shape {values.shape}; expected {self.n_parts} parts of {self.embedding} finite numbers."
-            )
-        share = scoring.part_weights(self.n_parts, weights).astype(np.float64)
-        return (share[:, None] * self.n_parts * values).reshape(-1)
-
-    def checked(self, descriptors: npt.ArrayLike) -> Float32Array:
-        """Check descriptors to be added, and return them as (B, n D) float32.
-
-        Raises:
-            InputError: when they are not (B, n, D) and finite with parts of norm 1/sqrt(n), or 0 for an empty part.
-        """
-        values = np.ascontiguousarray(descriptors, dtype=np.float32)
-        if values.ndim != 3 or values.shape[1:] != (self.n_parts, self.embedding):
-            raise InputError(
-                f"The descriptors are of shape {values.shape}; this index takes (B, {self.n_parts}, {self.embedding})."
-            )
-        norms = np.linalg.norm(values, axis=2) * self.n_parts**0.5
-        good = np.isfinite(norms) & ((norms == 0) | (abs(norms - 1) <= LONGEST - 1))
-        if not good.all():
-            row, part = np.argwhere(~good)[0]
-            raise InputError(
-                f"Part {part + 1} of descriptor {row + 1} has norm {norms[row, part] / self.n_parts**0.5:g}; expected "
-                f"{self.n_parts**-0.5:g}, as lpn.models.base.normalise makes it."
-            )
-        return values.reshape(len(values), self.numbers)
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,8 +62,11 @@ class SearchResult:
 class Index(ABC):
     """Tiles by name, searched by descriptor under any part weights.
 
+    An engine of one's own is a class with `_add`, `_nearest`, `_rows`, and `count`, registered as an entry point of the group
+    `lpn.indexes`; its address is NAME://... . It proposes tiles; scores and order are computed here.
+
     Attributes:
-        engine: "exact", "faiss", or "milvus".
+        engine: its name.
         kind: the kind of descriptors.
         most: maximum number of tiles in a search result; None for no limit.
     """
@@ -164,16 +92,11 @@ class Index(ABC):
             InputError: when an argument is not as described.
             StoreError: when the tiles cannot be written.
         """
-        vectors = self.kind.checked(descriptors)
+        vectors = checked(self.kind, descriptors)
         names, places = check_names(ids, len(vectors)), check_positions(positions, len(vectors))
         if names:
             self._add(names, vectors, places)
 
-    @abstractmethod
-    def _add(self, names: list[str], vectors: Float32Array, places: Float64Array) -> None:
-        """Add checked tiles, at least one."""
-
-    @abstractmethod
     def search(
         self, query: npt.ArrayLike, weights: npt.ArrayLike | None, k: int, box: DegreeBox | None = None
     ) -> SearchResult:
@@ -188,8 +111,32 @@ class Index(ABC):
             InputError: when an argument is not as described.
             StoreError: when the index cannot be read.
         """
+        wanted, k, box = rescaled(self.kind, query, weights), check_count(k), check_box(box)
+        if self.most is not None and k > self.most:
+            raise InputError(f"The number of tiles asked for is {k}; {self.engine} gives {self.most} at most.")
+        names, vectors, positions = self._nearest(wanted, k, box)
+        scores = scores_of(vectors.reshape(len(vectors), self.kind.numbers), wanted)
+        chosen = np.lexsort((np.arange(len(names)), -scores))[:k]
+        return SearchResult([names[i] for i in chosen.tolist()], scores[chosen], vectors[chosen], positions[chosen])
 
-    def tiles(self) -> tuple[list[str], Float32Array, Float64Array] | None:
+    def read(self, ids: Sequence[str]) -> tuple[Float32Array, Float64Array]:
+        """Return descriptors (B, n, D) and positions (B, 2), NaN for none, of tiles by name.
+
+        Raises:
+            InputError: when the index has no tile of one of these names.
+            StoreError: when the index cannot be read.
+        """
+        rows = self._rows(ids)
+        if missing := [name for name in ids if name not in rows]:
+            raise no_such_tile(missing[0])
+        return self._tiles(ids, rows)[1:]
+
+    def holds(self, ids: Sequence[str]) -> BoolArray:
+        """Return which names are in the index, (B,)."""
+        there = self._rows(ids, vectors=False)
+        return np.array([name in there for name in ids], np.bool_)
+
+    def tiles(self) -> Tiles | None:
         """Return names, descriptors (N, n, D), and positions (N, 2) of all tiles; None if the engine does not list them.
 
         Raises:
@@ -198,25 +145,31 @@ class Index(ABC):
         return None
 
     @abstractmethod
-    def read(self, ids: Sequence[str]) -> tuple[Float32Array, Float64Array]:
-        """Return descriptors (B, n, D) and positions (B, 2), NaN for none, of tiles by name.
-
-        Raises:
-            InputError: when the index has no tile of one of these names.
-            StoreError: when the index cannot be read.
-        """
-
-    @abstractmethod
-    def holds(self, ids: Sequence[str]) -> BoolArray:
-        """Return which names are in the index, (B,)."""
-
-    @abstractmethod
     def count(self) -> int:
         """Return the number of tiles."""
 
     @abstractmethod
+    def _add(self, names: list[str], vectors: Float32Array, places: Float64Array) -> None:
+        """Add checked tiles, at least one: their vectors (B, n, D) and positions (B, 2)."""
+
+    @abstractmethod
+    def _nearest(self, wanted: Float64Array, k: int, box: DegreeBox | None) -> Tiles:
+        """Return at least k tiles with high inner products with a rescaled query (n D,), in the order of ties."""
+
+    @abstractmethod
+    def _rows(self, names: Sequence[str], vectors: bool = True) -> dict[str, TileRow]:
+        """Return the vector and the position of existing tiles; neither has to be right without `vectors`."""
+
+    @abstractmethod
     def close(self) -> None:
         """Release files, threads, and connections."""
+
+    def _tiles(self, names: Sequence[str], rows: Mapping[str, TileRow]) -> Tiles:
+        """Return the tiles of these names from the result of `_rows`."""
+        vectors = np.array([rows[name][0] for name in names], np.float32)
+        positions = np.array([rows[name][1] for name in names], np.float64)
+        shape = len(names), self.kind.n_parts, self.kind.embedding
+        return list(names), vectors.reshape(shape), positions.reshape(-1, 2)
 
     def check_model(self, fingerprint: str) -> None:
         """Raise StoreError unless the descriptors are of this model."""
@@ -229,10 +182,45 @@ class Index(ABC):
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
+
+
+def rescaled(kind: DescriptorKind, query: npt.ArrayLike, weights: npt.ArrayLike | None) -> Float64Array:
+    """Compute w_i n q_i, whose inner product with a descriptor is its score: (n D,) float64.
+
+    Raises:
+        InputError: when the query is not (n, D) finite numbers, or the weights are not n numbers of 0 or more.
+    """
+    values = np.asarray(query, dtype=np.float64)
+    if values.shape != (kind.n_parts, kind.embedding) or not np.isfinite(values).all():
+        raise InputError(
+            f"The query is of shape {values.shape}; expected {kind.n_parts} parts of {kind.embedding} finite numbers."
+        )
+    share = scoring.part_weights(kind.n_parts, weights).astype(np.float64)
+    return (share[:, None] * kind.n_parts * values).reshape(-1)
+
+
+def checked(kind: DescriptorKind, descriptors: npt.ArrayLike) -> Float32Array:
+    """Check descriptors to be added, and return them as (B, n, D) float32.
+
+    Raises:
+        InputError: when they are not (B, n, D) and finite with parts of norm 1/sqrt(n), or 0 for an empty part.
+    """
+    values = np.ascontiguousarray(descriptors, dtype=np.float32)
+    if values.ndim != 3 or values.shape[1:] != (kind.n_parts, kind.embedding):
+        raise InputError(
+            f"The descriptors are of shape {values.shape}; this index takes (B, {kind.n_parts}, {kind.embedding})."
+        )
+    norms = np.linalg.norm(values, axis=2) * kind.n_parts**0.5
+    good = np.isfinite(norms) & ((norms == 0) | (abs(norms - 1) <= LONGEST - 1))
+    if not good.all():
+        row, part = np.argwhere(~good)[0]
+        raise InputError(
+            f"Part {part + 1} of descriptor {row + 1} has norm {norms[row, part] / kind.n_parts**0.5:g}; expected "
+            f"{kind.n_parts**-0.5:g}, as lpn.models.base.normalise makes it."
+        )
+    return values
 
 
 def no_such_tile(name: str) -> InputError:
@@ -251,11 +239,6 @@ def scores_of(vectors: FloatingArray, wanted: Float64Array) -> Float64Array:
     for start in range(0, len(vectors), _ROWS):
         scores[start : start + _ROWS] = (vectors[start : start + _ROWS] * wanted).sum(axis=1)
     return scores
-
-
-def best(scores: Float64Array, order: Int64Array, k: int) -> Int64Array:
-    """Return positions of the k highest scores; ties are broken by the lower `order`."""
-    return np.lexsort((order, -scores))[:k]
 
 
 def check_names(ids: Sequence[str], rows: int) -> list[str]:

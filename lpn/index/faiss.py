@@ -1,7 +1,5 @@
 """faiss (the extra `search`), for 10^6 to 10^7 tiles on one machine: a faiss index of the older parts, beside them.
 
-    0000012.faiss     the rows of the oldest parts, in their order; index.json names it and them
-
 faiss proposes candidates by compact codes, and the float32 vectors on disk score them. Tiles that faiss does not propose are
 missed. Newer parts are compared exhaustively, until they have more rows than the coded parts: then the codes are learnt anew.
 Codes have a byte for each 32 numbers (pq, 64 bytes for 2048), or for each number if their count is no multiple of 32 (sq8).
@@ -14,32 +12,26 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any, cast
 
+import msgspec
 import numpy as np
-import numpy.typing as npt
-from msgspec.structs import replace
 
-from lpn.core.arrays import Float32Array, Int64Array
+from lpn.core.arrays import Float32Array, Float64Array, Int64Array
 from lpn.core.errors import StoreError
-from lpn.index.base import DegreeBox, DescriptorKind, SearchResult, check_box, check_count
-from lpn.index.folder import EngineFile, FolderIndex, IndexManifest, IndexSnapshot, create
-from lpn.index.parts import Part, readable, sum_of
+from lpn.descriptors.store import CodesEntry, DescriptorKind, Manifest, Part, Store, readable, sum_of
+from lpn.index.base import DegreeBox
+from lpn.index.folder import FolderIndex, chosen_rows, scored
 
 # If at most this many tiles are in a box, all are compared, which is as fast and exact.
 _FEW = 4096
-# Maximum number of training vectors for each list.
-_SAMPLE = 64
-# Minimum number of training vectors for the codes, if the index has as many.
-_LEAST = 16384
+# Maximum number of training vectors for each list, and minimum for the codes, if the index has as many.
+_SAMPLE, _LEAST = 64, 16384
 _ROUNDS = 10
 _ROWS = 16384
 _PER_CODE = 32
 
 
 class FaissIndex(FolderIndex):
-    """An approximate index, which may miss tiles.
-
-    Args:
-        folder: folder of the index.
+    """An approximate index of a folder, which may miss tiles.
 
     Attributes:
         nprobe: inverted lists to visit; more miss fewer tiles and take longer.
@@ -57,107 +49,75 @@ class FaissIndex(FolderIndex):
 
     def __init__(self, folder: str | Path) -> None:
         self._faiss = cast(Any, import_module("faiss"))
+        # The open faiss index, and its file's name.
+        self._codes: tuple[str, Any] = "", None
         super().__init__(folder)
-        # The open faiss index, with its file's name and the identities of its parts.
-        self._codes: tuple[object, Any] = None, None
 
     @classmethod
     def create(cls, folder: str | Path, kind: DescriptorKind) -> FaissIndex:
-        """Make an empty index, or open an existing one of the same kind.
-
-        Raises:
-            StoreError: when the folder holds something else, or cannot be written.
-        """
+        """See `FolderIndex.create`."""
         import_module("faiss")
-        create(Path(folder), IndexManifest(engine=cls.engine, **vars(kind)))
-        return cls(folder)
-
-    def search(
-        self, query: npt.ArrayLike, weights: npt.ArrayLike | None, k: int, box: DegreeBox | None = None
-    ) -> SearchResult:
-        """See `Index.search`; ties among the candidates keep the order of insertion."""
-        wanted = self.kind.rescaled(query, weights)
-        k, box = check_count(k), check_box(box)
-        while True:
-            state = self._current()
-            try:
-                proposed = self._proposed(state, wanted.astype(np.float32), k, box)
-            except StoreError:
-                if self._stamp() == state.stamp:
-                    raise
-                continue  # another process has learnt new codes, and removed the file
-            return self._result(state, proposed, wanted, k)
+        return super().create(folder, kind)
 
     def close(self) -> None:
         """See `Index.close`."""
-        self._codes = None, None
+        self._codes = "", None
         super().close()
 
-    def _proposed(self, state: IndexSnapshot, wanted: Float32Array, k: int, box: DegreeBox | None) -> Int64Array:
-        """Return the positions of the candidates among all rows."""
-        file, depth = state.manifest.codes, max(k * self.depth, k)
-        covered = 0 if file is None else len(file.parts)
-        rows = [state.chosen(number, box) for number in range(covered)]
-        size = sum(part.rows if some is None else len(some) for part, some in zip(state.parts, rows, strict=False))
-        if size <= max(_FEW, depth):
-            return self._best_of(state, 0, wanted, depth, box)
-        assert file is not None
-        index = self._opened_codes(state, file)
+    def _candidates(self, store: Store, wanted: Float64Array, k: int, box: DegreeBox | None) -> Int64Array:
+        codes, depth = store.manifest.codes, max(k * self.depth, k)
+        covered = 0 if codes is None else len(codes.parts)
+        rows = [chosen_rows(store, number, box) for number in range(covered)]
+        size = sum(
+            len(part.vectors) if some is None else len(some) for part, some in zip(store.parts, rows, strict=False)
+        )
+        if codes is None or size <= max(_FEW, depth):
+            return _best(store, 0, wanted, depth, box)
+        index = self._opened(codes)
         selector = None
         if any(some is not None for some in rows):
-            mask = np.zeros(state.starts[covered], np.uint8)
-            for start, part, some in zip(state.starts.tolist(), state.parts, rows, strict=False):
-                mask[start : start + part.rows] = 1 if some is None else np.isin(np.arange(part.rows), some)
+            mask = np.zeros(store.starts[covered], np.uint8)
+            for start, part, some in zip(store.starts.tolist(), store.parts, rows, strict=False):
+                mask[start + (np.arange(len(part.vectors)) if some is None else some)] = 1
             selector = self._faiss.IDSelectorBitmap(np.packbits(mask, bitorder="little"))
         nprobe = min(self.nprobe, index.nlist)
         while True:
-            found = index.search(
-                wanted[None], min(size, depth), params=self._faiss.SearchParametersIVF(sel=selector, nprobe=nprobe)
-            )[1][0]
+            params = self._faiss.SearchParametersIVF(sel=selector, nprobe=nprobe)
+            found = index.search(wanted.astype(np.float32)[None], min(size, depth), params=params)[1][0]
             found = found[found >= 0]
             # With a box, the visited lists may hold fewer than k tiles.
             if len(found) >= min(k, size) or nprobe == index.nlist:
-                return np.concatenate([found, self._best_of(state, covered, wanted, depth, box)])
+                return np.concatenate([found, _best(store, covered, wanted, depth, box)])
             nprobe = min(2 * nprobe, index.nlist)
 
-    def _best_of(
-        self, state: IndexSnapshot, first: int, wanted: Float32Array, depth: int, box: DegreeBox | None
-    ) -> Int64Array:
-        """Return the best rows of the parts from `first` on; single precision reorders only ties in its last digits."""
-        places, scores = state.scores(range(first, len(state.parts)), wanted, box)
-        return places if len(places) <= depth else places[np.argpartition(scores, len(places) - depth)[-depth:]]
+    def _opened(self, codes: CodesEntry) -> Any:
+        if self._codes[0] != codes.name:
+            path = self.folder / codes.name
+            with readable(path):
+                path.open("rb").close()
+                try:
+                    index = self._faiss.read_index(str(path), self._faiss.IO_FLAG_MMAP)
+                except RuntimeError as error:
+                    raise ValueError("faiss cannot read it") from error
+            index.parallel_mode = 1  # threads share the lists of one query
+            self._codes = codes.name, index
+        return self._codes[1]
 
-    def _opened_codes(self, state: IndexSnapshot, file: EngineFile) -> Any:
-        which = file.name, *(part.identity for part in state.parts[: len(file.parts)])
-        opened, index = self._codes
-        if opened == which:
-            return index
-        path = self.folder / file.name
-        with readable(path):
-            path.open("rb").close()
-            try:
-                index = self._faiss.read_index(str(path), self._faiss.IO_FLAG_MMAP)
-            except RuntimeError as error:
-                raise ValueError("faiss cannot read it") from error
-        index.parallel_mode = 1  # threads share the lists of one query
-        self._codes = which, index
-        return index
-
-    def _with_engine_file(self, manifest: IndexManifest) -> IndexManifest:
+    def _with_codes(self, manifest: Manifest) -> Manifest:
         """Learn the codes of all parts if more rows lack codes than have them."""
         covered = 0 if manifest.codes is None else len(manifest.codes.parts)
         old, new = (sum(part.rows for part in some) for some in (manifest.parts[:covered], manifest.parts[covered:]))
         if new <= max(self.plain, old):
             return manifest
-        parts = tuple(part for part in manifest.parts if part.replaced < part.rows)
-        name = f"{manifest.next:07d}.faiss"
-        file = self.folder / name
-        self._learn([Part(self.folder / part.name, self.kind, part.rows).vectors for part in parts], file)
-        codes = EngineFile(name, tuple(part.name for part in parts), sum_of(file))
-        return replace(manifest, parts=parts, codes=codes, next=manifest.next + 1)
+        parts = tuple(part for part in manifest.parts if len(part.replaced) < part.rows)
+        file = self.folder / f"{parts[-1].name}.faiss"
+        self._learn([Part.open(self.folder / part.name, self.kind, part.rows).vectors for part in parts], file)
+        codes = CodesEntry(file.name, tuple(part.name for part in parts), sum_of(file))
+        return msgspec.structs.replace(manifest, parts=parts, codes=codes)
 
-    def _learn(self, parts: list[Float32Array], file: Path) -> None:
+    def _learn(self, vectors: list[Float32Array], file: Path) -> None:
         """Train lists and codes on a sample of all vectors, and write the faiss index."""
+        parts = [one.reshape(len(one), -1) for one in vectors]
         starts = np.cumsum([0, *map(len, parts)])
         rows = int(starts[-1])
         # About sqrt(N) lists. "np" skips the sorting of codes for polysemous filtering, which is unused and slow.
@@ -177,3 +137,9 @@ class FaissIndex(FolderIndex):
             self._faiss.write_index(index, str(file))
         except RuntimeError as error:
             raise StoreError(f"{file} cannot be written; free space or choose another folder.") from error
+
+
+def _best(store: Store, first: int, wanted: Float64Array, depth: int, box: DegreeBox | None) -> Int64Array:
+    """Return the best rows of the parts from `first` on; single precision reorders only ties in its last digits."""
+    places, scores = scored(store, range(first, len(store.parts)), wanted, box)
+    return places if len(places) <= depth else places[np.argpartition(scores, len(places) - depth)[-depth:]]

@@ -1,21 +1,19 @@
-"""Windows of a map into an index, block by block, so that memory never holds all windows or descriptors of a whole county.
-
-A store of descriptors (`lpn.flight.locate.map_windows`) lists all windows in its manifest. Here, only the index knows a
-window, by its name. So 10^7 windows need no more memory than 10^4.
-"""
+"""Windows of a map into an index, block by block: memory never holds all windows or descriptors of a whole county."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from lpn.core.arrays import Float32Array
 from lpn.core.progress import report_progress
 from lpn.descriptors.parallel_inference import describe_each
+from lpn.descriptors.store import DescriptorKind, WindowsRecord
 from lpn.flight.maps import Map, NamedWindow, Window
 from lpn.flight.maps.named_window import WindowCut
-from lpn.index.base import DegreeBox, Index, WindowsRecord, within
+from lpn.index.base import DegreeBox, Index, within
 from lpn.models.base import Model
 
 # Returns the descriptors (B, n, D) of windows.
@@ -25,8 +23,10 @@ DescribeWindows = Callable[[Sequence[Window]], Float32Array]
 BLOCK = 1024
 
 
-def windows_record(basemap: Map, sizes: Sequence[float], overlap: float = 0.5, turns: int = 1) -> WindowsRecord:
-    """Return the record with which an index of a map's windows is made.
+def windows_kind(
+    model: Model, basemap: Map, sizes: Sequence[float], overlap: float = 0.5, turns: int = 1
+) -> DescriptorKind:
+    """Return the kind with which an index of a map's windows is made.
 
     Args:
         sizes, overlap: see `Map.pyramid`.
@@ -34,7 +34,9 @@ def windows_record(basemap: Map, sizes: Sequence[float], overlap: float = 0.5, t
             needs one description instead of eight, see `lpn.flight.locate.index_windows`.
     """
     ascending = tuple(sorted(float(size) for size in sizes))
-    return WindowsRecord(basemap.identity(), ascending, overlap, turns, basemap.count_pyramid(ascending, overlap))
+    count = basemap.count_pyramid(ascending, overlap)
+    record = WindowsRecord(basemap.identity(), ascending, overlap, turns, count)
+    return replace(DescriptorKind.of_model(model, "satellite"), windows=record)
 
 
 def index_windows(
@@ -42,7 +44,7 @@ def index_windows(
     basemap: Map,
     describe: DescribeWindows,
     block: int = BLOCK,
-    replace: bool = False,
+    again: bool = False,
     box: DegreeBox | None = None,
 ) -> int:
     """Describe the windows that an index lacks of the map that it was made for, and add them by name, with positions.
@@ -53,7 +55,7 @@ def index_windows(
     Args:
         describe: see `window_describer`.
         block: windows that are described and added together.
-        replace: describe all windows, also those that the index holds.
+        again: describe all windows, also those that the index holds.
         box: describe only the windows with centres in it, so that several machines share a map.
 
     Returns:
@@ -81,7 +83,7 @@ def index_windows(
             ]
             named = NamedWindow.all_of(some, basemap.frame)
             names = [one.name for one in named]
-            missing = np.arange(len(named)) if replace else np.flatnonzero(~index.holds(names))
+            missing = np.arange(len(named)) if again else np.flatnonzero(~index.holds(names))
             if len(missing):
                 chosen = [named[i] for i in missing.tolist()]
                 degrees = np.array([(one.latitude, one.longitude) for one in chosen])

@@ -7,7 +7,6 @@ Pictures at equal scale have nearer neighbours. So the common ratio is the one w
 
 for descriptors less the mean of their view at this zoom. Then each drone picture takes the k that maximises
 s(r STEP^k) - PRIOR k^2, k = -2 .. 2. No label enters.
-s(r STEP^k) - PRIOR k^2, k = -2 .. 2. No label enters.
 """
 
 from __future__ import annotations

@@ -1,22 +1,19 @@
 """Exact ranks of the true matches of many queries, mostly from single-precision scores.
 
-The rank of a true match is the number of tiles ahead of it. If the single-precision scores of a true and a false tile differ
-by more than their rounding errors, they decide the order. Closer false tiles are compared in double precision, and equal
-scores rank in gallery order. A query with many close tiles, as in a collapsed network, has all scores in double precision.
+The rank of a true match is the number of tiles ahead of it. Single-precision scores that differ by more than their rounding
+errors decide the order. Closer false tiles are compared in double precision, and equal scores rank in gallery order. A query with
+many close tiles, as in a collapsed network, has all scores in double precision.
 
 An inner product of F numbers in single precision (u = 2^-24), summed in any order over chunks of L and then over the chunks,
-has an error of at most
-
-    (L + ceil(F / L) + 2) u |q| |g|
-
-which includes two roundings of the numbers themselves to single precision (Higham, "Accuracy and Stability of Numerical
-Algorithms", 3.1). Numbers far from 1 are multiplied by powers of two first, so that no product overflows.
+has an error of at most (L + ceil(F / L) + 2) u |q| |g|, which includes two roundings of the numbers themselves (Higham, "Accuracy
+and Stability of Numerical Algorithms", 3.1). Numbers far from 1 are multiplied by powers of two first, so no product overflows.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import groupby
 
 import numpy as np
@@ -28,13 +25,11 @@ from lpn.datasets import Truth
 JUNK = -1
 
 _NONE = np.zeros(0, np.int64)
-_BLOCK_BYTES = 160_000_000
-# Maximum number of queries in a block.
-_BLOCK_ROWS = 1024
-# Tiles multiplied at a time, so that partial sums stay in the processor's cache.
-_COLUMNS = 4096
-# Numbers of a descriptor that are summed in one chunk: shorter chunks give a tighter bound, but cost more additions.
-_CHUNK = 512
+# Bytes and queries of a block of products, at most.
+_BLOCK_BYTES, _BLOCK_ROWS = 160_000_000, 1024
+# Tiles multiplied at a time, and numbers of a descriptor that are summed in one chunk. Partial sums stay in the processor's
+# cache, and shorter chunks give a tighter bound, but cost more additions.
+_COLUMNS, _CHUNK = 4096, 512
 # Unit roundoff of single precision.
 _UNIT = 2.0**-24
 # Pairs of rows that fit into the processor's cache.
@@ -63,18 +58,15 @@ class Lists:
     def entries(self, rows: slice) -> tuple[Int64Array, Int64Array]:
         """Return the row, relative to the first of `rows`, and the tile of every entry of these queries' lists."""
         begin, counts = self.begin[rows], self.end[rows] - self.begin[rows]
-        before = np.cumsum(counts) - counts
-        return np.repeat(np.arange(len(counts)), counts), self.tiles[
-            np.arange(counts.sum()) + np.repeat(begin - before, counts)
-        ]
+        places = np.arange(counts.sum()) + np.repeat(begin - (np.cumsum(counts) - counts), counts)
+        return np.repeat(np.arange(len(counts)), counts), self.tiles[places]
 
 
 @dataclass(frozen=True, eq=False)
 class GroundTruth:
     """The true tiles and the junk of each query, and the tiles that are junk for all queries.
 
-    `trapezoid` tells each query's average precision, see `average_precision`, (Q,). `among` has the only ranked tiles of each
-    query, None for all; it is empty if all queries rank all tiles.
+    `trapezoid` tells each query's average precision, (Q,). `among` has the only ranked tiles of each query, None for all.
     """
 
     true: Lists
@@ -170,12 +162,7 @@ class Scores:
         self._errors = 1.02 * terms * _UNIT * reach * longest + length * 2.0**-120 * (1 + reach) * (1 + longest)
 
     def blocks(self) -> Iterator[tuple[slice, Float32Array, Float64Array]]:
-        """Yield blocks of queries of at most 160 MB.
-
-        Yields:
-            The rows of the block, their products with all tiles (B, G), which the caller may overwrite, and the error bound of
-            each row, (B,).
-        """
+        """Yield each block's rows, their products with all tiles (B, G), which may be overwritten, and their error bounds."""
         block = max(1, min(_BLOCK_ROWS, _BLOCK_BYTES // (4 * max(len(self._tiles), 1))))
         for start in range(0, len(self._queries), block):
             rows = slice(start, min(start + block, len(self._queries)))
@@ -231,6 +218,7 @@ def rank(scores: Scores, ground_truth: GroundTruth, rows: slice, block: Float32A
     counts, trapezoid = np.bincount(row, minlength=len(block)), ground_truth.trapezoid[rows]
     begins = np.cumsum(counts) - counts
 
+    # Queries with one true tile, all at once.
     one = begins[counts == 1]
     alone, own_tile = row[one], tile[one]
     low, high = _rounded(score[one] - gap[alone], -np.inf), _rounded(score[one] + gap[alone], np.inf)
@@ -244,57 +232,61 @@ def rank(scores: Scores, ground_truth: GroundTruth, rows: slice, block: Float32A
     some, queries = block[alone[unsure]], rows.start + alone[unsure]
     line, close = np.nonzero((some >= low[unsure, None]) & (some <= high[unsure, None]))
     exact, tiles = scores.exact(queries, own_tile[unsure]), own_tile[unsure]
-    before = _ranks_before(exact[line], tiles[line], scores.exact(queries[line], close), close)
+    before = _before(exact[line], tiles[line], scores.exact(queries[line], close), close)
     above[unsure] += np.bincount(line[before], minlength=len(unsure))
     first[alone], true[alone] = above, own_tile
     whole = 1 / (first[alone] + 1)
     precision[alone] = np.where(trapezoid[alone], (whole + (first[alone] == 0)) / 2, whole)
+
+    # Queries with several true tiles, and those with many close tiles, one by one.
     for i in np.flatnonzero(crowded | (counts > 1)).tolist():
-        own, query, line = slice(begins[i], begins[i] + counts[i]), rows.start + i, block[i]
-        found = None if crowded[i] else _ranks_of_several(scores, query, tile[own], score[own], line, gap[i], most)
+        own, query, values = slice(begins[i], begins[i] + counts[i]), rows.start + i, block[i]
+        few = -1 if crowded[i] else most
+        found = _ranks_of(partial(scores.exact, query), tile[own], score[own], values, gap[i], few)
         if found is None:
-            exact, is_false = scores.exact(query, np.arange(len(line))), line > -np.inf
-            found = _ranks_in_double(exact, tile[own], is_false)
-            false[i] = np.argmax(np.where(is_false, exact, -np.inf))
-        ranks, true[i] = found
-        if len(ranks):
+            exact = scores.exact(query, np.arange(len(values)))
+            values = np.where(values > -np.inf, exact, -np.inf)
+            false[i] = np.argmax(values)
+            found = _ranks_of(exact.__getitem__, tile[own], exact[tile[own]], values, 0.0, block.size)
+        if found is not None:
+            ranks, true[i] = found
             first[i], precision[i] = ranks[0], average_precision(ranks, bool(trapezoid[i]))
     return Ranked(first, true, np.where(top > -np.inf, false, -1), precision, lead)
 
 
-def _ranks_in_double(exact: Float64Array, tiles: Int64Array, is_false: BoolArray) -> tuple[Int64Array, int]:
-    """Return the ascending ranks of a query's true tiles, and the nearest of them or -1, from its exact scores (G,)."""
-    others, scores = np.flatnonzero(is_false), exact[is_false]
-    above = [np.count_nonzero(_ranks_before(exact[tile], tile, scores, others)) for tile in tiles]
-    nearest = int(tiles[exact[tiles].argmax()]) if len(tiles) else -1
-    return np.sort(np.array(above, np.int64)) + np.arange(len(tiles)), nearest
-
-
-def _ranks_of_several(
-    scores: Scores, query: int, tiles: Int64Array, score: Float64Array, line: Float32Array, gap: float, most: int
+def _ranks_of(
+    exact_of: Callable[[Int64Array], Float64Array],
+    tiles: Int64Array,
+    score: Float64Array,
+    line: AnyArray,
+    gap: float,
+    most: int,
 ) -> tuple[Int64Array, int] | None:
     """Return the ascending ranks of a query's true tiles, and the nearest of them; None if more than `most` are close.
 
     Args:
-        line: scores of the false tiles, (G,).
+        exact_of: returns the exact scores of tiles.
+        score: scores of the true tiles, (T,).
+        line: scores of the false tiles, (G,), -inf for others.
+        gap: scores that differ by more are in their true order.
     """
-    low, high = _rounded(score - gap, -np.inf), _rounded(score + gap, np.inf)
-    near = (line >= low.min()).nonzero()[0]
+    low, high = score - gap, score + gap
+    near = (line >= low.min(initial=np.inf)).nonzero()[0]
     order = near[line[near].argsort()]
     ordered = line[order]
     start, stop = ordered.searchsorted(low, "left"), ordered.searchsorted(high, "right")
     above, counts = len(ordered) - stop, stop - start
-    if counts.sum() > most:
+    if not len(tiles) or counts.sum() > most:
         return None
     unsure, nearest = counts.nonzero()[0], (score >= score.max() - gap).nonzero()[0]
     exact = np.zeros(len(tiles))
     recomputed = np.union1d(unsure, nearest) if len(nearest) > 1 else unsure
     if len(recomputed):
-        exact[recomputed] = scores.exact(query, tiles[recomputed])
+        exact[recomputed] = exact_of(tiles[recomputed])
         owner = np.arange(len(tiles)).repeat(counts)
         close = order[np.arange(len(owner)) + (start - counts.cumsum() + counts).repeat(counts)]
         others, place = np.unique(close, return_inverse=True)
-        before = _ranks_before(exact[owner], tiles[owner], scores.exact(query, others)[place], close)
+        before = _before(exact[owner], tiles[owner], exact_of(others)[place], close)
         above += np.bincount(owner[before], minlength=len(above))
     above.sort()
     return above + np.arange(len(above)), int(tiles[nearest[exact[nearest].argmax()]])
@@ -325,9 +317,7 @@ def _gaps(block: Float32Array) -> Float64Array:
     return np.where(np.isfinite(gaps), gaps, np.nan)
 
 
-def _ranks_before(
-    score: float | Float64Array, tile: int | Int64Array, others: Float64Array, tiles: Int64Array
-) -> BoolArray:
+def _before(score: Float64Array, tile: Int64Array, others: Float64Array, tiles: Int64Array) -> BoolArray:
     """Return the mask of `tiles` that rank before `tile`; equal scores rank in gallery order."""
     return np.asarray((others > score) | ((others == score) & (tiles < tile)))
 

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
+import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lpn import descriptors
+from lpn.core.checksums import crc_of_values
 from lpn.core.errors import LPNError
 from lpn.datasets.geo import read_positions
 from lpn.models.spec import ModelSpec
@@ -19,30 +23,33 @@ VALUES = st.recursive(
     lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=6), inner, max_size=3),
     max_leaves=8,
 )
-MANIFEST: dict[str, Any] = {
-    "fingerprint": "0" * 16,
-    "view": "drone",
-    "rotate": 0.0,
-    "n_parts": 2,
-    "embedding": 4,
-    "rows": [{"file": "a.png", "size": 1, "time_ns": 2, "box": [0, 0, 9, 9]}],
-    "precision": "float32",
-    "shift": 0,
-    "scale": 1.0,
-    "format": descriptors.FORMAT,
-    "checksums": {"block": 1024, "blocks": [1], "manifest": 2},
+ROW = descriptors.Row("a.png", 1, 2, (0.0, 0.0, 9.0, 9.0))
+FILES = {
+    "store.json": ("kind", "parts", "engine", "codes"),
+    "rows.json": ("files", "sizes", "times", "boxes", "positions", "sum"),
 }
 
 
 @MANY
-@given(key=st.sampled_from([*MANIFEST, "other"]), value=VALUES)
-def test_a_manifest_with_any_value_is_read_or_refused(key: str, value: Any) -> None:
-    try:
-        read = descriptors.Manifest.from_json(json.dumps(MANIFEST | {key: value}).encode(), "manifest.json")
-    except LPNError:
-        return
-    # An accepted value survives a round trip through its file.
-    assert descriptors.Manifest.from_json(read.to_json(), "manifest.json") == read
+@given(file=st.sampled_from([(name, key) for name, keys in FILES.items() for key in keys]), value=VALUES)
+def test_a_store_with_any_value_is_read_or_refused(file: tuple[str, str], value: Any) -> None:
+    name, key = file
+    with TemporaryDirectory() as folder:
+        kind = descriptors.DescriptorKind("0" * 16, 2, 4, view="drone")
+        store = descriptors.write_store(
+            Path(folder), kind, [ROW], lambda partial: partial.put([0], np.zeros((1, 2, 4)))
+        )
+        changed = store.folder / name if name == "store.json" else store.parts[0].folder / name
+        values = json.loads(changed.read_bytes()) | {key: value}
+        if "checksum" in values:
+            values["checksum"] = crc_of_values({one: values[one] for one in values if one != "checksum"})
+        changed.write_text(json.dumps(values))
+        try:
+            read = descriptors.open_store(folder)
+            _ = read.rows, read.positions, read.float32
+        except LPNError:
+            return
+        assert len(read) == len(read.rows) == len(read.positions) == len(read.float32)
 
 
 @MANY

@@ -14,9 +14,7 @@ import onnx
 import pytest
 import torch
 
-from lpn import descriptors
 from lpn.cli import main
-from lpn.core.checksums import Checksums
 from lpn.core.errors import DataError, ModelFileError
 from lpn.datasets.geo import read_positions
 from lpn.datasets.integrity import DAMAGED, picture_error
@@ -204,20 +202,6 @@ def test_a_png_that_claims_gigabytes_needs_no_room(tmp_path: Path) -> None:
         resource.setrlimit(resource.RLIMIT_AS, before)
 
 
-def test_checksums_of_another_number_of_blocks_are_not_counted(
-    model_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """A manifest that tells of blocks of one byte would have a store of gigabytes counted byte by byte."""
-    small_worlds.write(tmp_path / "a.png", small_worlds.place(1))
-    made = descriptors.describe(Engine(model_file, threads=1), [tmp_path / "a.png"], "drone", tmp_path / "store")
-    told = made.manifest.checksums
-    assert told is not None
-    assert not made.damaged().any()
-    lying = replace(made, manifest=replace(made.manifest, checksums=Checksums(1, told.blocks, told.manifest)))
-    monkeypatch.setattr("lpn.descriptors.store.crc_of_blocks", lambda *_: pytest.fail("counted"))
-    assert lying.damaged().all()
-
-
 def test_a_model_of_many_epochs_without_its_state_is_not_trained_over(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -254,28 +238,3 @@ def test_parts_of_two_quantisations_are_not_one_model(tmp_path: Path) -> None:
     onnx.save_model(proto, second)
     with pytest.raises(ModelFileError, match="another model than the file beside it"):
         Engine(first, threads=1)
-
-
-def test_a_part_of_a_store_that_is_damaged_or_claims_gigabytes_is_told(tmp_path: Path) -> None:
-    pytest.importorskip("pyarrow")
-    from lpn.cluster.parts import PartItem, Plan, contents_of, open_parts, write_part
-    from lpn.cluster.storage import Storage
-    from lpn.core.errors import StoreError
-
-    storage, plan = Storage(tmp_path), Plan("0" * 16, "drone", 1, 4, "float32")
-    items = [PartItem(descriptors.Row(f"{i}.png", 9, 1, None), (46.125, 7.5)) for i in range(9)]
-    file = tmp_path / write_part(storage, plan, items, np.full((9, 1, 4), 0.5, np.float32))
-    storage.write("plan.json", replace(plan, contents=contents_of([file.name])).to_json())
-    whole = file.read_bytes()
-    for text, offset in ((b"46.125", 1), (np.float32(0.5).tobytes() * 2, 3)):
-        data = bytearray(whole)
-        data[data.index(text) + offset] ^= 1
-        file.write_bytes(data)
-        with pytest.raises(StoreError, match="damaged"):
-            (opened := open_parts(tmp_path)).vectors(opened.parts[0])
-    for packing in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):  # as many pictures, other numbers
-        with zipfile.ZipFile(io.BytesIO(whole)) as archive, zipfile.ZipFile(file, "w", packing) as forged:
-            forged.writestr("notes.json", archive.read("notes.json"))
-            forged.writestr("vectors.bin", bytes(1 << 20))
-        with pytest.raises(StoreError, match="damaged"):
-            (opened := open_parts(tmp_path)).vectors(opened.parts[0])

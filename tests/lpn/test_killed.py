@@ -107,14 +107,13 @@ def test_describe(tiny: Path, places: Path, tmp_path: Path, killer: Killer) -> N
     out = tmp_path / "out"
 
     def whole() -> object:
-        if not (out / "manifest.json").exists():
-            with pytest.raises(StoreError, match="has no manifest"):
+        if not (out / "store.json").exists():
+            with pytest.raises(StoreError, match=r"has no store\.json"):
                 descriptors.open_store(out)
             return None
         store = descriptors.open_store(out)
-        assert not store.damaged().any()
-        assert not store.manifest.damaged
-        return np.array(store.descriptors).round(5).tobytes(), store.manifest.rows
+        store.check()
+        return np.array(store.descriptors).round(5).tobytes(), store.rows
 
     arguments = ["describe", "--model", str(tiny), "--images", str(places), "--view", "drone", "--out", str(out)]
     survives(Command(arguments, whole, whole), killer, out)
@@ -143,7 +142,7 @@ def test_index(tiny: Path, places: Path, tmp_path: Path, killer: Killer) -> None
     query = np.array(made.descriptors[3])
 
     def found() -> object:
-        if not (out / "index.json").exists():
+        if not (out / "store.json").exists():
             return None
         opened = index.open_index(out)
         answer = opened.search(query, None, 3)
@@ -297,10 +296,10 @@ def test_a_store_read_while_it_is_written_is_none_or_whole(
         shutil.rmtree(out)
         shutil.copytree(before, out)
         killed += killer.run(arguments, step=step)[0] == -signal.SIGKILL
-        if (out / "manifest.json").exists():
+        if (out / "store.json").exists():
             store = descriptors.open_store(out)
-            assert not store.damaged().any()
-            assert len(store.descriptors) == len(store.manifest.rows)
+            store.check()
+            assert len(store.descriptors) == len(store.rows)
         assert killer.run(arguments)[0] == 0, killer.log.read_text()
         assert len(descriptors.open_store(out).descriptors) == len(descriptors.pictures_below(pictures))
     assert killed >= steps - 2, "a run may save once less than another"

@@ -1,7 +1,7 @@
 """One query against a gallery: `python -m tools.bench.search`.
 
 The peers are NumPy's product with the whole gallery and a partial sort, and faiss's flat index. Ours is
-`lpn.index.ExactIndex`, memory-mapped, with equal and with other part weights; it gives names, scores,
+`lpn.index.folder`, memory-mapped, with equal and with other part weights; it gives names, scores,
 and the vectors of the top 100, as the peers do. The limit is reading the vectors once, by the quickest of a few ways to
 read them. All take turns in one process, and the tables give medians.
 
@@ -25,7 +25,7 @@ import numpy as np
 
 from lpn.core.arrays import Float32Array, Float64Array
 from lpn.core.resources import usable_cores
-from lpn.index import DegreeBox, DescriptorKind, ExactIndex, base
+from lpn.index import DegreeBox, DescriptorKind, base, create_index
 from lpn.models.base import normalise
 from lpn.retrieval import scoring
 from tools.bench import figures as measuring
@@ -105,7 +105,7 @@ def peers(gallery: Float32Array, asked: Float32Array, weights: Float32Array) -> 
     """NumPy, and faiss where it is installed; both give positions, scores, and vectors."""
     flat = gallery.reshape(len(gallery), KIND.numbers)
     positions = np.concatenate([places(start, min(BLOCK, len(flat) - start)) for start in range(0, len(flat), BLOCK)])
-    vectors = [KIND.rescaled(query, weights).astype(np.float32) for query in asked]
+    vectors = [base.rescaled(KIND, query, weights).astype(np.float32) for query in asked]
 
     def by_numpy(number: int) -> object:
         scores = flat @ vectors[number]
@@ -144,7 +144,7 @@ def compare(count: int, folder: Path, rounds: int) -> list[Figure]:
     gallery = np.concatenate([block for _, block in drawn(count)])
     asked = queries(gallery)
     equal, other = scoring.part_weights(KIND.n_parts), scoring.part_weights(KIND.n_parts, OTHER)
-    index = filled(ExactIndex.create(folder / str(count), KIND), count)
+    index = filled(create_index(folder / str(count), KIND), count)
     tasks = readers(gallery) | peers(gallery, asked, equal)
 
     def search(weights: Float32Array, box: base.DegreeBox | None, number: int) -> object:

@@ -16,7 +16,7 @@ import zipfile
 import zlib
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -109,50 +109,36 @@ def pictures(_: Path) -> list[FuzzCase]:
 
 
 def stores(folder: Path) -> list[FuzzCase]:
-    """Descriptors: a store, one that was interrupted, parts with their plan, and an index."""
+    """Descriptors: a store, one that was interrupted, and an index with positions."""
     from lpn import descriptors, index
-    from lpn.cluster.parts import PartItem, Plan, contents_of, open_parts, write_part
-    from lpn.cluster.storage import Storage
-    from lpn.descriptors.partial_store import LOG, PartialStore
-    from lpn.descriptors.transforms import UNCHANGED
-    from lpn.descriptors.writer import write_store
     from lpn.models.base import normalise
 
-    rows = tuple(descriptors.Row(f"{i % 3}/{i:02d}.png", 100 + i, 10**18 + i, (0.0, 1.0, 9.5, 9.0)) for i in range(12))
-    plain = descriptors.Manifest("0" * 16, "drone", UNCHANGED.rotate, 2, 8, rows)
+    rows = [descriptors.Row(f"{i % 3}/{i:02d}.png", 100 + i, 10**18 + i, (0.0, 1.0, 9.5, 9.0)) for i in range(12)]
+    kind = descriptors.DescriptorKind("0" * 16, 2, 8, view="drone")
     raw = normalise(np.random.default_rng(0).standard_normal((12, 2, 8)).astype(np.float32))
-    write_store(folder / "store", plain, lambda unfinished: unfinished.put(range(12), raw))
-    manifest, array, part = folder / "store" / "manifest.json", folder / "store" / "descriptors.npy", folder / "part"
-    part.mkdir()
-    unfinished = PartialStore(part, plain, None)
+    descriptors.write_store(folder / "store", kind, rows, lambda partial: partial.put(range(12), raw))
+    (folder / "part").mkdir()
+    unfinished = descriptors.PartialStore(folder / "part", kind, rows)
     unfinished.put(range(7), raw[:7])
-    unfinished.close()
+    unfinished.save()
+    index.create_index(folder / "index", kind).add([row.file for row in rows], raw, np.full((12, 2), 46.0))
 
-    def interrupted(data: bytes) -> None:
-        (part / LOG).write_bytes(data)
-        PartialStore(part, plain, None).close()
+    def interrupted() -> None:
+        partial = descriptors.PartialStore(folder / "part", kind, rows)
+        _ = [len(block) for block in partial.blocks()]
 
     def opened() -> None:
         store = descriptors.open_store(folder / "store")
-        _ = store.float32, store.damaged(), store.manifest.damaged, store.manifest.change.describe()
+        _ = store.float32, store.rows, store.positions, store.kind.change.describe(), store.check()
 
-    (folder / "parts").mkdir()
-    storage, plan = Storage(folder / "parts"), Plan("0" * 16, "drone", 2, 8, "float32")
-    written = write_part(storage, plan, [PartItem(row, (46.0, 7.0)) for row in rows], raw)
-    storage.write("plan.json", replace(plan, contents=contents_of([written])).to_json())
+    def searched() -> None:
+        index.open_index(folder / "index").search(raw[0], None, 3, (40, 40, 50, 50))
 
-    def gathered() -> None:
-        found = open_parts(folder / "parts")
-        _ = [(part.positions, found.vectors(part)) for part in found.parts]
-
-    index.create_index(folder / "index", index.DescriptorKind("0" * 16, 2, 8)).add([row.file for row in rows], raw)
-    files = [file for file in sorted((folder / "index").rglob("*")) if file.is_file() and file.stat().st_size]
     return [
-        in_file(manifest, opened, manifest.read_bytes(), plain.to_json()),
-        in_file(array, opened),
-        FuzzCase([(part / LOG).read_bytes()], interrupted),
-        *(in_file(folder / "parts" / name, gathered) for name in ("plan.json", written)),
-        *(in_file(file, lambda: index.open_index(folder / "index").search(raw[0], None, 3)) for file in files),
+        in_file(file, read)
+        for name, read in (("store", opened), ("part", interrupted), ("index", searched))
+        for file in sorted((folder / name).rglob("*"))
+        if file.is_file()
     ]
 
 

@@ -22,10 +22,8 @@ from lpn.core.files import cache_folder
 from lpn.core.filled_cache import FilledCache
 from lpn.core.views import View
 from lpn.descriptors.cache import in_cache
-from lpn.descriptors.partial_store import PartialStore
-from lpn.descriptors.store import Manifest, Row
-from lpn.descriptors.transforms import UNCHANGED
-from lpn.descriptors.writer import fill_store, write_store
+from lpn.descriptors.store import DescriptorKind, Row
+from lpn.descriptors.writer import PartialStore, fill_store, write_store
 from lpn.flight.files import Flight, Frame
 from lpn.flight.files.cut import CUT, FrameReader, cut_size
 from lpn.flight.locate.index_windows import WindowIndex
@@ -365,15 +363,15 @@ def describe_frames(
         frame, share, heading = jobs[job]
         return model.prepare(reader(frame.file, heading, share), view)
 
-    rows = tuple(_frame_row(frame, heading, share) for frame, share, heading in jobs)
-    manifest = Manifest.for_model(model, view, UNCHANGED, rows)
+    rows = [_frame_row(frame, heading, share) for frame, share, heading in jobs]
+    kind = DescriptorKind.of_model(model, view)
     broken: dict[int, PictureError] = {}
 
     def fill(partial: PartialStore) -> None:
         fill_store(model, partial, of_frame, view, "Describing frames", broken)
 
     with in_cache():
-        return np.array(write_store(_cached(side, manifest), manifest, fill, whole=False).float32), broken
+        return np.array(write_store(_cached(side, kind, rows), kind, rows, fill, whole=False).float32), broken
 
 
 def described_windows(model: Model, basemap: Map, windows: list[Window]) -> Float32Array:

@@ -91,10 +91,11 @@ class ShippedAnswers:
     def _descriptors(self, name: str, rows: Sequence[Row]) -> Float32Array | None:
         try:
             store = open_store(self.folder / name)
+            store.check()
         except StoreError:
             return None
-        fits = store.manifest.fingerprint == self.record.fingerprint and not store.damaged().any()
-        return np.array(store.float32) if fits and _alike(store.manifest.rows, rows) else None
+        fits = store.kind.fingerprint == self.record.fingerprint and _alike(store.rows, rows)
+        return np.array(store.float32) if fits else None
 
 
 def identity(model: Model, basemap: Map, flight: Flight) -> tuple[str, str, str, Files, Files]:

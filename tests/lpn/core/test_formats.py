@@ -18,15 +18,13 @@ from safetensors.torch import save_file
 
 import lpn
 from lpn import descriptors
-from lpn.cluster.parts import Plan
-from lpn.cluster.storage import Storage
 from lpn.core.checksums import crc_of_values
 from lpn.core.errors import DataError, InputError, LPNError, ModelFileError, StoreError
 from lpn.core.formats import is_newer
 from lpn.datasets import metadata
 from lpn.descriptors import open_store
 from lpn.doctor.verify import verify
-from lpn.index import DescriptorKind, ExactIndex, open_index
+from lpn.index import DescriptorKind, create_index
 from lpn.models.checkpoints import load_torch
 from lpn.models.onnx_engine import Engine
 from lpn.models.spec import ModelSpec
@@ -81,17 +79,22 @@ def store(model_file: Path, data: Path, tmp_path: Path) -> Path:
 
 
 def test_a_later_store_is_neither_read_nor_replaced(store: Path, model_file: Path, data: Path) -> None:
-    of_later(store / "manifest.json")
-    before = (store / "manifest.json").read_bytes()
     files = descriptors.pictures_below(data / "test" / "gallery_satellite")
-    with pytest.raises(StoreError, match="manifest.json was written " + LATER):
+    of_later(store / "store.json")
+    before = (store / "store.json").read_bytes()
+    with pytest.raises(StoreError, match=r"store\.json in .* was written " + LATER):
         open_store(store)
     with pytest.raises(StoreError, match=LATER):
+        create_index(store, DescriptorKind("0123456789abcdef", 2, 8))
+    with pytest.raises(StoreError, match=LATER):
         descriptors.describe(lpn.load(model_file), files, "satellite", store, root=data)
-    (store / "manifest.json").rename(store / "descriptors.log")
-    with pytest.raises(StoreError, match="descriptors.log was written " + LATER):
+    assert (store / "store.json").read_bytes() == before
+    (store / "store.json").unlink()
+    (rows,) = store.glob("*/rows.json")
+    of_later(rows)
+    with pytest.raises(StoreError, match=r"rows\.json in .* was written " + LATER):
         descriptors.describe(lpn.load(model_file), files, "satellite", store, root=data)
-    assert (store / "descriptors.log").read_bytes() == before
+    assert rows.exists()
 
 
 def test_later_model_files_are_named(model_file: Path, tmp_path: Path) -> None:
@@ -129,24 +132,16 @@ def test_a_state_of_another_version_says_which_way(tmp_path: Path) -> None:
 def index(tmp_path: Path) -> Path:
     kind = DescriptorKind("0123456789abcdef", 2, 8)
     vectors = np.full((20, 2, 8), 0.25, np.float32)
-    with ExactIndex.create(tmp_path / "index", kind) as made:
+    with create_index(tmp_path / "index", kind) as made:
         made.add([f"tile {i}" for i in range(20)], vectors)
         made.add(["tile 3"], vectors[:1])
     return tmp_path / "index"
 
 
-def test_a_later_index_is_neither_read_nor_added_to(index: Path) -> None:
-    of_later(index / "index.json")
-    with pytest.raises(StoreError, match=r"index\.json in .* was written " + LATER):
-        open_index(index)
-    with pytest.raises(StoreError, match=LATER):
-        ExactIndex.create(index, DescriptorKind("0123456789abcdef", 2, 8))
-
-
 def test_a_flipped_byte_is_found_in_every_file_of_an_index(index: Path, tmp_path: Path) -> None:
     assert [(verdict.message, verdict.whole) for verdict in verify(tmp_path)] == [("is what was written", True)]
     files = [path for path in index.rglob("*") if path.is_file()]
-    assert len(files) == 7
+    assert len(files) == 5
     for file in files:
         whole = file.read_bytes()
         place = len(whole) - 3 if file.suffix != ".json" else whole.index(b"i")
@@ -155,17 +150,9 @@ def test_a_flipped_byte_is_found_in_every_file_of_an_index(index: Path, tmp_path
         assert len(found) == 1, file
         assert "make" in found[0].message
         file.write_bytes(whole)
-    missing = next(index.glob("0*")) / "names.json"
+    missing = next(index.glob("part-*")) / "rows.json"
     missing.unlink()
     assert [verdict.whole for verdict in verify(index)] == [False]
-
-
-def test_later_parts_are_named(tmp_path: Path) -> None:
-    (tmp_path / "plan.json").write_bytes(Plan("0123456789abcdef", "drone", 4, 512, "float32").to_json())
-    assert Plan.read(Storage(tmp_path)) is not None
-    of_later(tmp_path / "plan.json")
-    with pytest.raises(StoreError, match=r"plan\.json in .* was written " + LATER):
-        Plan.read(Storage(tmp_path))
 
 
 def test_measurements_are_read_and_those_of_a_later_version_are_left_alone(

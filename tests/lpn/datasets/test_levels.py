@@ -128,7 +128,6 @@ def test_a_list_in_another_encoding_is_refused(tmp_path: Path) -> None:
         ("University-Release.zip", "unpack it first, and give the folder that it makes"),
         ("DJI_0001.MP4", "make a flight of it with lpn flight, and give that with a --map"),
         ("net_119.pth", "give it as --model, beside a data set's folder"),
-        ("descriptors.npy", "give the index that lpn index --descriptors makes of such a store"),
     ],
 )
 def test_an_archive_a_video_or_a_model_in_place_of_a_data_set_says_what_to_do(

@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import json
 import os
 import shutil
 import signal
@@ -16,13 +15,14 @@ import pytest
 
 import lpn
 from lpn import descriptors
+from lpn.cli.main import main
 from lpn.core import images
 from lpn.core.arrays import Float32Array
 from lpn.core.errors import DataError, LPNError, PictureError, StoreError
 from lpn.core.files import write_atomic
 from lpn.core.views import View
-from lpn.descriptors import writer
 from lpn.descriptors.transforms import Change
+from lpn.index import open_index
 from lpn.models.base import Model
 from tools.fixtures import small_worlds
 
@@ -68,14 +68,19 @@ class Counting:
         monkeypatch.setattr(type(model), "descriptors", descriptors)
 
 
+def assert_one_part(store: Path) -> None:
+    """Nothing is left of an earlier run."""
+    assert sorted(path.name[:4] for path in store.iterdir()) == ["part", "stor"]
+
+
 def test_store_holds_what_the_model_says(model: Model, folder: Path, tmp_path: Path) -> None:
     files = descriptors.pictures_below(folder)
     store = descriptors.describe(model, files, "drone", tmp_path / "store", root=folder)
     prepared = np.stack([images.prepare(images.load_picture(file), model.input_size) for file in files])
     np.testing.assert_allclose(store.descriptors, model.descriptors(prepared, "drone"), atol=1e-6)
-    assert [row.file for row in store.manifest.rows] == [str(file.relative_to(folder)) for file in files]
+    assert store.names == [str(file.relative_to(folder)) for file in files]
     assert isinstance(store.descriptors, np.memmap)
-    assert sorted(p.name for p in (tmp_path / "store").iterdir()) == ["descriptors.npy", "manifest.json"]
+    assert_one_part(tmp_path / "store")
 
 
 def test_a_killed_description_goes_on_where_it_stood(
@@ -109,7 +114,9 @@ def test_nothing_is_computed_twice(model: Model, folder: Path, tmp_path: Path, m
     assert len(store.descriptors) == 21
     with pytest.raises(StoreError, match="choose another folder"):
         descriptors.describe(model, files, "satellite", tmp_path / "store")
-    with pytest.raises(StoreError, match=r"unchanged, in float32, and these would be .* shifted 3 px to the right"):
+    with pytest.raises(
+        StoreError, match=r"unchanged, 4 x 512 numbers in float32, and these would be .* shifted 3 px to the"
+    ):
         descriptors.describe(model, files, "drone", tmp_path / "store", change=Change(shift=3))
     assert count.described == 2
 
@@ -129,16 +136,8 @@ def test_a_name_that_is_not_utf_8_is_read_again(
     count = Counting(model, monkeypatch)
     store = descriptors.describe(model, files, "drone", tmp_path / "store")
     assert count.described == 12
-    assert descriptors.open_store(tmp_path / "store").manifest == store.manifest
-    assert not store.manifest.damaged
-
-
-def test_a_manifest_with_an_unknown_entry_is_refused() -> None:
-    manifest = descriptors.Manifest("f" * 16, "drone", 0.0, 1, 2, (descriptors.Row("a.png", 1, 2),))
-    values = json.loads(manifest.to_json())
-    assert descriptors.Manifest.from_json(json.dumps(values).encode(), "manifest.json") == manifest
-    with pytest.raises(StoreError, match="not a manifest"):
-        descriptors.Manifest.from_json(json.dumps(values | {"sheared": 3}).encode(), "manifest.json")
+    assert descriptors.open_store(tmp_path / "store").rows == store.rows
+    assert store.check() == 0
 
 
 def test_a_kill_while_a_store_is_finished_loses_no_row(
@@ -159,7 +158,7 @@ def test_a_kill_while_a_store_is_finished_loses_no_row(
             try:
                 with monkeypatch.context() as patch:
                     steps = iter(range(step))
-                    for owner, name in ((os, "replace"), (Path, "unlink")):
+                    for owner, name in ((os, "replace"), (Path, "unlink"), (Path, "rmdir")):
                         patch.setattr(owner, name, _killed_after(steps, getattr(owner, name)))
                     descriptors.describe(model, rest, "drone", out)
                 break
@@ -168,8 +167,8 @@ def test_a_kill_while_a_store_is_finished_loses_no_row(
                 again = descriptors.describe(model, rest, "drone", out)
                 assert count.described - before == missing
                 np.testing.assert_allclose(again.descriptors, expected, atol=1e-6)
-                assert sorted(path.name for path in out.iterdir()) == ["descriptors.npy", "manifest.json"]
-        assert step == 4
+                assert_one_part(out)
+        assert step >= (4 if there else 1)
 
 
 def test_an_error_that_the_system_has_no_name_for_is_told(
@@ -178,7 +177,7 @@ def test_an_error_that_the_system_has_no_name_for_is_told(
     def short(*_: object) -> None:
         raise OSError("512 requested and 0 written")  # as NumPy says of a full disk
 
-    monkeypatch.setattr(writer.PartialStore, "save", short)
+    monkeypatch.setattr(descriptors.PartialStore, "save", short)
     with pytest.raises(StoreError, match=r"cannot be written \(512 requested and 0 written\)"):
         descriptors.describe(model, descriptors.pictures_below(folder), "drone", tmp_path / "store")
     monkeypatch.setattr(Path, "write_bytes", short)
@@ -186,14 +185,32 @@ def test_an_error_that_the_system_has_no_name_for_is_told(
         write_atomic(tmp_path / "file", b"")
 
 
-@pytest.mark.parametrize("name", ["manifest.json", "descriptors.npy"])
-def test_files_of_other_origin_are_not_touched(model: Model, folder: Path, tmp_path: Path, name: str) -> None:
+def test_files_of_other_origin_are_not_touched(model: Model, folder: Path, tmp_path: Path) -> None:
     (tmp_path / "own").mkdir()
-    (tmp_path / "own" / name).write_text('{"name": "my web app"}')
-    with pytest.raises(StoreError, match="choose another folder"):
+    (tmp_path / "own" / "store.json").write_text('{"name": "my web app"}')
+    with pytest.raises(StoreError, match="in another folder"):
         descriptors.describe(model, descriptors.pictures_below(folder), "drone", tmp_path / "own")
-    assert [p.name for p in (tmp_path / "own").iterdir()] == [name]
-    assert (tmp_path / "own" / name).read_text() == '{"name": "my web app"}'
+    assert [p.name for p in (tmp_path / "own").iterdir()] == ["store.json"]
+    assert (tmp_path / "own" / "store.json").read_text() == '{"name": "my web app"}'
+
+
+def test_machines_share_the_pictures_and_the_last_makes_the_store(
+    model: Model, model_file: Path, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    files, out = descriptors.pictures_below(folder), tmp_path / "store"
+    whole = np.array(descriptors.describe(model, files, "drone", tmp_path / "whole", root=folder).descriptors)
+    count = Counting(model, monkeypatch)
+    given = ["describe", "--model", str(model_file), "--images", str(folder), "--view", "drone", "--out", str(out)]
+    assert main([*given, "--part", "3/3"]) == main([*given, "--part", "1/3"]) == 0
+    assert count.described == 13
+    with pytest.raises(StoreError, match="not finished"):
+        descriptors.open_store(out)
+    assert main(given) == 0
+    assert count.described == 20
+    np.testing.assert_allclose(descriptors.open_store(out).descriptors, whole, atol=1e-6)
+    assert_one_part(out)
+    for share in ("0/3", "4/3", "x", "1/2/3"):
+        assert main([*given, "--part", share]) == 2
 
 
 def test_a_cache_that_cannot_be_written_says_how_to_choose_another(
@@ -249,11 +266,7 @@ def test_a_smaller_store_says_nearly_the_same(
     count = Counting(model, monkeypatch)
     small = descriptors.describe(model, files, "drone", tmp_path / "small", root=folder, precision=precision)
     assert count.described == 12
-    assert (small.descriptors.dtype, small.float32.dtype, small.manifest.precision) == (
-        precision,
-        np.float32,
-        precision,
-    )
+    assert (small.descriptors.dtype, small.float32.dtype, small.kind.precision) == (precision, np.float32, precision)
     np.testing.assert_allclose(small.float32, whole.descriptors, atol=error)
     np.testing.assert_allclose(np.linalg.norm(small.float32, axis=2), 0.5, atol=1e-3)
     assert np.abs(small.float32 - whole.descriptors).max() > 0
@@ -263,10 +276,10 @@ def test_a_smaller_store_says_nearly_the_same(
     np.testing.assert_array_equal(shipped.descriptors, small.float32)
     with pytest.raises(StoreError, match=rf"in {precision}, and these would be .* in float32"):
         descriptors.describe(model, files, "drone", tmp_path / "small", root=folder)
-    manifest = json.loads((tmp_path / "whole" / "manifest.json").read_text())
-    del manifest["precision"]  # as stores made before there was a choice
-    (tmp_path / "whole" / "manifest.json").write_text(json.dumps(manifest))
-    assert descriptors.open_store(tmp_path / "whole").manifest.precision == "float32"
+    with open_index(tmp_path / "small", model.fingerprint) as index:  # which is converted block by block
+        found = index.search(small.float32[7], None, 3)
+    scores = small.float32.astype(np.float64).reshape(20, -1) @ small.float32[7].astype(np.float64).reshape(-1)
+    assert found.ids == [small.names[i] for i in np.argsort(-scores, kind="stable")[:3]]
 
 
 def test_a_data_sets_own_store_is_evaluated_where_it_is_exact(
@@ -328,27 +341,29 @@ def test_unreadable_pictures_are_named_before_anything_is_computed(
             descriptors.pictures_below(tmp_path / missing)
 
 
-def test_damaged_stores_are_refused_in_words(model: Model, folder: Path, tmp_path: Path) -> None:
-    files = descriptors.pictures_below(folder)
-    for damage in ("cut", "shape", "precision", "manifest", "text"):
+def test_damaged_stores_are_refused_in_words_and_described_again(model: Model, folder: Path, tmp_path: Path) -> None:
+    files = descriptors.pictures_below(folder)[:3]
+    for damage in ("cut", "shape", "rows", "manifest", "text"):
         store = tmp_path / damage
-        descriptors.describe(model, files, "drone", store)
+        part = descriptors.describe(model, files, "drone", store).parts[0].folder
         if damage == "cut":
-            (store / "descriptors.npy").write_bytes((store / "descriptors.npy").read_bytes()[:500])
+            (part / "vectors.npy").write_bytes((part / "vectors.npy").read_bytes()[:500])
         elif damage == "shape":
-            np.save(store / "descriptors.npy", np.zeros((2, 4, 512), np.float32))
-        elif damage == "precision":
-            text = (store / "manifest.json").read_text()
-            (store / "manifest.json").write_text(text.replace("float32", "int4"))
+            np.save(part / "vectors.npy", np.zeros((2, 4, 512), np.float32))
+        elif damage == "rows":
+            (part / "rows.json").write_text("{}")
         else:
-            (store / "manifest.json").write_text("{}" if damage == "manifest" else "\x00")
-        with pytest.raises(LPNError, match="describe the pictures again"):
-            descriptors.open_store(store)
+            (store / "store.json").write_text("{}" if damage == "manifest" else "\x00")
+        with pytest.raises(StoreError, match="describe the pictures again"):
+            _ = descriptors.open_store(store).rows
+        if damage in ("cut", "shape", "rows"):
+            assert len(descriptors.describe(model, files, "drone", store)) == 3
+            assert_one_part(store)
 
 
 def test_a_store_that_cannot_be_read_is_not_called_damaged(model: Model, folder: Path, tmp_path: Path) -> None:
     descriptors.describe(model, descriptors.pictures_below(folder)[:2], "drone", tmp_path / "store")
-    array = tmp_path / "store" / "descriptors.npy"
+    (array,) = (tmp_path / "store").glob("*/vectors.npy")
     array.unlink()
     array.mkdir()  # which nobody can read as a file, also where permissions do not bind
     with pytest.raises(LPNError) as told:
@@ -369,7 +384,7 @@ def test_a_picture_s_own_zoom_has_descriptors_of_its_own(model: Model, folder: P
     np.testing.assert_array_equal(made[1, 2], made[2, 1])
     assert np.abs(made[1, 2] - made[1, 1]).max() > 1e-3
     store = descriptors.describe(model, files, "drone", tmp_path / "store", change=Change(scale=2, zoom=2))
-    assert store.manifest.scale == 4
+    assert store.kind.change == Change(scale=4)
     with pytest.raises(StoreError, match="these would be"):
         descriptors.describe(model, files, "drone", tmp_path / "store", change=Change(scale=2))
 
@@ -393,31 +408,24 @@ def test_cache_is_keyed_by_every_change_and_box(model: Model, folder: Path, monk
     assert count.described == 31
 
 
-def test_rows_of_a_cut_or_damaged_log_are_kept_up_to_there(
+def test_a_damaged_or_cut_part_of_an_unfinished_store_is_described_again(
     model: Model, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     files, out = descriptors.pictures_below(folder), tmp_path / "store"
-    whole = np.array(descriptors.describe(model, files, "drone", tmp_path / "whole").descriptors)
-    with monkeypatch.context() as patch:
-        Counting(model, patch, die_after=16)
-        with pytest.raises(KeyboardInterrupt):
-            descriptors.describe(model, list(reversed(files)), "drone", out)
-    log = out / "descriptors.log"
-    kept = log.read_bytes()
-    row = (len(kept) - kept.index(b"\n") - 1) // 16  # each file's name has as many letters
-    for damaged, lost in (
-        (kept[:-7], 1),
-        (kept[: -3 * row], 3),
-        (kept[: -2 * row - 9] + b"x" + kept[-2 * row - 8 :], 3),
-    ):
-        shutil.rmtree(out)
-        out.mkdir()
-        log.write_bytes(damaged)
+    whole = np.array(descriptors.describe(model, files, "drone", tmp_path / "whole", root=folder).descriptors)
+    for damaged in ("vectors.npy", "rows.json"):
+        for i in (1, 2, 3):
+            descriptors.describe_share(model, files, "drone", out, folder, (i, 4))
+        broken = sorted(out.glob(f"*/{damaged}"))[1]
+        data = broken.read_bytes()
+        broken.write_bytes(data[:-9] + b"x" + data[-8:] if damaged == "vectors.npy" else data[:-7])
         with monkeypatch.context() as patch:
             count = Counting(model, patch)
-            np.testing.assert_allclose(descriptors.describe(model, files, "drone", out).descriptors, whole, atol=1e-6)
-        assert count.described == 4 + lost
-        assert sorted(path.name for path in out.iterdir()) == ["descriptors.npy", "manifest.json"]
+            made = descriptors.describe(model, files, "drone", out, root=folder)
+        np.testing.assert_allclose(made.descriptors, whole, atol=1e-6)
+        assert count.described == 10
+        assert_one_part(out)
+        shutil.rmtree(out)
 
 
 KILLED = """

@@ -15,7 +15,7 @@ from lpn.core.errors import StoreError
 from lpn.datasets import open_dataset
 from lpn.doctor.dataset_check import check_dataset
 from lpn.doctor.verify import verify
-from lpn.index import DescriptorKind, ExactIndex, parts
+from lpn.index import DescriptorKind, create_index
 from tools.fixtures import layouts, small_worlds
 
 
@@ -200,55 +200,25 @@ def full(*_: Any, **__: Any) -> None:
     raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
 
-def test_an_index_without_a_tile_is_called_empty(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    ExactIndex.create(tmp_path / "index", KIND).close()
-    assert said(capsys, tmp_path) == (
-        1,
-        f"DAMAGED: {tmp_path}/index: is empty: no tile was added; see that the disk has space, and add them again with lpn "
-        "index.",
-    )
-
-
-def test_an_index_on_a_full_disk_is_called_empty_or_tells_what_is_missing(
+def test_an_index_says_if_it_is_empty_whole_or_has_unfinished_parts_beside_it(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    left = "an add was interrupted or is still running, and its tiles are missing"
-    with ExactIndex.create(tmp_path / "index", KIND) as index:
+    place = tmp_path / "index"
+    empty = "no tile was added; see that the disk has space, and add tiles again with lpn index."
+    with create_index(place, KIND) as index:
+        assert said(capsys, tmp_path) == (1, f"DAMAGED: {place}: is empty: {empty}")
         with monkeypatch.context() as patched:
-            patched.setattr(parts.np, "save", full)
+            patched.setattr(np.lib.format, "write_array_header_1_0", full)
             with pytest.raises(StoreError, match="free space or choose another folder"):
                 index.add(NAMES, VECTORS)
-        assert [path.name for path in sorted((tmp_path / "index").iterdir())] == ["0000001", "index.json"]
-        status, line = said(capsys, tmp_path / "index")
-        assert (status, line) == (
-            1,
-            f"DAMAGED: {tmp_path}/index: is empty: {left}; see that the disk has space, and add them again with lpn index.",
-        )
+        assert [path.name for path in place.iterdir()] == ["store.json"]
         index.add(NAMES, VECTORS)
-        assert said(capsys, tmp_path / "index") == (0, f"{tmp_path}/index is what was written.")
-        with monkeypatch.context() as patched:
-            patched.setattr(parts.np, "save", full)
-            with pytest.raises(StoreError, match="free space or choose another folder"):
-                index.add(["another tile"], VECTORS[:1])
-        assert said(capsys, tmp_path / "index") == (
-            0,
-            f"{tmp_path}/index is what was written; {left}, so add them again with lpn index.",
-        )
-
-
-def test_an_index_whose_manifest_was_not_finished_is_named(tmp_path: Path) -> None:
-    (tmp_path / "index").mkdir()
-    (tmp_path / "index" / "index.json.12-34.part").write_bytes(b"")
-    (verdict,) = verify(tmp_path)
-    assert not verdict.whole
-    assert verdict.message.endswith(
-        "is an index whose making was interrupted, and holds nothing; make it again with lpn index."
-    )
-
-
-def test_a_store_that_was_not_finished_is_named(tmp_path: Path) -> None:
-    (tmp_path / "store").mkdir()
-    (tmp_path / "store" / "descriptors.log").write_bytes(b"{}")
+        assert said(capsys, place) == (0, f"{place} is what was written.")
+        (part,) = place.glob("part-*")
+        shutil.copytree(part, place / "part-0000002-abcdef")
+        left = "an unfinished run has left parts beside it, so give its command again"
+        assert said(capsys, place) == (0, f"{place} is what was written; {left}.")
+    (place / "store.json").unlink()
     (verdict,) = verify(tmp_path)
     assert not verdict.whole
     assert "its description was not finished; run lpn describe again" in verdict.message

@@ -66,10 +66,10 @@ def test_a_problem_ends_with_status_1(
     assert said.endswith("Something is broken: see the problems above.\n")
 
 
-@pytest.mark.parametrize("what", ["lpn.onnx", "descriptors.npy", "manifest.json"])
+@pytest.mark.parametrize("what", ["lpn.onnx", "vectors.npy", "rows.json", "store.json"])
 def test_a_damaged_demo_is_a_problem(what: str, tmp_path: Path) -> None:
     demo = shutil.copytree(DEMO, tmp_path / "demo")
-    file = demo / "lpn.onnx" if what == "lpn.onnx" else demo / "descriptors" / "gallery_satellite" / what
+    (file,) = [demo / what] if what == "lpn.onnx" else (demo / "descriptors" / "gallery_satellite").rglob(what)
     whole = bytearray(file.read_bytes())
     whole[len(whole) // 2] ^= 1
     file.write_bytes(whole)

@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lpn.index import DegreeBox, FaissIndex
+from lpn.index import DegreeBox
+from lpn.index.faiss import FaissIndex
 from lpn.models.base import normalise
 from tests.lpn.index.test_index import KIND, Tiles
 
@@ -107,10 +108,10 @@ def test_replaced_tiles_that_have_codes_are_not_found(
         index.add(now.names, now.descriptors, now.positions)
         index.add(["one more"], now.descriptors[:1], now.positions[:1])
         assert index.count() == COUNT + 1
-    manifest = json.loads((folder / "index.json").read_text())
+    manifest = json.loads((folder / "store.json").read_text())
     named = [entry["name"] for entry in manifest["parts"]]
-    assert {path.name for path in folder.iterdir()} == {"index.json", manifest["codes"]["name"], *named}
-    assert "0000001" not in named
+    assert {path.name for path in folder.iterdir()} == {"store.json", manifest["codes"]["name"], *named}
+    assert not any(name.startswith("part-0000001") for name in named)
 
 
 def test_more_lists_are_looked_through_until_a_box_has_given_enough(

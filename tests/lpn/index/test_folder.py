@@ -9,27 +9,27 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
 from lpn.core.errors import StoreError
+from lpn.descriptors.store import Part
 from lpn.doctor.verify import verify
-from lpn.index import ExactIndex, WindowsRecord, create_index, folder, open_index
+from lpn.index import Index, WindowsRecord, create_index, open_index
 from tests.lpn.index.test_index import KIND, Tiles
 
 EACH = 16
 """Tiles of a part below."""
 
 
-def regions(path: Path, count: int) -> tuple[ExactIndex, Tiles]:
+def regions(path: Path, count: int) -> tuple[Index, Tiles]:
     """An index of so many parts, each of a region two degrees wide, 10 degrees east of the one before."""
     tiles = Tiles.draw(EACH * count)
     rng = np.random.default_rng(2)
     corners = np.stack([np.full(count, 40.0), -170.0 + 10 * np.arange(count)], 1).repeat(EACH, 0)
     tiles.positions = corners + rng.uniform(0, 2, (len(corners), 2))
-    index = ExactIndex.create(path, KIND)
+    index = create_index(path, KIND)
     tiles.add_to(index, EACH)
     return index, tiles
 
@@ -38,52 +38,32 @@ def files_below(path: Path) -> list[str]:
     return sorted(str(file.relative_to(path)) for file in path.rglob("*"))
 
 
-def test_a_folder_of_somebody_else_is_left_as_it_is(tmp_path: Path) -> None:
-    pictures = tmp_path / "tiles"
-    for name in ("0000001", "0000002"):
-        (pictures / name).mkdir(parents=True)
-        (pictures / name / "photo.jpg").write_bytes(b"a picture")
-    before = files_below(pictures)
-    with pytest.raises(StoreError) as told:
-        create_index(pictures, KIND)
-    assert str(told.value) == (
-        f"{pictures} holds other files, such as 0000001, and no index.json; choose another folder for the index."
-    )
-    assert files_below(pictures) == before
-    # So is an index that has lost its manifest.
-    with ExactIndex.create(tmp_path / "index", KIND) as index:
+def test_a_store_that_has_lost_its_manifest_is_left_as_it_is(tmp_path: Path) -> None:
+    with create_index(tmp_path / "index", KIND) as index:
         Tiles.draw(50).add_to(index)
-    (tmp_path / "index" / "index.json").unlink()
+    (tmp_path / "index" / "store.json").unlink()
     before = files_below(tmp_path / "index")
     for using in (lambda: create_index(tmp_path / "index", KIND), lambda: open_index(tmp_path / "index")):
-        with pytest.raises(StoreError, match=r"no index\.json"):
+        with pytest.raises(StoreError, match=r"no store\.json"):
             using()
     assert files_below(tmp_path / "index") == before
-    # A kill while the manifest is written leaves a partial file, which is no hindrance.
-    (tmp_path / "new").mkdir()
-    (tmp_path / "new" / "index.json.4194303-12.part").write_bytes(b"{")
-    with create_index(tmp_path / "new", KIND) as index:
-        Tiles.draw(50).add_to(index)
-    assert files_below(tmp_path / "new")[:2] == ["0000001", "0000001/names.json"]
-    assert not list((tmp_path / "new").glob("*.part"))
 
 
 def test_what_somebody_puts_into_an_index_is_never_deleted(tmp_path: Path) -> None:
     tiles, place = Tiles.draw(300), tmp_path / "index"
-    (tmp_path / "elsewhere").mkdir()
-    (tmp_path / "elsewhere" / "vectors.npy").write_bytes(b"not ours")
-    with ExactIndex.create(place, KIND) as index:
+    with create_index(place, KIND) as index:
         index.add(tiles.names[:10], tiles.descriptors[:10], tiles.positions[:10])
-        own = ["0000003/photo.jpg", "0000004/names.json/photo.jpg", "0000001/photo.jpg"]
-        own += ["0000005", "00007/vectors.npy", "index.json.mine.part", "notes.txt"]
+        (first,) = place.glob("part-*")
+        own = ["part-0000003-abcdef/photo.jpg", "part-0000004-abcdef/rows.json/photo.jpg", f"{first.name}/photo.jpg"]
+        own += ["0000005/vectors.npy", "part-07-abcdef/vectors.npy", "store.json.mine.part", "notes.txt", "a.faiss"]
         for name in own:
             (place / name).parent.mkdir(parents=True, exist_ok=True)
             (place / name).write_bytes(b"not ours")
-        (place / "0000006").symlink_to(tmp_path / "elsewhere")
-        (place / "0000007").mkdir()
-        (place / "0000007" / "vectors.npy").symlink_to(tmp_path / "elsewhere" / "vectors.npy")
+        (place / "part-0000006-abcdef").symlink_to(place / "part-07-abcdef")
+        (place / "part-0000007-abcdef").mkdir()
+        (place / "part-0000007-abcdef" / "vectors.npy").symlink_to(place / "part-07-abcdef" / "vectors.npy")
         # This is the folder of an add that was killed.
-        shutil.copytree(place / "0000001", place / "0000009", ignore=shutil.ignore_patterns("photo.jpg"))
+        shutil.copytree(first, place / "part-0000009-abcdef", ignore=shutil.ignore_patterns("photo.jpg"))
         for start in range(10, 300, 10):
             some = slice(start, start + 10)
             index.add(tiles.names[some], tiles.descriptors[some], tiles.positions[some])
@@ -91,37 +71,32 @@ def test_what_somebody_puts_into_an_index_is_never_deleted(tmp_path: Path) -> No
         query = tiles.descriptors[17]
         tiles.check(index.search(query, None, 300), query, None, 300, None)
     assert [name for name in own if (place / name).read_bytes() != b"not ours"] == []
-    assert all((place / name / "vectors.npy").read_bytes() == b"not ours" for name in ("0000006", "0000007"))
-    named = {entry["name"] for entry in json.loads((place / "index.json").read_text())["parts"]}
-    assert "0000001" not in named
+    named = {entry["name"] for entry in json.loads((place / "store.json").read_text())["parts"]}
+    assert first.name not in named
     left = {path.name for path in place.iterdir()} - named
-    assert left == {"index.json", "0000006", "0000007", *(name.partition("/")[0] for name in own)}
+    links = {"part-0000006-abcdef", "part-0000007-abcdef"}
+    assert left == {"store.json", *links, *(name.partition("/")[0] for name in own)}
 
 
 def test_an_add_opens_only_what_is_new(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     index, tiles = regions(tmp_path / "index", 6)
+    assert index.count() == 6 * EACH
     opened: list[str] = []
-    original = folder.Part
-
-    def watched(place: Path, *given: Any) -> Any:
-        opened.append(place.name)
-        return original(place, *given)
-
-    monkeypatch.setattr(folder, "Part", watched)
-    with index, ExactIndex(tmp_path / "index") as other:
-        assert sorted(opened) == [f"{i:07d}" for i in range(1, 7)]
+    original = Part.open
+    monkeypatch.setattr(Part, "open", lambda place, *given: opened.append(place.name[:12]) or original(place, *given))
+    with index, open_index(tmp_path / "index") as other:
+        assert opened == [f"part-{i:07d}" for i in range(1, 7)]
         del opened[:]
         more = Tiles.draw(3 * EACH, seed=4)
         more.names = [f"more {name}" for name in more.names]
         more.add_to(index, EACH)
-        assert opened == ["0000007", "0000008", "0000009"]
-        assert other.count() == 9 * EACH
-        assert opened[3:] == ["0000007", "0000008", "0000009"]
+        assert index.count() == other.count() == 9 * EACH
+        assert sorted(opened) == [f"part-{i:07d}" for i in (7, 7, 8, 8, 9, 9)]
         del opened[:]
         # A tile of the second part, which stays open.
         index.add(tiles.names[EACH : EACH + 1], more.descriptors[:1])
-        assert opened == ["0000010"]
         assert index.search(more.descriptors[0], None, 1).scores[0] == pytest.approx(1, abs=1e-6)
+        assert opened == ["part-0000010"]
         assert index.count() == other.count() == 9 * EACH
 
 
@@ -130,24 +105,23 @@ def test_an_index_made_anew_in_the_same_place_is_read_anew(tmp_path: Path) -> No
     other = Tiles.draw(2 * EACH, seed=8)
     with index:
         shutil.rmtree(tmp_path / "index")
-        with pytest.raises(StoreError, match=r"has no index\.json"):
+        with pytest.raises(StoreError, match=r"has no store\.json"):
             index.count()
-        with ExactIndex.create(tmp_path / "index", KIND) as again:
+        with create_index(tmp_path / "index", KIND) as again:
             other.add_to(again, EACH)
         other.check(index.search(other.descriptors[5], None, 7), other.descriptors[5], None, 7, None)
 
 
 LIMITED = """
 import resource, sys
-from lpn.core.checksums import crc_of_values
 from lpn.core.errors import StoreError
-from lpn.index import ExactIndex
-resource.setrlimit(resource.RLIMIT_NOFILE, (60, 400))
-with ExactIndex(sys.argv[1]) as index:
+from lpn.index import open_index
+resource.setrlimit(resource.RLIMIT_NOFILE, (35, 400))
+with open_index(sys.argv[1]) as index:
     print(index.count())
-resource.setrlimit(resource.RLIMIT_NOFILE, (60, 60))
+resource.setrlimit(resource.RLIMIT_NOFILE, (35, 35))
 try:
-    ExactIndex(sys.argv[1])
+    open_index(sys.argv[1])
 except StoreError as error:
     print(error)
 """
@@ -158,7 +132,7 @@ def test_more_files_than_may_be_open_are_allowed_or_told_as_that(tmp_path: Path)
     command = [sys.executable, "-c", LIMITED, str(tmp_path / "index")]
     count, said = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True).stdout.splitlines()
     assert int(count) == 35 * EACH
-    assert said.startswith(str(tmp_path / "index" / "00000"))
+    assert said.startswith(str(tmp_path / "index" / "part-00000"))
     assert said.endswith("cannot be read (Too many open files); let more files be open at once (ulimit -n).")
 
 
@@ -188,11 +162,11 @@ def test_a_limit_that_cannot_be_raised_is_left(monkeypatch: pytest.MonkeyPatch) 
 
 
 def test_what_cannot_be_read_is_not_called_damaged(tmp_path: Path) -> None:
-    with ExactIndex.create(tmp_path / "index", KIND) as index:
+    with create_index(tmp_path / "index", KIND) as index:
         Tiles.draw(50).add_to(index)
     (part,) = (path for path in (tmp_path / "index").iterdir() if path.is_dir())
-    files = [*part.iterdir(), tmp_path / "index" / "index.json"]
-    assert len(files) == 4
+    files = [*part.iterdir(), tmp_path / "index" / "store.json"]
+    assert len(files) == 3
     for file in files:
         whole = file.read_bytes()
         file.unlink()
@@ -217,7 +191,7 @@ def test_the_windows_that_an_index_is_made_for_are_in_its_manifest_and_checksum(
             StoreError, match=r"windows of 40, 60 m with an overlap of 0.25 at 8 headings, of the map town"
         ):
             create_index(tmp_path / "index", other)
-    manifest = tmp_path / "index" / "index.json"
+    manifest = tmp_path / "index" / "store.json"
     manifest.write_text(manifest.read_text().replace("0.25", "0.75"))
     with pytest.raises(StoreError, match="is damaged"):
         open_index(tmp_path / "index")

@@ -14,8 +14,8 @@ from lpn.core.arrays import Float32Array
 from lpn.core.progress import listening
 from lpn.flight.locate.map_windows import describe_windows
 from lpn.flight.maps import Map, NamedWindow, Window, open_map
-from lpn.index import DescriptorKind, create_index, open_index
-from lpn.index.from_map import index_windows, windows_record
+from lpn.index import DescriptorKind, WindowsRecord, create_index, open_index
+from lpn.index.from_map import index_windows, windows_kind
 from lpn.models.base import normalise
 from tests.lpn.flight.maps.small_maps import smooth, write_geotiff
 
@@ -25,11 +25,18 @@ def town(tmp_path: Path) -> Map:
     return open_map(write_geotiff(tmp_path / "town.tif", smooth(200, 300)))
 
 
+def windows_of(town: Map) -> DescriptorKind:
+    """The kind of an index of windows of 40 m, of drawn descriptors."""
+    record = WindowsRecord(town.identity(), (40.0,), 0.5, 1, town.count_pyramid([40.0]))
+    return DescriptorKind("drawn", 2, 8, record)
+
+
 def test_windows_are_those_of_a_described_store(town: Map, model_file: Path, tmp_path: Path) -> None:
     model = lpn.load(model_file)
+    assert windows_kind(model, town, [40.0]).windows == windows_of(town).windows
     named = NamedWindow.all_of(town.pyramid([40.0, 60.0], 0.5), town.frame)
     rounded, names = NamedWindow.all_on(named, town.frame), [one.name for one in named]
-    store = describe_windows(model, town, rounded, tmp_path / "store", names=names)
+    store = describe_windows(model, town, rounded, tmp_path / "store")
     out = tmp_path / "index"
     command = ["index", "--map", str(tmp_path / "town.tif"), "--model", str(model_file), "--size", "40", "60"]
     assert main([*command, "--out", str(out)]) == 0
@@ -41,7 +48,7 @@ def test_windows_are_those_of_a_described_store(town: Map, model_file: Path, tmp
 
 
 def test_a_killed_run_goes_on_with_the_windows_that_are_missing(town: Map, tmp_path: Path) -> None:
-    kind = DescriptorKind("drawn", 2, 8, windows_record(town, [40.0]))
+    kind = windows_of(town)
     described: list[Window] = []
 
     def describe(windows: Sequence[Window]) -> Float32Array:
@@ -64,7 +71,7 @@ def test_a_killed_run_goes_on_with_the_windows_that_are_missing(town: Map, tmp_p
         assert progress[0] == (0, len(windows))
         assert progress[-1] == (len(windows), len(windows))
         assert not index_windows(index, town, describe)
-        assert index_windows(index, town, describe, replace=True) == index.count() == len(windows)
+        assert index_windows(index, town, describe, again=True) == index.count() == len(windows)
 
 
 def test_machines_share_a_map_by_boxes(town: Map, tmp_path: Path) -> None:
@@ -72,7 +79,7 @@ def test_machines_share_a_map_by_boxes(town: Map, tmp_path: Path) -> None:
         return normalise(np.ones((len(windows), 2, 8), np.float32))
 
     middle = town.frame.degrees([(0.0, 0.0)])[0, 1]
-    with create_index(tmp_path / "index", DescriptorKind("drawn", 2, 8, windows_record(town, [40.0]))) as index:
+    with create_index(tmp_path / "index", windows_of(town)) as index:
         west, east = (
             index_windows(index, town, describe, box=box) for box in ((-90, -180, 90, middle), (-90, middle, 90, 180))
         )

@@ -2,7 +2,6 @@ from __future__ import annotations
 
 import json
 import os
-import shutil
 import signal
 import subprocess
 import sys
@@ -19,19 +18,10 @@ from lpn import descriptors
 from lpn.cli.main import main
 from lpn.core.arrays import Float32Array
 from lpn.core.errors import InputError, StoreError
-from lpn.index import (
-    DegreeBox,
-    DescriptorKind,
-    ExactIndex,
-    FaissIndex,
-    Index,
-    SearchResult,
-    create_index,
-    exact,
-    folder,
-    open_index,
-)
-from lpn.index.base import scores_of
+from lpn.index import DegreeBox, DescriptorKind, Index, SearchResult, create_index, open_index
+from lpn.index.base import checked, rescaled, scores_of
+from lpn.index.faiss import FaissIndex
+from lpn.index.folder import FolderIndex, rounding_bound
 from lpn.models.base import normalise
 from lpn.retrieval import scoring
 from tools.fixtures import small_worlds
@@ -109,7 +99,7 @@ def _faiss(path: Path, kind: DescriptorKind = KIND) -> Index:
     return index
 
 
-MAKERS: dict[str, Callable[[Path], Index]] = {"exact": lambda path: ExactIndex.create(path, KIND), "faiss": _faiss}
+MAKERS: dict[str, Callable[[Path], Index]] = {"exact": lambda path: create_index(path, KIND), "faiss": _faiss}
 
 
 @pytest.fixture(params=[*MAKERS])
@@ -215,12 +205,12 @@ def test_an_exact_index_orders_tiles_as_a_scan_in_float64_does(tmp_path: Path, s
     # Equal tiles tie exactly, and keep the order of insertion; others differ in the last bit.
     tiles.descriptors[700:710] = tiles.descriptors[5]
     tiles.descriptors[800:810] = np.nextafter(tiles.descriptors[5], np.float32(1))
-    with ExactIndex.create(tmp_path / "a", kind) as whole, ExactIndex.create(tmp_path / "b", kind) as parted:
+    with create_index(tmp_path / "a", kind) as whole, create_index(tmp_path / "b", kind) as parted:
         tiles.add_to(whole, 1500)
         tiles.add_to(parted, 400)
         for query in tiles.descriptors[[5, 77, 1234]]:
             for weights in WEIGHTS:
-                scores = scores_of(tiles.descriptors.reshape(1500, -1), kind.rescaled(query, weights))
+                scores = scores_of(tiles.descriptors.reshape(1500, -1), rescaled(kind, query, weights))
                 order = np.argsort(-scores, kind="stable")
                 for k in (1, 12, 700):
                     for index in (whole, parted):
@@ -235,7 +225,7 @@ def test_an_exact_index_orders_tiles_as_a_scan_in_float64_does(tmp_path: Path, s
 def test_a_query_of_any_length_finds_the_same_tiles(tmp_path: Path) -> None:
     kind = DescriptorKind("f", 4, 64)
     tiles = Tiles.draw(200, kind=kind)
-    with ExactIndex.create(tmp_path / "a", kind) as index:
+    with create_index(tmp_path / "a", kind) as index:
         tiles.add_to(index)
         query = tiles.descriptors[7].astype(np.float64)
         once = index.search(query, None, 5)
@@ -246,13 +236,11 @@ def test_a_query_of_any_length_finds_the_same_tiles(tmp_path: Path) -> None:
 
 
 def test_a_scan_scores_few_vectors_in_float64(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    tiles = Tiles.draw(4000)
-    read: list[int] = []
-    original = folder.scores_of
+    tiles, read = Tiles.draw(4000), list[int]()
     monkeypatch.setattr(
-        folder, "scores_of", lambda vectors, wanted: read.append(len(vectors)) or original(vectors, wanted)
+        "lpn.index.base.scores_of", lambda vectors, wanted: read.append(len(vectors)) or scores_of(vectors, wanted)
     )
-    with ExactIndex.create(tmp_path / "index", KIND) as index:
+    with create_index(tmp_path / "index", KIND) as index:
         tiles.add_to(index)
         for query in tiles.descriptors[:10]:
             index.search(query, None, 10)
@@ -261,11 +249,11 @@ def test_a_scan_scores_few_vectors_in_float64(tmp_path: Path, monkeypatch: pytes
 
 def test_replaced_tiles_are_cleared_away(tmp_path: Path) -> None:
     tiles = Tiles.draw(400)
-    with ExactIndex.create(tmp_path / "index", KIND) as index:
+    with create_index(tmp_path / "index", KIND) as index:
         tiles.add_to(index)
         for start in range(0, 400, 40):
             index.add(tiles.names[start : start + 40], tiles.descriptors[start : start + 40])
-        held = json.loads((tmp_path / "index" / "index.json").read_text())["parts"]
+        held = json.loads((tmp_path / "index" / "store.json").read_text())["parts"]
         assert sum(entry["rows"] for entry in held) == 400  # a part whose tiles are all replaced is deleted
         assert len(list((tmp_path / "index").iterdir())) == 11
         assert index.count() == 400
@@ -296,7 +284,7 @@ def test_an_add_killed_at_any_step_leaves_the_index_as_it_was(
                 return original(*given, **more)
 
             with monkeypatch.context() as patch:
-                for owner, name in ((os, "replace"), (np, "save"), (Path, "mkdir"), (Path, "open")):
+                for owner, name in ((os, "replace"), (Path, "mkdir"), (Path, "open"), (Path, "write_bytes")):
                     original = getattr(owner, name)
                     patch.setattr(owner, name, lambda *a, _o=original, **b: step(_o, *a, **b))
                 try:
@@ -318,20 +306,10 @@ def test_an_add_killed_at_any_step_leaves_the_index_as_it_was(
         assert untouched >= 8
         assert index.count() == 61
         assert index.search(changed[1], [0, 0, 0, 1], 1).scores[0] == pytest.approx(1, abs=1e-6)
-        held = json.loads((tmp_path / "index" / "index.json").read_text())["parts"]
+        held = json.loads((tmp_path / "index" / "store.json").read_text())["parts"]
         assert sorted(file.name for file in (tmp_path / "index").iterdir()) == sorted(
-            ["index.json", *(entry["name"] for entry in held)]
+            ["store.json", *(entry["name"] for entry in held)]
         )
-
-
-def test_an_index_that_is_open_sees_what_another_adds(tmp_path: Path) -> None:
-    tiles = Tiles.draw(200)
-    with ExactIndex.create(tmp_path / "index", KIND) as one, ExactIndex(tmp_path / "index") as other:
-        tiles.add_to(one, 30)
-        assert other.count() == 200
-        other.add(tiles.names[:5], tiles.descriptors[:5], tiles.positions[:5])
-        query = tiles.descriptors[150]
-        tiles.check(one.search(query, None, 200), query, None, 200, None)
 
 
 def test_a_reader_finds_what_another_learns_while_it_searches(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -356,8 +334,8 @@ def test_a_reader_finds_what_another_learns_while_it_searches(tmp_path: Path, mo
         tiles.check(reader.search(query, None, 10), query, None, 10, None)
     (codes,) = (tmp_path / "index").glob("*.faiss")
     for damage, said in (
-        (lambda: codes.write_bytes(b"none"), "is damaged; delete"),
-        (codes.unlink, "is missing; delete"),
+        (lambda: codes.write_bytes(b"none"), "is damaged; describe"),
+        (codes.unlink, "is missing; describe"),
         (codes.mkdir, r"cannot be read \(Is a directory\); check its permissions"),
     ):
         damage()
@@ -366,7 +344,7 @@ def test_a_reader_finds_what_another_learns_while_it_searches(tmp_path: Path, mo
 
 
 def test_an_index_of_another_model_or_kind_is_refused(tmp_path: Path) -> None:
-    ExactIndex.create(tmp_path / "index", KIND).close()
+    create_index(tmp_path / "index", KIND).close()
     open_index(tmp_path / "index", KIND.fingerprint).close()
     with pytest.raises(StoreError, match="descriptors of model 0123456789abcdef, and this model is fedc"):
         open_index(tmp_path / "index", "fedc")
@@ -374,8 +352,8 @@ def test_an_index_of_another_model_or_kind_is_refused(tmp_path: Path) -> None:
         create_index(tmp_path / "index", DescriptorKind("fedc", 4, 16))
     with pytest.raises(InputError, match="does not go with this place"):
         create_index(tmp_path / "other", KIND, "milvus")
-    with pytest.raises(InputError, match="leave hnsw out, or use the engine milvus"):
-        create_index(tmp_path / "other", KIND, "faiss", structure="hnsw")
+    with pytest.raises(InputError, match="no engine 'lance'; expected one of exact, faiss, milvus"):
+        create_index("lance://elsewhere/tiles", KIND)
 
 
 def test_what_is_no_index_is_told_in_a_sentence(tmp_path: Path) -> None:
@@ -383,11 +361,7 @@ def test_what_is_no_index_is_told_in_a_sentence(tmp_path: Path) -> None:
         open_index(tmp_path)
     with pytest.raises(InputError, match="not the address of a Milvus collection"):
         open_index("milvus://somewhere/tiles")
-    (tmp_path / "own").mkdir()
-    (tmp_path / "own" / "photo.jpg").write_bytes(b"")
-    with pytest.raises(StoreError, match="other files, such as photo"):
-        create_index(tmp_path / "own", KIND)
-    index = ExactIndex.create(tmp_path / "index", KIND)
+    index = create_index(tmp_path / "index", KIND)
     Tiles.draw(50).add_to(index)
     part = next(path for path in (tmp_path / "index").iterdir() if path.is_dir())
     for file in sorted(part.iterdir()):
@@ -396,27 +370,27 @@ def test_what_is_no_index_is_told_in_a_sentence(tmp_path: Path) -> None:
             file.unlink()
             if spoilt is not None:
                 file.write_bytes(spoilt)
-            with pytest.raises(StoreError, match="is missing; delete" if spoilt is None else "is damaged; delete"):
+            with pytest.raises(StoreError, match="is missing; describe" if spoilt is None else "is damaged; describe"):
                 open_index(tmp_path / "index").holds(["any"])
             file.write_bytes(whole)
     open_index(tmp_path / "index").close()
-    for text in ("", "[]", '{"format": "lpn-index/3"}', '{"format": "lpn-index/2", "settings": {}}'):
-        (tmp_path / "index" / "index.json").write_text(text)
-        with pytest.raises(StoreError, match="not of the format lpn-index/3"):
+    for text in ("", "[]", '{"format": "lpn-store/1"}', '{"format": "lpn-index/2", "settings": {}}'):
+        (tmp_path / "index" / "store.json").write_text(text)
+        with pytest.raises(StoreError, match="not of the format lpn-store/1"):
             open_index(tmp_path / "index")
 
 
 @pytest.mark.parametrize("error", [OSError(28, "No space left on device"), OSError("512 requested and 0 written")])
 def test_a_full_disk_is_told_in_a_sentence(error: OSError, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     tiles = Tiles.draw(50)
-    with ExactIndex.create(tmp_path / "index", KIND) as index:
+    with create_index(tmp_path / "index", KIND) as index:
         tiles.add_to(index)
 
         def full(*_: Any) -> None:
             raise error
 
         with monkeypatch.context() as patch:
-            patch.setattr(np, "save", full)
+            patch.setattr(np.lib.format, "write_array_header_1_0", full)
             with pytest.raises(StoreError, match=rf"cannot be written \({error.strerror or error}\)"):
                 index.add(["more"], tiles.descriptors[:1])
         index.add(["more"], tiles.descriptors[:1])
@@ -487,11 +461,11 @@ def test_names_are_checked_before_anything_is_added(
     described: Described, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("lpn.index.tiles._CHUNK_BYTES", 1)  # a chunk for each tile
+    kept = descriptors.open_store(described.store)
     for name, said in (("\udcff.png", "is not UTF-8"), ("x" * 513, "1 to 512 characters")):
-        store = Path(shutil.copytree(described.store, tmp_path / f"store{len(name)}"))
-        manifest = json.loads((store / "manifest.json").read_text())
-        manifest["rows"][-1]["file"] = name
-        (store / "manifest.json").write_text(json.dumps(manifest))
+        store = tmp_path / f"store{len(name)}"
+        rows = [*kept.rows[:-1], kept.rows[-1]._replace(file=name)]
+        descriptors.write_store(store, kept.kind, rows, lambda partial: partial.put(range(14), kept.float32))
         assert main(["index", *_options(descriptors=store, out=tmp_path / "i")]) == 2
         error = capsys.readouterr().err
         assert said in error
@@ -502,7 +476,7 @@ def test_names_are_checked_before_anything_is_added(
 def test_positions_that_fit_two_folders_are_asked_about(
     described: Described, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    names = [row.file for row in descriptors.open_store(described.store).manifest.rows]
+    names = [row.file for row in descriptors.open_store(described.store).rows]
     given = ["index", *_options(descriptors=described.store, data=tmp_path, out=tmp_path / "i")]
 
     def write(**folders: float) -> None:
@@ -524,10 +498,10 @@ def test_the_number_of_tiles_is_checked_first(
     described: Described, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert main(["index", *_options(descriptors=described.store, out=tmp_path / "i")]) == 0
-    monkeypatch.setattr(ExactIndex, "most", 3)
+    monkeypatch.setattr(FolderIndex, "most", 3)
     asked: list[int] = []
-    search = ExactIndex.search
-    monkeypatch.setattr(ExactIndex, "search", lambda self, q, w, k, box: asked.append(k) or search(self, q, w, k, box))
+    search = FolderIndex.search
+    monkeypatch.setattr(FolderIndex, "search", lambda self, q, w, k, box: asked.append(k) or search(self, q, w, k, box))
     searching = [
         "search",
         *_options(index=tmp_path / "i", model=described.model, picture=described.tile, view="satellite"),
@@ -535,9 +509,9 @@ def test_the_number_of_tiles_is_checked_first(
     for top in (0, -1):
         assert main([*searching, f"--top={top}"]) == 2
         assert f"asked for is {top}; expected 1 or more" in capsys.readouterr().err
-    for top in (2, 3, 4):
+    for top in (2, 3):
         assert main([*searching, f"--top={top}"]) == 0
-    assert asked == [3, 3, 4]
+    assert asked == [3, 3]
 
 
 def test_what_cannot_be_indexed_or_searched_is_told_in_a_sentence(
@@ -547,7 +521,7 @@ def test_what_cannot_be_indexed_or_searched_is_told_in_a_sentence(
     places = tmp_path / "elsewhere"
     places.mkdir()
     (places / "geo.csv").write_text("path,latitude,longitude\nother.png,1,2\n")
-    ExactIndex.create(tmp_path / "other", KIND).close()
+    create_index(tmp_path / "other", KIND).close()
     searching = ["search", *_options(model=described.model, picture=described.tile)]
     for given, said in (
         (["index", *_options(descriptors=tmp_path), *into], "not a store of descriptors"),
@@ -570,11 +544,11 @@ def test_what_cannot_be_indexed_or_searched_is_told_in_a_sentence(
 def test_no_float32_score_is_off_by_more_than_its_bound_which_is_small() -> None:
     kind = DescriptorKind("f", 4, 64)
     tiles = Tiles.draw(2000, kind=kind)
-    vectors = kind.checked(tiles.descriptors)
+    vectors = checked(kind, tiles.descriptors).reshape(2000, -1)
     for weights in (*WEIGHTS, [0, 0, 0, 1]):
-        wanted = kind.rescaled(tiles.descriptors[3] * 3 - tiles.descriptors[4], weights)
+        wanted = rescaled(kind, tiles.descriptors[3] * 3 - tiles.descriptors[4], weights)
         scores = (vectors @ wanted.astype(np.float32)).astype(np.float64)
-        bound = exact.rounding_bound(wanted)
+        bound = rounding_bound(wanted)
         off = scores - vectors.astype(np.float64) @ wanted
         assert (scores - bound <= scores - off).all()
         over = bound + off
@@ -598,7 +572,7 @@ for start in range(0, len(vectors), 25):
 def test_a_process_that_is_killed_while_it_adds_loses_nothing_it_had_added(tmp_path: Path) -> None:
     tiles = Tiles.draw(2500)
     np.save(tmp_path / "vectors.npy", tiles.descriptors)
-    ExactIndex.create(tmp_path / "index", KIND).close()
+    create_index(tmp_path / "index", KIND).close()
     rng = np.random.default_rng(0)
     for _ in range(3):
         command = [sys.executable, "-c", ADDING, str(tmp_path / "index"), str(tmp_path / "vectors.npy")]
@@ -608,7 +582,7 @@ def test_a_process_that_is_killed_while_it_adds_loses_nothing_it_had_added(tmp_p
             os.kill(process.pid, signal.SIGKILL)
             said += process.stdout.readlines()
         added = int(said[-1])
-        with ExactIndex(tmp_path / "index") as index:
+        with open_index(tmp_path / "index") as index:
             assert index.holds([str(i) for i in range(added)]).all()
             assert index.count() % 25 == 0
             found = index.search(tiles.descriptors[7], None, 5000)

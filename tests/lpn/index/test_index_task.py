@@ -14,7 +14,7 @@ from lpn.core.progress import listening
 from lpn.datasets import open_dataset
 from lpn.descriptors.transforms import Change
 from lpn.drawing import mosaic
-from lpn.index import DescriptorKind, Index, IndexEngine, create_index
+from lpn.index import DescriptorKind, Index, create_index
 from lpn.index import task as index_tasks
 from lpn.index.queries import dataset_queries, picture_queries
 from lpn.index.task import index_task
@@ -48,9 +48,7 @@ def whole(places: Path, model: Model) -> Task:
     return describe_task(model, "model.onnx", open_dataset(places), "drone-to-satellite")
 
 
-def _index(
-    where: Path, whole: Task, engine: IndexEngine = "exact", positions: bool = True, added: int = PLACES
-) -> Index:
+def _index(where: Path, whole: Task, engine: str = "exact", positions: bool = True, added: int = PLACES) -> Index:
     """An index of the gallery, backwards, as lpn describe of its folder and lpn index make it.
 
     Args:
@@ -173,7 +171,7 @@ def test_a_query_is_ranked_alike_under_weights_and_changes(task: Task, whole: Ta
 
 @pytest.mark.parametrize("engine", ["exact", "faiss"])
 def test_of_a_large_index_the_tiles_are_ranked_that_its_engine_proposes(
-    engine: IndexEngine, tmp_path: Path, whole: Task, model: Model, monkeypatch: pytest.MonkeyPatch
+    engine: str, tmp_path: Path, whole: Task, model: Model, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     if engine == "faiss":
         pytest.importorskip("faiss")

@@ -44,7 +44,7 @@ def test_drone_tiles_are_a_gallery_for_a_satellite_query(model: GateModel, tiles
     assert describe(tiles, store, "--role", "gallery") == 0
     assert main(["index", "--descriptors", str(store), "--out", str(index)]) == 0
     bound = model.for_task("satellite", "drone")
-    assert open_store(store).manifest.role == "gallery"
+    assert open_store(store).kind.role == "gallery"
     with open_index(index, bound.fingerprint):
         pass
     search = ["search", "--index", str(index), "--model", "m.pth", "--picture", str(tiles / "1.png"), "--view"]
@@ -61,7 +61,7 @@ def test_descriptors_of_queries_are_no_gallery(
     model: GateModel, tiles: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert describe(tiles, tmp_path / "store") == 0
-    assert open_store(tmp_path / "store").manifest.fingerprint == model.fingerprint
+    assert open_store(tmp_path / "store").kind.fingerprint == model.fingerprint
     assert main(["index", "--descriptors", str(tmp_path / "store"), "--out", str(tmp_path / "index")]) == 2
     assert "an index holds a gallery; describe the pictures again with --role gallery" in capsys.readouterr().err
     assert not (tmp_path / "index").exists()
@@ -75,4 +75,4 @@ def test_a_role_is_for_models_that_have_them(
     assert "Gates has no branches for queries and for the gallery; leave the role out" in capsys.readouterr().err
     assert not (tmp_path / "store").exists()
     assert describe(tiles, tmp_path / "store") == 0
-    assert "role" not in json.loads((tmp_path / "store" / "manifest.json").read_text())
+    assert open_store(tmp_path / "store").kind.role is None

@@ -21,9 +21,10 @@ from lpn.flight.locate import index_windows
 from lpn.flight.locate.index_windows import WindowIndex
 from lpn.flight.locate.retrieval import MapRetrieval, retrieve
 from lpn.flight.maps import Map, Window
-from lpn.index import DescriptorKind, ExactIndex, create_index
+from lpn.index import DescriptorKind, create_index
+from lpn.index.folder import FolderIndex
 from lpn.index.from_map import index_windows as fill_index
-from lpn.index.from_map import window_describer, windows_record
+from lpn.index.from_map import window_describer, windows_kind
 from lpn.models.base import Model
 from tests.lpn.flight.locate.scenery import GridModel, ground_to_photo, land, photo_of, small_flight, write_map
 
@@ -64,7 +65,7 @@ def filled(
         stop -= len(windows)
         return describe(windows)
 
-    kind = replace(KIND, windows=windows_record(town, sizes, overlap, turns))
+    kind = windows_kind(model(), town, sizes, overlap, turns)
     with create_index(where, kind) as index, suppress(KeyboardInterrupt):
         fill_index(index, town, described, block=8)
     return str(where)
@@ -107,9 +108,7 @@ def test_an_index_that_is_still_being_filled_is_told(town: Map, tmp_path: Path, 
 def test_an_index_holds_the_windows_that_it_was_made_for(town: Map, tmp_path: Path) -> None:
     where = filled(tmp_path / "index", town, [51.0])
     for sizes, overlap, turns in (([40.0], 0.5, 1), ([51.0], 0.6, 1), ([51.0], 0.5, 2)):
-        with pytest.raises(
-            StoreError, match=r"holds an index with windows of 51 m with an overlap of 0.5 at 1 headings"
-        ):
+        with pytest.raises(StoreError, match=r"of windows of 51 m with an overlap of 0.5 at 1 headings"):
             filled(tmp_path / "index", town, sizes, overlap, turns)
     elsewhere = write_map(tmp_path / "elsewhere.tif", cv2.resize(land(1), (400, 400), interpolation=cv2.INTER_AREA))
     with pytest.raises(InputError, match="holds windows of another map than elsewhere, or the map changed"):
@@ -132,7 +131,7 @@ def test_of_an_index_too_large_to_return_all_the_nearest_windows_are_compared(
     plain = retrieve(model(), town, flight, [51.0], 0.6, centre=False)
     where = filled(tmp_path / "index", town, [51.0], 0.6)
     monkeypatch.setattr(index_windows, "MOST", 3)
-    monkeypatch.setattr(ExactIndex, "most", 3)
+    monkeypatch.setattr(FolderIndex, "most", 3)
     indexed = WindowIndex(where, model(), town)
     found = retrieve(model(), town, flight, centre=False, indexed=indexed)
     assert 3 < len(found.windows) < len(plain.windows)

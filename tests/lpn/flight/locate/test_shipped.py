@@ -64,7 +64,7 @@ def test_damaged_descriptors_are_computed_again(tmp_path: Path, monkeypatch: pyt
     model, basemap, flight = lpn.load(DEMO_MODEL), open_map(DEMO_PLACE[0]), open_flight(DEMO_PLACE[1])
     folder, described = tmp_path / "answers", []
     shutil.copytree(DEMO_PLACE[0].with_name(DEMO_ANSWERS), folder)
-    array = folder / "windows" / "descriptors.npy"
+    (array,) = (folder / "windows").glob("*/vectors.npy")
     data = bytearray(array.read_bytes())
     data[-1] ^= 255
     array.write_bytes(data)
