@@ -24,7 +24,7 @@ from lpn.core.views import View
 from lpn.models import safa
 from lpn.models.adapters import Kind
 from lpn.models.adapters.load import load_file
-from lpn.models.adapters.model import PublishedModel
+from lpn.models.adapters.published import PublishedModel
 from lpn.models.base import Model
 from lpn.models.checkpoints import TorchModel, WeightType, to_eight_bits
 from lpn.models.contract_metadata import to_metadata
