@@ -15,11 +15,17 @@ from lpn.core.files import fingerprint, first_few, printable
 from lpn.core.images import MEAN, STD
 from lpn.core.resources import ProviderName
 from lpn.core.views import VIEWS, View
-from lpn.models.contract import Contract, ForwardPass, Heads
+from lpn.models.contract import ForwardPass, Heads
 from lpn.models.onnx_engine import Engine
-from lpn.models.options import picture_size, read_options
+from lpn.models.options import (
+    PICTURES,
+    picture_size,
+    read_configuration,
+    read_options,
+    stated_normalisation,
+    stated_size,
+)
 from lpn.models.token_pooling import TokenPooling, pooled
-from lpn.models.transformers_files import PICTURES, read_configuration, stated_normalisation, stated_size
 
 log = logging.getLogger(__name__)
 
@@ -70,22 +76,9 @@ class PooledEngine(Engine):
                 "preprocessor_config.json beside it says others.",
                 printable(path.name),
             )
-        mean, std = stated_normalisation(pictures, (MEAN, STD))
-        self.contract = Contract(
-            f"{printable(path.stem)[:60]}, {pooling}",
-            f"{printable(path.stem)[:60]}, {pooling}, {size[0]} x {size[1]}",
-            VIEWS,
-            size,
-            len(pooling.part_names),
-            pooling.embedding(channels),
-            pooling.level,
-            pooling.held,
-            mean=mean,
-            std=std,
-            mirror="none",
-            partitions={} if pooling.partition is None else dict.fromkeys(VIEWS, pooling.partition),
-            part_names=dict.fromkeys(VIEWS, pooling.part_names),
-        )
+        normalisation = stated_normalisation(pictures, (MEAN, STD))
+        self.contract = pooling.contract(printable(path.stem)[:60], size, channels, normalisation)
+        self._shares = None if pooling.partition is None else pooling.partition.weights(*self._grid)
         self._constants, self._pass_outputs = [], [self._output]
         self._sessions = dict.fromkeys(VIEWS, session)
 
@@ -99,10 +92,13 @@ class PooledEngine(Engine):
         """Run one forward pass of images (B, 3, H, W) of the model's input size."""
         self._check_size(images, view)
         (values,) = self._outputs([self._output], images, view)
-        if values.ndim == 4:
-            return pooled(self._pooling, values, None)
-        cells = values[:, self._prefix : self._prefix + self._grid[0] * self._grid[1]].transpose(0, 2, 1)
-        return pooled(self._pooling, cells.reshape(*cells.shape[:2], *self._grid), values[:, 0])
+        if self._shares is None:
+            return ForwardPass(values[:, :1])
+        cells = values
+        if values.ndim == 3:
+            cells = values[:, self._prefix :].swapaxes(1, 2).reshape(len(values), -1, *self._grid)
+        parts, features, constants = pooled(self._pooling, self._shares, cells, values[:, 0], np.concatenate)
+        return ForwardPass(parts, features, constants=constants)
 
     def _parts(self, images: Float32Array, view: View) -> Float32Array:
         return self.run(images, view).parts
@@ -110,8 +106,7 @@ class PooledEngine(Engine):
     def heads(self, view: View) -> Heads:
         """Return the cells of the parts."""
         self.check_view(view)
-        partition = self._pooling.partition
-        return Heads() if partition is None else Heads(cells=partition.weights(*self._grid))
+        return Heads(cells=self._shares)
 
     def map_size(self, view: View) -> tuple[int, int]:
         """Return (h, w) of the map of tokens; 1 x 1 without cells."""

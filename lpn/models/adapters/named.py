@@ -7,8 +7,8 @@ from torch import Tensor, nn
 
 from lpn.core.errors import InputError, ModelFileError
 from lpn.models import timm_networks
-from lpn.models.adapters.entries import Entries
 from lpn.models.adapters.network import Account, HeldNorm, MeanVector, PartBranch
+from lpn.models.entries import Entries
 from lpn.models.timm_networks import TimmMap
 
 # The largest difference, relative to the largest value, between a network's vector and the mean of its cells.

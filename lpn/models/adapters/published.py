@@ -14,11 +14,11 @@ from torch import Tensor
 from lpn.core.arrays import Float32Array
 from lpn.core.errors import ModelFileError
 from lpn.core.views import View
-from lpn.models.adapters.entries import Entries
 from lpn.models.adapters.network import Account, PartBranch
 from lpn.models.base import Model
 from lpn.models.checkpoints import exact_inference
 from lpn.models.contract import AccountLevel, Contract, ForwardPass, Heads, Role
+from lpn.models.entries import Entries
 from lpn.models.options import picture_size
 
 PAIR: tuple[View, ...] = ("satellite", "drone")

@@ -10,9 +10,9 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from lpn.core.errors import ModelFileError
-from lpn.models.adapters.entries import Entries
 from lpn.models.adapters.network import HeldNorm
 from lpn.models.backbones import Bottleneck, ResNet
+from lpn.models.entries import Entries
 from lpn.models.timm_networks import import_timm
 
 VITS = {192: "ViT-Ti", 384: "ViT-S", 512: "ViT-M", 768: "ViT-B", 1024: "ViT-L"}

@@ -5,13 +5,13 @@ from __future__ import annotations
 from typing import Any
 
 from lpn.core.errors import ModelFileError
-from lpn.models.adapters.entries import Entries
 from lpn.models.adapters.named import filled_map
 from lpn.models.adapters.network import FirstToken, MeanVector, PartBranch, TokenMap
 from lpn.models.adapters.published import PublishedParts, by_view, size_of
 from lpn.models.adapters.registry import Adapter
 from lpn.models.adapters.trunks import Tokens, Trunk, trained_side
 from lpn.models.contract import AccountLevel
+from lpn.models.entries import Entries
 
 _HEAD = "classifier.add_block.0.weight"
 _POOLS = ("avg", "global")

@@ -8,11 +8,11 @@ import torch
 from torch import Tensor, nn
 
 from lpn.core.errors import ModelFileError
-from lpn.models.adapters.entries import Entries
 from lpn.models.adapters.network import Account, FirstToken, PartBranch, on_grid
 from lpn.models.adapters.published import PublishedParts, by_view, check_option, size_of
 from lpn.models.adapters.registry import Adapter
 from lpn.models.adapters.trunks import Tokens
+from lpn.models.entries import Entries
 
 
 class Regions(PartBranch):

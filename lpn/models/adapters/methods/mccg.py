@@ -10,11 +10,11 @@ from torch import Tensor, nn
 
 from lpn.core.errors import ModelFileError
 from lpn.core.files import printable
-from lpn.models.adapters.entries import Entries
 from lpn.models.adapters.network import Account, PartBranch, by_heads
 from lpn.models.adapters.published import NORM_HELD, PublishedParts, by_view, check_option, equal, size_of
 from lpn.models.adapters.registry import Adapter
 from lpn.models.adapters.trunks import STRIDE, hand_made_trunk
+from lpn.models.entries import Entries
 
 log = logging.getLogger(__name__)
 

@@ -11,11 +11,11 @@ from torch import Tensor, nn
 
 from lpn.core.errors import ModelFileError
 from lpn.core.views import VIEWS
-from lpn.models.adapters.entries import Entries
 from lpn.models.adapters.network import Account, PartBranch, on_grid, whole_mean
 from lpn.models.adapters.published import PublishedParts, published, size_of
 from lpn.models.adapters.registry import Adapter
 from lpn.models.adapters.trunks import dinov2
+from lpn.models.entries import Entries
 
 # The published input size of SALAD, steps of the optimal transport, and the least length for a division.
 _SIZE = (322, 322)

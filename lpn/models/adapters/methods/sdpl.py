@@ -10,11 +10,11 @@ from torch import Tensor, nn
 
 from lpn.core.arrays import Int64Array
 from lpn.core.errors import InputError, ModelFileError
-from lpn.models.adapters.entries import Entries
 from lpn.models.adapters.network import Account, PartBranch, by_heads, on_grid
 from lpn.models.adapters.published import PublishedParts, by_role, check_option, numbered, published, size_of
 from lpn.models.adapters.registry import LPN, Adapter
 from lpn.models.backbones import Bottleneck, ResNet
+from lpn.models.entries import Entries
 
 SHIFTS = (-2, 0, 2)
 _RINGS = ("centre", "ring", "ring", "outer", "rings 1 and 2", "rings 2 and 3", "rings 3 and 4", "rings 1 to 3")

@@ -8,11 +8,11 @@ import torch
 from torch import Tensor
 
 from lpn.core.errors import ModelFileError
-from lpn.models.adapters.entries import Entries
 from lpn.models.adapters.named import named_vector
 from lpn.models.adapters.network import Account, MeanVector, PartBranch
 from lpn.models.adapters.published import PublishedParts, numbered, published, size_of
 from lpn.models.adapters.registry import Adapter
+from lpn.models.entries import Entries
 
 # timm's networks of the option `model`, each with an entry, and its shape, that later ones lack.
 NETWORKS: dict[str, tuple[str, tuple[int, ...]]] = {

@@ -8,13 +8,13 @@ from typing import Any, NamedTuple
 from lpn.core.errors import ModelFileError
 from lpn.core.images import MEAN, STD, Triple
 from lpn.models import timm_networks
-from lpn.models.adapters.entries import Entries
 from lpn.models.adapters.methods.mccg import MCCG
 from lpn.models.adapters.named import named_vector
 from lpn.models.adapters.network import MeanVector, PartBranch
 from lpn.models.adapters.published import NORM_HELD, PublishedParts, by_role, distinct, published, size_of
 from lpn.models.adapters.registry import Adapter
 from lpn.models.adapters.trunks import STRIDE, ConvNeXt, ResNetMap, hand_made_trunk, trained_side
+from lpn.models.entries import Entries
 
 # timm's rotary vision transformers that Game4Loc starts from, by width and depth.
 _ROTARY = {

@@ -17,10 +17,10 @@ from torch import Tensor
 import lpn
 from lpn.core.errors import InputError, ModelFileError
 from lpn.models import timm_networks
-from lpn.models.adapters.entries import Entries
 from lpn.models.adapters.methods import sues
 from lpn.models.adapters.published import PublishedModel
 from lpn.models.base import normalise
+from lpn.models.entries import Entries
 from lpn.models.trace import Trace
 from tools.fixtures import published_models, published_network, seeded
 from tools.fixtures.published_models import State, relative_by_part

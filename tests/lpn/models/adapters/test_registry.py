@@ -17,9 +17,9 @@ import lpn
 from lpn.core.errors import InputError, ModelFileError
 from lpn.models import timm_networks
 from lpn.models.adapters import registry
-from lpn.models.adapters.entries import Entries
 from lpn.models.adapters.methods import sdpl
 from lpn.models.base import Model
+from lpn.models.entries import Entries
 from tools.fixtures import published_models, seeded, small_worlds
 from tools.fixtures.published_models import State, small_denseuav, small_fsra, small_mccg, small_vector
 
