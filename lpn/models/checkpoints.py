@@ -7,7 +7,6 @@ import logging
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal, cast
 
@@ -125,37 +124,36 @@ def load_torch(path: str | Path, device: torch.device | str = "cpu") -> TorchMod
     path = Path(path)
     if not holds_safetensors(path):
         return from_state(read_state(path), read_options(path.with_name("opts.yaml")), path, device)
-    spec, state = _read_safetensors(path)
-    return _model(spec, Entries(path.name, state), path, device)
+    return _model(*_read_safetensors(path), path, device)[0]
 
 
 def from_state(state: StateDict, options: dict[str, Any], path: Path, device: torch.device | str = "cpu") -> TorchModel:
     """Return the LPN of a published state dict and its options, see `load_torch`."""
     state = with_named_branch(state, options, path.name)
     spec = infer_spec(state, options, path.name)
-    entries = Entries(path.name, state)
-    model = _model(spec, entries, path, device)
+    model, entries = _model(spec, state, path, device)
     name_unknown(path.name, "LPN", entries.left_over(UNUSED))
     return model
 
 
-def _model(spec: ModelSpec, entries: Entries, path: Path, device: torch.device | str) -> TorchModel:
-    state = dict(entries.state)
+def _model(spec: ModelSpec, state: StateDict, path: Path, device: torch.device | str) -> tuple[TorchModel, Entries]:
+    """Return the model of a spec and a state dict, and the entries that it read."""
     if spec.n_parts == 1:
         state = {re.sub(r"^classifier0\.", "classifier.", key): value for key, value in state.items()}
     # Branches that share weights may be stored once.
     for view in spec.views:
         own, stored = BRANCH[view] + ".", BRANCH[spec.owner(view)] + "."
         if own != stored:
-            state |= {own + key.removeprefix(stored): of for key, of in state.items() if key.startswith(stored)}
+            state = state | {own + key.removeprefix(stored): of for key, of in state.items() if key.startswith(stored)}
     # On the meta device a file that claims a huge network takes no memory before its entries are checked.
     with torch.device("meta"):
         network = LPN(spec)
-    replace(entries, state=state).fill(network, r"num_batches_tracked$|\.classifier\.")
+    entries = Entries(path.name, state)
+    entries.fill(network, r"num_batches_tracked$|\.classifier\.")
     if is_timm(spec.backbone):  # its networks have buffers that no file holds
         filled, network = network.state_dict(), LPN(spec)
         network.load_state_dict(filled)
-    return TorchModel(network.to(device), fingerprint(path, also=spec.to_json()))
+    return TorchModel(network.to(device), fingerprint(path, also=spec.to_json())), entries
 
 
 def holds_safetensors(path: Path) -> bool:

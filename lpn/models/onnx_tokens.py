@@ -117,7 +117,8 @@ class PooledEngine(Engine):
 def _size(session: ort.InferenceSession, path: Path, pictures: dict[str, Any]) -> tuple[int, int]:
     inputs = session.get_inputs()
     shape = inputs[0].shape if inputs else []
-    if len(inputs) != 1 or len(shape) != 4 or inputs[0].type != "tensor(float)" or shape[1] not in (3, *_names(shape)):
+    colours = shape[1] if len(shape) == 4 and isinstance(shape[1], int) else 3
+    if len(inputs) != 1 or len(shape) != 4 or inputs[0].type != "tensor(float)" or colours != 3:
         named = first_few([f"{printable(one.name)} {one.type} {one.shape}" for one in inputs], 3)
         raise ModelFileError(
             f"{path.name} takes {named}; expected one input of pictures, float (batch, 3, height, width)."
@@ -129,11 +130,6 @@ def _size(session: ort.InferenceSession, path: Path, pictures: dict[str, Any]) -
     )
     height, width = (side or other for side, other in zip(sides, read, strict=True))
     return height, width
-
-
-def _names(shape: list[Any]) -> list[Any]:
-    """Return the names of open sides."""
-    return [side for side in shape if not isinstance(side, int)]
 
 
 def _tokens(session: ort.InferenceSession, name: str, size: tuple[int, int], batch: int) -> tuple[str, tuple[int, ...]]:
@@ -150,7 +146,7 @@ def _tokens(session: ort.InferenceSession, name: str, size: tuple[int, int], bat
         for output, value in zip(session.get_outputs(), values, strict=True)
         if output.type == "tensor(float)" and (value.ndim == 3 or (value.ndim == 4 and max(value.shape[2:]) > 1))
     }
-    fitting = [one for one in (*_NAMES, *shapes) if one in shapes and _fits(shapes[one], size)]
+    fitting = [one for one in (*_NAMES, *shapes) if one in shapes and _grid(shapes[one], size)[0] != (0, 0)]
     if not fitting or (fitting[0] not in _NAMES and len(set(fitting)) > 1):
         every = first_few([f"{printable(one.name)} {one.shape}" for one in session.get_outputs()], 4)
         raise ModelFileError(
@@ -158,10 +154,6 @@ def _tokens(session: ort.InferenceSession, name: str, size: tuple[int, int], bat
             f"picture's {size[0]} x {size[1]} pixels, named last_hidden_state or tokens where there are several."
         )
     return fitting[0], shapes[fitting[0]]
-
-
-def _fits(shape: tuple[int, ...], size: tuple[int, int]) -> bool:
-    return len(shape) == 4 or _grid(shape, size)[0] != (0, 0)
 
 
 def _grid(shape: tuple[int, ...], size: tuple[int, int]) -> tuple[tuple[int, int], int]:

@@ -14,7 +14,7 @@ import importlib
 import sys
 import types
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from typing import Any, cast
 
 import torch
@@ -51,17 +51,13 @@ def import_timm() -> Any:
     except Exception:  # its operators may fail to register in any way
         needed = True
     try:
-        if not needed:
+        with _stand_ins() if needed else nullcontext():
             return importlib.import_module("timm")
-        with _stand_ins():
-            return importlib.import_module("timm")
-    except ModuleNotFoundError as error:
-        if error.name == "timm":
+    except Exception as error:
+        if isinstance(error, ModuleNotFoundError) and error.name == "timm":
             raise InputError(
                 "The model's network comes from timm, which is not installed; pip install 'lpn-explorer[models]'."
             ) from error
-        raise InputError(broken_package(error)) from error
-    except Exception as error:
         raise InputError(broken_package(error)) from error
 
 

@@ -98,7 +98,13 @@ class TrainingSet:
                 "train/google is left out: its pictures train the street branch, and there is no train/street."
             )
         by_place = _whole(sets, dataset.root, console)
-        _check_sets(by_place, dataset.root)
+        if "satellite" not in by_place or not {"drone", "street"} & set(by_place):
+            listed = ", ".join(f"train/{name}" for name in by_place)
+            raise DataError(
+                f"{dataset.root.name} has {f'pictures in {listed}' if listed else 'no pictures to train on'}; training needs "
+                "train/satellite and at least one of train/drone, train/street, as in University-1652, or such pictures in lines "
+                "of a pairs.csv with the split train."
+            )
         training_places = trainable(by_place)
         if not training_places.places:
             raise DataError(
@@ -205,17 +211,6 @@ class TrainingSet:
                 self._cache[path] = picture
                 self._cache_bytes += picture.nbytes
         return picture
-
-
-def _check_sets(by_place: Mapping[str, object], root: Path) -> None:
-    """Raise DataError without tiles, or without pictures of another view."""
-    if "satellite" not in by_place or not {"drone", "street"} & set(by_place):
-        listed = ", ".join(f"train/{name}" for name in by_place)
-        held = f"pictures in {listed}" if listed else "no pictures to train on"
-        raise DataError(
-            f"{root.name} has {held}; training needs train/satellite and at least one of train/drone, train/street, as in "
-            "University-1652, or such pictures in lines of a pairs.csv with the split train."
-        )
 
 
 def _filled(files: dict[str, list[list[Path]]]) -> dict[str, list[list[Path]]]:

@@ -18,7 +18,7 @@ from lpn.models.lpn import LPN
 from lpn.models.spec import ModelSpec
 from lpn.models.timm_networks import TimmMap, import_timm
 from lpn.models.trace import Trace
-from lpn.training.optimizer import build_optimizer
+from lpn.training.learner import build_optimizer
 from lpn.training.recipes import RECIPES
 from tools.fixtures import seeded
 from tools.fixtures.seeded import relative

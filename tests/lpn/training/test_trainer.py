@@ -24,7 +24,7 @@ from lpn.models.backbones import backbone_of
 from lpn.models.checkpoints import load_torch, save
 from lpn.models.spec import ModelSpec
 from lpn.tasks.opening import lazy_task
-from lpn.training import optimizer
+from lpn.training import learner
 from lpn.training.model_selection import HeldOut, TestSplit
 from lpn.training.recipe import Recipe
 from lpn.training.recipes import METHODS, RECIPES
@@ -234,7 +234,7 @@ def test_held_out_places_choose_and_are_not_trained_on(places: Path, tmp_path: P
 
 @pytest.mark.slow
 def test_float16_and_its_scaler_are_resumed(places: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(optimizer, "choose_dtype", lambda *_: torch.float16)
+    monkeypatch.setattr(learner, "choose_dtype", lambda *_: torch.float16)
     quick = replace(QUICK, epochs=1)
     run, said = trainer(places, tmp_path / "run", quick)
     run.learner.mixed_precision.scaler = torch.amp.GradScaler("cpu", init_scale=1024.0)

@@ -6,12 +6,9 @@ import sys
 from collections.abc import Collection
 from importlib.metadata import EntryPoint
 from pathlib import Path
-from typing import Any
 
-import numpy as np
 import pytest
 import torch
-from safetensors.torch import save_file
 
 import lpn
 from lpn.core.errors import InputError, ModelFileError
@@ -20,7 +17,7 @@ from lpn.models.adapters import registry
 from lpn.models.adapters.methods import sdpl
 from lpn.models.base import Model
 from lpn.models.entries import Entries
-from tools.fixtures import published_models, seeded, small_worlds
+from tools.fixtures import published_models, small_worlds
 from tools.fixtures.published_models import State, small_denseuav, small_fsra, small_mccg, small_vector
 
 timm_networks.import_timm()
@@ -100,29 +97,6 @@ def test_a_method_of_another_package_is_one_file_and_an_entry_point(monkeypatch:
     registry.adapters.cache_clear()
     assert chosen(["encoder.0", "encoder.1"]) == "rings"
     registry.adapters.cache_clear()
-
-
-def test_a_prefix_of_training_and_the_container_of_a_checkpoint_do_not_matter(tmp_path: Path) -> None:
-    state, (height, width) = small_mccg(2), (64, 64)
-    (tmp_path / "opts.yaml").write_text(f"h: {height}\nw: {width}\n")
-    forms: dict[str, Any] = {
-        "module.": {f"module.{key}": value for key, value in state.items()},
-        "lightning": {"epoch": 3, "state_dict": {f"model.{key}": value for key, value in state.items()}},
-        "own": {"epoch": 3, "net": state, "optimizer": {"lr": 0.1}},
-        "nested": {"model": {"state_dict": state}},
-    }
-    torch.save(state, tmp_path / "net.pth")
-    pictures = seeded.pictures(3, 1, height, width)
-    expected = lpn.load(tmp_path / "net.pth", "cpu").part_embeddings(pictures, "drone")
-    files = []
-    for name, content in forms.items():
-        files.append(tmp_path / f"{name}.pth")
-        torch.save(content, files[-1])
-    for name, metadata in (("plain", None), ("hub", {"format": "pt"})):
-        files.append(tmp_path / f"{name}.safetensors")
-        save_file(state, files[-1], metadata)
-    for file in files:
-        np.testing.assert_array_equal(lpn.load(file, "cpu").part_embeddings(pictures, "drone"), expected)
 
 
 def test_a_bare_network_of_timm_is_read_as_the_kind_that_is_named(tmp_path: Path) -> None:
