@@ -1,4 +1,4 @@
-"""Configurations beside a model: the `opts.yaml` of a published checkpoint, and the JSON files of transformers; no torch here."""
+"""Configurations beside a model: opts.yaml, and the JSON of transformers; no torch here."""
 
 from __future__ import annotations
 

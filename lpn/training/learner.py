@@ -1,4 +1,4 @@
-"""The network of a recipe in training: network, optimizer, schedule, precision, and average, the state that one step changes."""
+"""A network in training: optimizer, learning rates, precision, and moving average."""
 
 from __future__ import annotations
 

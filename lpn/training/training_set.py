@@ -97,7 +97,7 @@ class TrainingSet:
             console.print(
                 "train/google is left out: its pictures train the street branch, and there is no train/street."
             )
-        by_place = _whole(sets, dataset.root, console)
+        by_place = _by_place(sets, dataset.root, console)
         if "satellite" not in by_place or not {"drone", "street"} & set(by_place):
             listed = ", ".join(f"train/{name}" for name in by_place)
             raise DataError(
@@ -218,7 +218,7 @@ def _filled(files: dict[str, list[list[Path]]]) -> dict[str, list[list[Path]]]:
     return {name: places for name, places in files.items() if any(places)}
 
 
-def _whole(sets: Mapping[str, Sequence[Picture]], root: Path, console: Console) -> dict[str, dict[int, list[Path]]]:
+def _by_place(sets: Mapping[str, Sequence[Picture]], root: Path, console: Console) -> dict[str, dict[int, list[Path]]]:
     """Return the files of each place in each set, without broken pictures, emptied places, and emptied sets."""
     files = [picture.path for pictures in sets.values() for picture in pictures]
     if broken := picture_errors(files):

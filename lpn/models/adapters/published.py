@@ -1,4 +1,4 @@
-"""A published model of another method than LPN, and what builders share: views, sizes, and options of a checkpoint."""
+"""A published model of another method in PyTorch, and the common part of the builders."""
 
 from __future__ import annotations
 

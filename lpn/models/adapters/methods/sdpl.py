@@ -17,8 +17,10 @@ from lpn.models.backbones import Bottleneck, ResNet
 from lpn.models.entries import Entries
 
 SHIFTS = (-2, 0, 2)
-_RINGS = ("centre", "ring", "ring", "outer", "rings 1 and 2", "rings 2 and 3", "rings 3 and 4", "rings 1 to 3")
-PART_NAMES = tuple(f"{number} {name}" for number, name in enumerate((*_RINGS, "rings 2 to 4", "outer again"), 1))
+_NAMES = (
+    "centre, ring, ring, outer, rings 1 and 2, rings 2 and 3, rings 3 and 4, rings 1 to 3, rings 2 to 4, outer again"
+)
+PART_NAMES = tuple(f"{number} {name}" for number, name in enumerate(_NAMES.split(", "), 1))
 PARTS = len(PART_NAMES)
 # Pixels along a side of one cell of the map.
 _STRIDE = 16
