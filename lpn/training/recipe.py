@@ -189,6 +189,10 @@ class Recipe:
 
     def __post_init__(self) -> None:
         check_fields(self, "recipe")
+        self.check_conflicts()
+
+    def check_conflicts(self) -> None:
+        """Raise InputError for settings that exclude each other."""
         if self.backbone not in BACKBONES and not is_timm(self.backbone):
             raise InputError(
                 f"The recipe has backbone = {_shown(self.backbone)}; expected one of {', '.join(BACKBONES)}, or timm: and the "
