@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Literal
 
 from lpn.core.errors import InputError
-from lpn.core.resources import ProviderName
 from lpn.sources import KindOption, PoolingOption
 
 _PICTURES, _LEAST_COSINE = 128, 0.98
@@ -33,9 +32,6 @@ class ExportCommand:
     """With --compute int8: data set whose pictures set the ranges of the 8-bit numbers, in any layout of docs/data.md."""
     pictures: int = _PICTURES
     """With --compute int8: number of these pictures, spread evenly over the training split, else over the test split."""
-    provider: ProviderName = "auto"
-    """With --compute int8: provider of the calibration: auto (LPN_PROVIDER, else a GPU if one works, else the CPU), cpu, cuda, or
-    another of ONNX Runtime."""
     least_cosine: float = _LEAST_COSINE
     """With --compute int8: least mean cosine with float32 descriptors, of each view, below which nothing is written."""
 
@@ -43,9 +39,9 @@ class ExportCommand:
         if self.compute == "int8":
             self._quantize()
             return
-        if self.data or (self.pictures, self.provider, self.least_cosine) != (_PICTURES, "auto", _LEAST_COSINE):
+        if self.data or (self.pictures, self.least_cosine) != (_PICTURES, _LEAST_COSINE):
             raise InputError(
-                "--data, --pictures, --provider, and --least-cosine are of --compute int8; give it, or leave them out."
+                "--data, --pictures, and --least-cosine are of --compute int8; give it, or leave them out."
             )
         files = self._export(self.out)
         self._report(files)
@@ -74,9 +70,7 @@ class ExportCommand:
         exported = self.model.suffix == ".onnx" and self.pooling is None and self.kind is None
         with tempfile.TemporaryDirectory(prefix="lpn-") as folder:
             model = self.model if exported else self._export(Path(folder) / self.out.name)[0]
-            files, agreement = quantize(
-                model, dataset, self.out, self.pictures, self.provider, least_cosine=self.least_cosine
-            )
+            files, agreement = quantize(model, dataset, self.out, self.pictures, self.least_cosine)
         self._report(files)
         cosines = ", ".join(f"{view} {cosine:.4f}" for view, cosine in agreement.cosines.items())
         print(f"Mean cosine with the float32 descriptors of calibration pictures: {cosines}.")

@@ -7,17 +7,13 @@ class layers, because LPN reads the last feature map.
 from __future__ import annotations
 
 import copy
-from typing import Literal, cast
+from typing import cast
 
 import torch
 from torch import Tensor, nn
 
-from lpn.core.errors import InputError
-from lpn.models.spec import BACKBONES, TIMM, ModelSpec
+from lpn.models.spec import TIMM, ModelSpec
 from lpn.models.timm_networks import TimmMap
-
-BackboneName = Literal["resnet18", "resnet50", "vgg16", "vgg16_bn"]
-LastLayer = Literal["layer3", "layer4"]
 
 # Channels of the last feature map, by backbone and last layer.
 CHANNELS: dict[tuple[str, str], int] = {
@@ -79,7 +75,7 @@ class ResNet(nn.Module):
     """
 
     def __init__(
-        self, block: type[BasicBlock | Bottleneck], depths: list[int], last_layer: LastLayer, last_stride: int
+        self, block: type[BasicBlock | Bottleneck], depths: list[int], last_layer: str, last_stride: int
     ) -> None:
         super().__init__()
         self.conv1 = nn.Conv2d(3, 64, 7, 2, 3, bias=False)
@@ -134,20 +130,6 @@ class VGG16(nn.Module):
         return cast(Tensor, self.features(x))
 
 
-def backbone_of(spec: ModelSpec) -> ResNet | VGG16 | TimmMap:
-    """Build the backbone of one branch of a spec with random weights."""
-    if spec.backbone.startswith(TIMM):
-        return TimmMap(spec.backbone.removeprefix(TIMM), spec.input_size)
-    return build_backbone(
-        cast(BackboneName, spec.backbone),
-        cast(LastLayer, spec.last_layer),
-        spec.last_stride,
-        spec.backbone_dropout,
-        # Released SAFA pools with TensorFlow's padding SAME: 112 x 616 pixels give 4 x 20 cells, not 3 x 19.
-        ceil_mode=spec.pooling == "safa",
-    )
-
-
 def map_size(backbone: nn.Module, input_size: tuple[int, int]) -> tuple[int, int]:
     """Return (h, w) of the feature map for an input size, without computing it."""
     with torch.device("meta"):
@@ -155,31 +137,18 @@ def map_size(backbone: nn.Module, input_size: tuple[int, int]) -> tuple[int, int
         return cast("tuple[int, int]", tuple(shadow(torch.zeros(1, 3, *input_size)).shape[2:]))
 
 
-def build_backbone(
-    name: BackboneName,
-    last_layer: LastLayer = "layer4",
-    last_stride: int = 1,
-    dropout: float = 0.0,
-    ceil_mode: bool = False,
-) -> ResNet | VGG16:
-    """Build the named network with random weights (He initialisation).
-
-    Args:
-        last_layer, last_stride: of a ResNet.
-        dropout, ceil_mode: of a VGG-16.
-
-    Raises:
-        InputError: if the name is unknown.
-    """
+def backbone_of(spec: ModelSpec) -> ResNet | VGG16 | TimmMap:
+    """Build the backbone of one branch of a spec with random weights (He initialisation)."""
     network: ResNet | VGG16
-    if name == "resnet18":
-        network = ResNet(BasicBlock, [2, 2, 2, 2], last_layer, last_stride)
-    elif name == "resnet50":
-        network = ResNet(Bottleneck, [3, 4, 6, 3], last_layer, last_stride)
-    elif name in ("vgg16", "vgg16_bn"):
-        network = VGG16(name == "vgg16_bn", dropout, ceil_mode)
+    if spec.backbone.startswith(TIMM):
+        return TimmMap(spec.backbone.removeprefix(TIMM), spec.input_size)
+    if spec.backbone == "resnet18":
+        network = ResNet(BasicBlock, [2, 2, 2, 2], spec.last_layer, spec.last_stride)
+    elif spec.backbone == "resnet50":
+        network = ResNet(Bottleneck, [3, 4, 6, 3], spec.last_layer, spec.last_stride)
     else:
-        raise InputError(f"The backbone is {name!r}; expected one of {', '.join(BACKBONES)}.")
+        # Released SAFA pools with TensorFlow's padding SAME: 112 x 616 pixels give 4 x 20 cells, not 3 x 19.
+        network = VGG16(spec.backbone == "vgg16_bn", spec.backbone_dropout, ceil_mode=spec.pooling == "safa")
     for module in network.modules():
         if isinstance(module, nn.Conv2d):
             nn.init.kaiming_normal_(module.weight, mode="fan_out", nonlinearity="relu")

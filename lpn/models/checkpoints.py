@@ -27,16 +27,17 @@ from lpn.models import safa
 from lpn.models.backbones import map_size
 from lpn.models.base import Model
 from lpn.models.contract import ForwardPass, Heads
+from lpn.models.entries import Entries
 from lpn.models.file_contents import check_contents, contents_of
 from lpn.models.lpn import LPN
 from lpn.models.options import read_options
 from lpn.models.pickled_states import find_state, unpickle
 from lpn.models.published_checkpoints import (
+    UNUSED,
     StateDict,
     infer_backbone,
     infer_spec,
     name_unknown,
-    unknown_entries,
     with_named_branch,
 )
 from lpn.models.spec import SLOPES, ModelSpec, is_timm
@@ -123,26 +124,36 @@ def load_torch(path: str | Path, device: torch.device | str = "cpu") -> TorchMod
     path = Path(path)
     if not holds_safetensors(path):
         return from_state(read_state(path), read_options(path.with_name("opts.yaml")), path, device)
-    return _model(*_read_safetensors(path), path, device)
+    return _model(*_read_safetensors(path), path, device)[0]
 
 
 def from_state(state: StateDict, options: dict[str, Any], path: Path, device: torch.device | str = "cpu") -> TorchModel:
     """Return the LPN of a published state dict and its options, see `load_torch`."""
     state = with_named_branch(state, options, path.name)
     spec = infer_spec(state, options, path.name)
+    model, entries = _model(spec, state, path, device)
+    name_unknown(path.name, "LPN", entries.left_over(UNUSED))
+    return model
+
+
+def _model(spec: ModelSpec, state: StateDict, path: Path, device: torch.device | str) -> tuple[TorchModel, Entries]:
+    """Return the model of a spec and a state dict, and the entries that it read."""
+    if spec.n_parts == 1:
+        state = {re.sub(r"^classifier0\.", "classifier.", key): value for key, value in state.items()}
+    # Branches that share weights may be stored once.
+    for view in spec.views:
+        own, stored = BRANCH[view] + ".", BRANCH[spec.owner(view)] + "."
+        if own != stored:
+            state = state | {own + key.removeprefix(stored): of for key, of in state.items() if key.startswith(stored)}
+    # On the meta device a file that claims a huge network takes no memory before its entries are checked.
     with torch.device("meta"):
         network = LPN(spec)
-    name_unknown(path.name, "LPN", unknown_entries(_entries(network, state)[1], network.state_dict().keys()))
-    return _model(spec, state, path, device)
-
-
-def _model(spec: ModelSpec, state: StateDict, path: Path, device: torch.device | str) -> TorchModel:
-    # Check on the meta device first: a file may claim a network far larger than its contents.
-    with torch.device("meta"):
-        _check_fits(LPN(spec), state, path.name)
-    network = LPN(spec)
-    _fill(network, state, path.name)
-    return TorchModel(network.to(device), fingerprint(path, also=spec.to_json()))
+    entries = Entries(path.name, state)
+    entries.fill(network, r"num_batches_tracked$|\.classifier\.")
+    if is_timm(spec.backbone):  # its networks have buffers that no file holds
+        filled, network = network.state_dict(), LPN(spec)
+        network.load_state_dict(filled)
+    return TorchModel(network.to(device), fingerprint(path, also=spec.to_json())), entries
 
 
 def holds_safetensors(path: Path) -> bool:
@@ -242,14 +253,6 @@ def _with_sorted_header(data: bytes) -> bytes:
     return len(header).to_bytes(8, "little") + header + data[start:]
 
 
-def recipe_of(path: Path) -> dict[str, Any]:
-    """Return the training recipe of one of our models as JSON values; empty if unknown."""
-    try:
-        return cast(dict[str, Any], json.loads(_read_tensors(path)[1]["recipe"]))
-    except (ModelFileError, OSError, KeyError, ValueError):
-        return {}
-
-
 def backbone_in(path: Path) -> str:
     """Return the backbone in a file of backbone weights or of a whole model, one of `BACKBONES`.
 
@@ -284,15 +287,14 @@ def load_backbone(network: LPN, path: str | Path) -> tuple[int, int, list[str]]:
     Raises:
         ModelFileError: if the file cannot be read, holds another backbone, or nothing in it fits.
     """
-    path = Path(path)
-    state = _read_weights(path)
-    # Some layers of another backbone would fit.
-    own = held = network.spec.backbone
-    if is_timm(own):
-        state = _of_timm(network, state)
-    else:
+    path, own = Path(path), network.spec.backbone
+    state, held = _read_weights(path), own
+    if not is_timm(own):
         with suppress(ModelFileError):
             held = _backbone_of(state, path)
+    elif not any(key.startswith("model_1.model.") for key in state):
+        state = cast(TimmMap, network.branch(network.spec.views[0]).model).with_own_names(state)
+    # Some layers of another backbone would fit.
     if held != own:
         raise ModelFileError(
             f"{path.name} holds {held}; the network has {own}. Give weights of {own}, or train with --backbone {held}."
@@ -302,8 +304,7 @@ def load_backbone(network: LPN, path: str | Path) -> tuple[int, int, list[str]]:
     for view in network.spec.views:
         if network.spec.owner(view) != view:
             continue
-        target = network.branch(view).model.state_dict()
-        for name, tensor in target.items():
+        for name, tensor in network.branch(view).model.state_dict().items():
             candidates = (f"{BRANCH[view]}.model.{name}", f"model_1.model.{name}", name)
             source = next((state[c] for c in candidates if c in state), None)
             total += 1
@@ -315,18 +316,10 @@ def load_backbone(network: LPN, path: str | Path) -> tuple[int, int, list[str]]:
                 missing[".".join(stage.split(".")[: 2 if stage.startswith("features") else 1])] = None
     if not filled:
         raise ModelFileError(
-            f"Nothing in {path.name} fits a {network.spec.backbone} backbone; its first entries are "
-            f"{', '.join(list(state)[:3])}. Give weights of the same backbone, with the names of "
-            f"{'timm' if is_timm(own) else 'torchvision'}."
+            f"Nothing in {path.name} fits a {own} backbone; its first entries are {', '.join(list(state)[:3])}. Give weights of "
+            f"the same backbone, with the names of {'timm' if is_timm(own) else 'torchvision'}."
         )
     return filled, total, list(missing)
-
-
-def _of_timm(network: LPN, state: StateDict) -> StateDict:
-    """Return the weights of one network of timm under the names of a branch; those of a whole model unchanged."""
-    if any(key.startswith("model_1.model.") for key in state):
-        return state
-    return cast(TimmMap, network.branch(network.spec.views[0]).model).with_own_names(state)
 
 
 def load_heads(network: LPN, path: str | Path) -> str:
@@ -358,44 +351,6 @@ def _own_keys(network: LPN) -> set[str]:
     spec = network.spec
     aliases = tuple(BRANCH[view] + "." for view in spec.views if spec.owner(view) != view)
     return {key for key in network.state_dict() if not key.startswith(aliases or ("\0",))}
-
-
-def _entries(network: LPN, state: StateDict) -> tuple[StateDict, StateDict]:
-    """Return a network's own tensors, and those of a file under the network's names."""
-    own = _own_keys(network)
-    target = {k: v for k, v in network.state_dict().items() if k in own}
-    if network.spec.n_parts == 1:
-        state = {re.sub(r"^classifier0\.", "classifier.", k): v for k, v in state.items()}
-    return target, state
-
-
-def _check_fits(network: LPN, state: StateDict, name: str) -> None:
-    """Refuse a file that lacks entries of the network or has entries of another shape."""
-    target, state = _entries(network, state)
-    needed = [k for k in target if not k.endswith("num_batches_tracked") and ".classifier." not in k]
-    missing = [k for k in needed if k not in state]
-    if missing:
-        raise ModelFileError(
-            f"{name} lacks {len(missing)} of {len(needed)} entries, the first being {missing[0]}; "
-            "the file is incomplete or of another architecture."
-        )
-    wrong = [k for k in target if k in state and state[k].shape != target[k].shape]
-    if wrong:
-        key = wrong[0]
-        raise ModelFileError(
-            f"In {name}, {key} has shape {tuple(state[key].shape)}; expected {tuple(target[key].shape)} for "
-            f"{network.spec.describe()}."
-        )
-
-
-def _fill(network: LPN, state: StateDict, name: str) -> None:
-    target, state = _entries(network, state)
-    for key, tensor in target.items():
-        if key in state:
-            tensor.copy_(state[key])
-            # The sum is a cheap test: it is finite only if all entries are.
-            if not bool(tensor.sum().isfinite()) and not bool(tensor.isfinite().all()):
-                raise ModelFileError(f"In {name}, {key} holds values that are not finite; take an earlier checkpoint.")
 
 
 def check_opens(path: Path) -> None:

@@ -56,7 +56,6 @@ class Contract:
             INTER_AREA, the mean over each pixel's area), or "bilinear" (Pillow's, anti-aliased).
         mean, std: of red, green, and blue, for values 0 .. 1.
         mirror: "sum" if the raw parts of the mirrored picture are added before normalisation.
-        normalisation: "parts": each part has norm 1/sqrt(n), which is plain L2 for n = 1.
         partitions: by view, the partition of every map; a view without one has parts that differ between pictures.
         part_names: by view; by default those of its partition, else numbers.
         polar: the views whose pictures are first unrolled around their centre, see `images.polar`.
@@ -79,7 +78,6 @@ class Contract:
     mean: Triple = MEAN
     std: Triple = STD
     mirror: Mirror = "sum"
-    normalisation: Literal["parts"] = "parts"
     partitions: Mapping[View, Partition] = field(default_factory=dict)
     part_names: Mapping[View, Sequence[str]] = field(default_factory=dict)
     polar: tuple[View, ...] = ()
@@ -93,7 +91,6 @@ class Contract:
         if sorted(view for group in self.groups for view in group) != sorted(self.views):
             raise InputError(f"The groups {self.groups} do not hold each of the views {', '.join(self.views)} once.")
         choices = {"level": AccountLevel, "roles": Literal["view", "role"], "resize": Resize, "mirror": Mirror}
-        choices["normalisation"] = Literal["parts"]
         for name, allowed in choices.items():
             if getattr(self, name) not in get_args(allowed):
                 raise InputError(
@@ -221,11 +218,6 @@ def check_parts(contract: Contract, parts: Float32Array, count: int) -> None:
     """Raise ModelFileError if raw parts of `count` pictures contradict the contract by their shape."""
     if parts.shape != (count, contract.n_parts, contract.embedding):
         check_shapes(contract, {"pictures": (count,), "parts": parts.shape})
-
-
-def check_fixed_cells(contract: Contract, cells: Float32Array, size: tuple[int, ...]) -> None:
-    """Raise ModelFileError if cells of the heads do not fit the contract and a map of this size, (h, w)."""
-    check_shapes(contract, {"features": (1, 1, *size), "the heads' cells": cells.shape}, channels=False)
 
 
 def check_pass(contract: Contract, outputs: ForwardPass, heads: Heads) -> None:

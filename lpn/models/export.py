@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import logging
 import warnings
 from collections.abc import Collection, Iterator
@@ -24,7 +23,8 @@ from lpn.core.views import View
 from lpn.models import safa
 from lpn.models.adapters import Kind
 from lpn.models.adapters.load import load_file
-from lpn.models.adapters.model import PublishedModel
+from lpn.models.adapters.network import by_heads
+from lpn.models.adapters.published import PublishedModel
 from lpn.models.base import Model
 from lpn.models.checkpoints import TorchModel, WeightType, to_eight_bits
 from lpn.models.contract_metadata import to_metadata
@@ -54,49 +54,35 @@ class _AccountGraph(nn.Module):
         return (*fields, cast(Tensor, self.network.weight)) if "head_weight" in self.outputs else tuple(fields)
 
 
-class _SafaGraph(nn.Module):
-    """SAFA at test time for one view; each part is a sum over its own maps."""
+class _Graph(nn.Module):
+    """An LPN at test time for one view, with its heads as affine maps, or SAFA, whose parts are sums over their own maps."""
 
-    outputs = ("parts", "features", "cells")
+    weight: Tensor | None
+    bias: Tensor | None
+    partition: Tensor | None
 
     def __init__(self, model: TorchModel, view: View) -> None:
         super().__init__()
         self.branch, self.cells = model.network.branch(view), model.spec.partition(view)
+        heads, self.slope = model.heads(view), SLOPES[model.spec.activation]
+        for name, array in (("weight", heads.weight), ("bias", heads.bias), ("partition", heads.cells)):
+            self.register_buffer(name, None if array is None else torch.from_numpy(array))
+        self.outputs = ["parts", "features", "cells"]
+        if self.weight is not None:
+            slopes = ["slopes"] if self.slope != 1 else []
+            self.outputs = ["parts", "features", "head_weight", "head_bias", "cells", *slopes]
 
     def forward(self, images: Tensor) -> tuple[Tensor, ...]:
         features = cast(Tensor, self.branch(images))
-        attention = safa.attention(features, self.cells, self.branch.aware)
-        return (safa.weigh(features, attention), *safa.by_part(features, attention))
-
-
-class _Graph(nn.Module):
-    """An LPN at test time for one view, with its heads as affine maps."""
-
-    def __init__(self, model: TorchModel, view: View) -> None:
-        super().__init__()
-        self.branch = model.network.branch(view)
-        heads = model.heads(view)
-        self.slope = SLOPES[model.spec.activation]
-        self.weight = nn.Buffer(torch.from_numpy(heads.weight))
-        self.bias = nn.Buffer(torch.from_numpy(heads.bias))
-        self.partition = nn.Buffer(torch.from_numpy(heads.cells))
-        self.outputs = [
-            "parts",
-            "features",
-            "head_weight",
-            "head_bias",
-            "cells",
-            *(["slopes"] if self.slope != 1 else []),
-        ]
-
-    def forward(self, images: Tensor) -> tuple[Tensor, ...]:
-        features = cast(Tensor, self.branch(images))
-        pooled = torch.matmul(self.partition.flatten(1), features.flatten(2).transpose(1, 2))
-        parts = torch.matmul(self.weight, pooled.unsqueeze(3)).squeeze(3) + self.bias
+        if self.weight is None or self.bias is None or self.partition is None:
+            attention = safa.attention(features, self.cells, self.branch.aware)
+            return (safa.weigh(features, attention), *safa.by_part(features, attention))
+        weight, bias, cells = self.weight, self.bias, self.partition
+        parts = by_heads(torch.matmul(cells.flatten(1), features.flatten(2).transpose(1, 2)), weight, bias)
         if self.slope == 1:
-            return parts, features, self.weight, self.bias, self.partition
+            return parts, features, weight, bias, cells
         slopes = torch.where(parts > 0, 1.0, self.slope)
-        return parts * slopes, features, self.weight, self.bias, self.partition, slopes
+        return parts * slopes, features, weight, bias, cells, slopes
 
 
 def export(
@@ -182,7 +168,7 @@ def _graph(model: Model, view: View, metadata: dict[str, str], storage: WeightTy
         network: Any = _AccountGraph(model, view)
     else:
         assert isinstance(model, TorchModel)
-        network = (_SafaGraph if model.spec.pooling == "safa" else _Graph)(model, view)
+        network = _Graph(model, view)
     with quiet():
         program = torch.onnx.export(
             network.eval(),
@@ -200,14 +186,8 @@ def _graph(model: Model, view: View, metadata: dict[str, str], storage: WeightTy
     _remove_origin(proto)
     if storage != "float32":
         _shrink(proto, storage, kept=_behind_trunk(proto.graph) if isinstance(model, PublishedModel) else ())
-    return _sealed(proto, metadata)
-
-
-def _sealed(proto: onnx.ModelProto, metadata: dict[str, str]) -> bytes:
     onnx.helper.set_model_props(proto, metadata | {SEAL: UNSEALED})
-    buffer = io.BytesIO()
-    onnx.save_model(proto, buffer)
-    return with_seal(buffer.getvalue())
+    return with_seal(proto.SerializeToString())
 
 
 def _remove_origin(proto: onnx.ModelProto) -> None:

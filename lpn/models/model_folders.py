@@ -69,24 +69,17 @@ def _chosen(folder: Path, files: list[str]) -> Path:
 
 def _without_groups(files: list[str]) -> list[str]:
     """Return the files without those of further views of an exported model, such as `lpn.street.onnx` beside `lpn.onnx`."""
-    stems = {name.removesuffix(".onnx") for name in files if name.endswith(".onnx")}
-    return [
-        name for name in files if name not in {f"{stem}.onnx" for stem in stems if stem.rpartition(".")[0] in stems}
-    ]
+    return [name for name in files if f"{Path(Path(name).stem).stem}.onnx" not in {*files} - {name}]
 
 
-def _epoch(name: str) -> tuple[int, str]:
-    match = _EPOCH.fullmatch(name)
-    assert match is not None
-    return (1 << 30 if match[1] == "last" else int(match[1])), name
+def _epoch(name: str) -> int:
+    number = name.removeprefix("net_").removesuffix(".pth")
+    return 1 << 30 if number == "last" else int(number)
 
 
 def _models(folder: Path) -> list[str]:
-    return sorted(
-        entry.name
-        for entry in _scan(folder)
-        if is_model_name(entry.name) and entry.is_file() and not _STATE.fullmatch(entry.name)
-    )
+    files = [entry.name for entry in _scan(folder) if is_model_name(entry.name) and entry.is_file()]
+    return sorted(name for name in files if not _STATE.fullmatch(name))
 
 
 def _folders(folder: Path) -> list[Path]:

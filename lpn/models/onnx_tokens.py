@@ -15,11 +15,17 @@ from lpn.core.files import fingerprint, first_few, printable
 from lpn.core.images import MEAN, STD
 from lpn.core.resources import ProviderName
 from lpn.core.views import VIEWS, View
-from lpn.models.contract import Contract, ForwardPass, Heads
+from lpn.models.contract import ForwardPass, Heads
 from lpn.models.onnx_engine import Engine
-from lpn.models.options import picture_size, read_options
+from lpn.models.options import (
+    PICTURES,
+    picture_size,
+    read_configuration,
+    read_options,
+    stated_normalisation,
+    stated_size,
+)
 from lpn.models.token_pooling import TokenPooling, pooled
-from lpn.models.transformers_files import PICTURES, read_configuration, stated_normalisation, stated_size
 
 log = logging.getLogger(__name__)
 
@@ -70,22 +76,9 @@ class PooledEngine(Engine):
                 "preprocessor_config.json beside it says others.",
                 printable(path.name),
             )
-        mean, std = stated_normalisation(pictures, (MEAN, STD))
-        self.contract = Contract(
-            f"{printable(path.stem)[:60]}, {pooling}",
-            f"{printable(path.stem)[:60]}, {pooling}, {size[0]} x {size[1]}",
-            VIEWS,
-            size,
-            len(pooling.part_names),
-            pooling.embedding(channels),
-            pooling.level,
-            pooling.held,
-            mean=mean,
-            std=std,
-            mirror="none",
-            partitions={} if pooling.partition is None else dict.fromkeys(VIEWS, pooling.partition),
-            part_names=dict.fromkeys(VIEWS, pooling.part_names),
-        )
+        normalisation = stated_normalisation(pictures, (MEAN, STD))
+        self.contract = pooling.contract(printable(path.stem)[:60], size, channels, normalisation)
+        self._shares = None if pooling.partition is None else pooling.partition.weights(*self._grid)
         self._constants, self._pass_outputs = [], [self._output]
         self._sessions = dict.fromkeys(VIEWS, session)
 
@@ -99,10 +92,13 @@ class PooledEngine(Engine):
         """Run one forward pass of images (B, 3, H, W) of the model's input size."""
         self._check_size(images, view)
         (values,) = self._outputs([self._output], images, view)
-        if values.ndim == 4:
-            return pooled(self._pooling, values, None)
-        cells = values[:, self._prefix : self._prefix + self._grid[0] * self._grid[1]].transpose(0, 2, 1)
-        return pooled(self._pooling, cells.reshape(*cells.shape[:2], *self._grid), values[:, 0])
+        if self._shares is None:
+            return ForwardPass(values[:, :1])
+        cells = values
+        if values.ndim == 3:
+            cells = values[:, self._prefix :].swapaxes(1, 2).reshape(len(values), -1, *self._grid)
+        parts, features, constants = pooled(self._pooling, self._shares, cells, values[:, 0], np.concatenate)
+        return ForwardPass(parts, features, constants=constants)
 
     def _parts(self, images: Float32Array, view: View) -> Float32Array:
         return self.run(images, view).parts
@@ -110,8 +106,7 @@ class PooledEngine(Engine):
     def heads(self, view: View) -> Heads:
         """Return the cells of the parts."""
         self.check_view(view)
-        partition = self._pooling.partition
-        return Heads() if partition is None else Heads(cells=partition.weights(*self._grid))
+        return Heads(cells=self._shares)
 
     def map_size(self, view: View) -> tuple[int, int]:
         """Return (h, w) of the map of tokens; 1 x 1 without cells."""
@@ -122,7 +117,8 @@ class PooledEngine(Engine):
 def _size(session: ort.InferenceSession, path: Path, pictures: dict[str, Any]) -> tuple[int, int]:
     inputs = session.get_inputs()
     shape = inputs[0].shape if inputs else []
-    if len(inputs) != 1 or len(shape) != 4 or inputs[0].type != "tensor(float)" or shape[1] not in (3, *_names(shape)):
+    colours = shape[1] if len(shape) == 4 and isinstance(shape[1], int) else 3
+    if len(inputs) != 1 or len(shape) != 4 or inputs[0].type != "tensor(float)" or colours != 3:
         named = first_few([f"{printable(one.name)} {one.type} {one.shape}" for one in inputs], 3)
         raise ModelFileError(
             f"{path.name} takes {named}; expected one input of pictures, float (batch, 3, height, width)."
@@ -134,11 +130,6 @@ def _size(session: ort.InferenceSession, path: Path, pictures: dict[str, Any]) -
     )
     height, width = (side or other for side, other in zip(sides, read, strict=True))
     return height, width
-
-
-def _names(shape: list[Any]) -> list[Any]:
-    """Return the names of open sides."""
-    return [side for side in shape if not isinstance(side, int)]
 
 
 def _tokens(session: ort.InferenceSession, name: str, size: tuple[int, int], batch: int) -> tuple[str, tuple[int, ...]]:
@@ -155,7 +146,7 @@ def _tokens(session: ort.InferenceSession, name: str, size: tuple[int, int], bat
         for output, value in zip(session.get_outputs(), values, strict=True)
         if output.type == "tensor(float)" and (value.ndim == 3 or (value.ndim == 4 and max(value.shape[2:]) > 1))
     }
-    fitting = [one for one in (*_NAMES, *shapes) if one in shapes and _fits(shapes[one], size)]
+    fitting = [one for one in (*_NAMES, *shapes) if one in shapes and _grid(shapes[one], size)[0] != (0, 0)]
     if not fitting or (fitting[0] not in _NAMES and len(set(fitting)) > 1):
         every = first_few([f"{printable(one.name)} {one.shape}" for one in session.get_outputs()], 4)
         raise ModelFileError(
@@ -163,10 +154,6 @@ def _tokens(session: ort.InferenceSession, name: str, size: tuple[int, int], bat
             f"picture's {size[0]} x {size[1]} pixels, named last_hidden_state or tokens where there are several."
         )
     return fitting[0], shapes[fitting[0]]
-
-
-def _fits(shape: tuple[int, ...], size: tuple[int, int]) -> bool:
-    return len(shape) == 4 or _grid(shape, size)[0] != (0, 0)
 
 
 def _grid(shape: tuple[int, ...], size: tuple[int, int]) -> tuple[tuple[int, int], int]:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import logging
 import re
-from collections.abc import Collection, Mapping, Sequence
-from typing import Any
+from collections.abc import Mapping, Sequence
+from typing import Any, Literal
 
 import torch
 from torch import Tensor
@@ -23,11 +23,10 @@ StateDict = dict[str, Tensor]
 # Words in the options of models trained on panoramas.
 _PANORAMAS = ("cvusa", "cvact")
 
-# Entries of layers that the published code contains but does not use.
-UNUSED = re.compile(r"model_\d\.model\.(fc|classifier|avgpool2?|maxpool2)\.")
-# Further entries that a checkpoint may add without belonging to another method.
-_BESIDE = re.compile(
-    r"num_batches_tracked$|^classifier\d*\.classifier\.|^model_\d\.model\.(network\.)?(head|_fc|_bn1|_conv_head)\.|^logit_scale$"
+# Entries of layers that the published code contains but does not use, and of training.
+UNUSED = (
+    r"^model_\d\.model\.(fc|classifier|avgpool2?|maxpool2)\.|^classifier\d*\.classifier\."
+    r"|^model_\d\.model\.(network\.)?(head|_fc|_bn1|_conv_head)\.|^logit_scale$"
 )
 
 
@@ -70,7 +69,8 @@ def infer_spec(state: StateDict, options: dict[str, Any], name: str = "the file"
             f"{name} was trained with pool: {options['pool']} (opts.yaml); only average pooling (avg) is supported."
         )
     prefix = f"{BRANCH[views[0]]}.model."
-    backbone, last_layer = str(options.get("backbone")), "layer4"
+    backbone = str(options.get("backbone"))
+    last_layer: Literal["layer3", "layer4"] = "layer4"
     if not is_timm(backbone):
         backbone, last_layer = infer_backbone(
             {k[len(prefix) :]: value for k, value in state.items() if k.startswith(prefix)}, name
@@ -122,11 +122,6 @@ def with_named_branch(state: StateDict, options: Mapping[str, Any], name: str) -
     return {re.sub(r"^model_2\.", "model_3.", key): value for key, value in state.items()}
 
 
-def unknown_entries(state: StateDict, known: Collection[str]) -> list[str]:
-    """Return the names of entries that neither an LPN's network nor its unused layers explain."""
-    return [key for key in state if key not in known and not UNUSED.match(key) and not _BESIDE.search(key)]
-
-
 def name_unknown(name: str, method: str, unknown: Sequence[str]) -> None:
     """Log entries that are not read and that the method's released code lacks: a later method may have written the file."""
     if unknown:
@@ -140,7 +135,7 @@ def name_unknown(name: str, method: str, unknown: Sequence[str]) -> None:
         )
 
 
-def infer_backbone(state: Mapping[str, Tensor], name: str) -> tuple[str, str]:
+def infer_backbone(state: Mapping[str, Tensor], name: str) -> tuple[str, Literal["layer3", "layer4"]]:
     """Infer `backbone` and `last_layer` of `ModelSpec` from the names of a backbone's entries.
 
     Raises:
@@ -153,7 +148,7 @@ def infer_backbone(state: Mapping[str, Tensor], name: str) -> tuple[str, str]:
     # VGG-19 has no convolution at 17, and VGG-13 none at 28.
     if not normalised and {"features.0.weight", "features.17.weight", "features.28.weight"} <= keys:
         return "vgg16", "layer4"
-    last = "layer4" if any(k.startswith("layer4.") for k in keys) else "layer3"
+    last: Literal["layer3", "layer4"] = "layer4" if any(k.startswith("layer4.") for k in keys) else "layer3"
     if "layer1.0.se.fc1.weight" in keys:
         raise ModelFileError(
             f"{name} has LPN's heads on a SE-ResNet (layer1.0.se.fc1.weight), which LPN's released code does not have; if it is "
@@ -212,5 +207,5 @@ def _branches_equal(state: StateDict, views: tuple[View, ...]) -> bool:
     if second == "satellite" or "satellite" not in views:
         return False
     first, other = BRANCH["satellite"] + ".", BRANCH[second] + "."
-    keys = [k[len(first) :] for k in state if k.startswith(first) and not UNUSED.match(k)]
+    keys = [k[len(first) :] for k in state if k.startswith(first) and not re.search(UNUSED, k)]
     return all(other + k in state and torch.equal(state[first + k], state[other + k]) for k in keys)

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Sequence
-from inspect import signature
+from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple, cast
 
@@ -22,11 +22,9 @@ from lpn.core.arrays import Float32Array
 from lpn.core.checksums import SEAL, UNSEALED, with_seal
 from lpn.core.errors import DataError, InputError
 from lpn.core.files import check_writable, printable, write_atomic
-from lpn.core.resources import ProviderName
 from lpn.core.views import View
 from lpn.datasets import Dataset, Picture
 from lpn.datasets.integrity import check_whole
-from lpn.models import providers
 from lpn.models.export import quiet
 from lpn.models.onnx_engine import COMPUTE, TRUNK, Engine, graph_files
 from lpn.models.shipped import model_file
@@ -63,12 +61,7 @@ class Agreement(NamedTuple):
 
 
 def quantize(
-    model: str | Path,
-    dataset: Dataset,
-    out: str | Path,
-    pictures: int = PICTURES,
-    provider: ProviderName = "cpu",
-    least_cosine: float = LEAST_COSINE,
+    model: str | Path, dataset: Dataset, out: str | Path, pictures: int = PICTURES, least_cosine: float = LEAST_COSINE
 ) -> tuple[list[Path], Agreement]:
     """Quantize an exported model so that its convolutions and linear layers compute in 8 bits.
 
@@ -77,16 +70,14 @@ def quantize(
         dataset: the source of calibration pictures, see `calibration_pictures`.
         out: the file to write; further view groups get files beside it.
         pictures: the number of calibration pictures for each group of views.
-        provider: computes the calibration, see `Engine`; before ONNX Runtime 1.21, the CPU does. The 8-bit model is always
-            compared on the CPU, for which it is made.
         least_cosine: nothing is written if a view's mean cosine is below it, from -1 (never) to 1.
 
     Returns:
         The written files, and their agreement with the model on calibration pictures.
 
     Raises:
-        InputError: if `out` does not end in .onnx or is `model`, `model` is not stored as float32, there are no pictures,
-            `least_cosine` is out of range or not reached, or the named provider is missing or does not work.
+        InputError: if `out` does not end in .onnx or is `model`, `model` is not stored as float32, there are no pictures, or
+            `least_cosine` is out of range or not reached.
         ModelFileError: if the model cannot be loaded.
         PictureError: if calibration pictures are broken.
         OutputError: if `out` cannot be written.
@@ -101,13 +92,13 @@ def quantize(
     if not -1 <= least_cosine <= 1:
         raise InputError(f"The least cosine is {least_cosine}; expected a number from -1 to 1, such as {LEAST_COSINE}.")
     check_writable(out)
-    engine = Engine(model, provider=provider)
+    engine = Engine(model)
     groups = list(engine.contract.groups)
     # If branches have roles, each of them describes all views.
     calibrated = [engine.views if engine.contract.roles == "role" else group for group in groups]
     chosen = [calibration_pictures(dataset, views, pictures) for views in calibrated]
     check_whole([picture.path for some in chosen for _, picture in some], f"pictures of {dataset.root.name}")
-    sources, targets = graph_files(model, groups), graph_files(out, groups)
+    sources = graph_files(model, groups)
     graphs = [_quantised(file, engine, some) for file, some in zip(sources, chosen, strict=True)]
     with tempfile.TemporaryDirectory(prefix="lpn-") as folder:
         tried = graph_files(Path(folder) / out.name, groups)
@@ -122,6 +113,7 @@ def quantize(
             f"{agreement.cosines[lowest]:.4f}, below {least_cosine:g}, so nothing was written; keep the float32 model, made "
             "smaller by lpn export --storage int8, or lower --least-cosine."
         )
+    targets = graph_files(out, groups)
     for path, graph in reversed(list(zip(targets, graphs, strict=True))):
         write_atomic(path, graph)
     return targets, agreement
@@ -135,7 +127,11 @@ def calibration_pictures(dataset: Dataset, views: Sequence[View], count: int) ->
     Raises:
         InputError: if the data set has pictures of none of the views.
     """
-    lists = {view: _pictures(dataset, view) for view in views}
+    lists: dict[View, list[Picture]] = {}
+    for view in views:
+        for read in (dataset.train, dataset.gallery, dataset.queries):
+            with suppress(DataError):  # the split lacks the view
+                lists[view] = lists.get(view) or read(view)
     lists = {view: pictures for view, pictures in lists.items() if pictures}
     if not lists:
         raise InputError(
@@ -149,17 +145,6 @@ def calibration_pictures(dataset: Dataset, views: Sequence[View], count: int) ->
     return chosen
 
 
-def _pictures(dataset: Dataset, view: View) -> list[Picture]:
-    if trained := dataset.train(view):
-        return trained
-    for read in (dataset.gallery, dataset.queries):
-        try:
-            return read(view)
-        except DataError:  # the split lacks the view
-            continue
-    return []
-
-
 def _inputs(engine: Engine, view: View, picture: Picture) -> Float32Array:
     """Return the network input of a picture: (1, 3, H, W), or with its mirror (2, 3, H, W)."""
     return engine.with_mirror(engine.prepare(picture.load_cropped(), view))
@@ -169,11 +154,10 @@ class _CalibrationReader(CalibrationDataReader):  # type: ignore[misc]
     """Feeds the quantiser one picture at a time."""
 
     def __init__(self, engine: Engine, pictures: Sequence[tuple[View, Picture]]) -> None:
-        self._remaining = iter([(engine, *pair) for pair in pictures])
+        self._inputs = ({"images": _inputs(engine, *pair)} for pair in pictures)
 
     def get_next(self) -> dict[str, Float32Array] | None:
-        item = next(self._remaining, None)
-        return None if item is None else {"images": _inputs(*item)}
+        return next(self._inputs, None)
 
 
 def _quantised(file: Path, engine: Engine, pictures: Sequence[tuple[View, Picture]]) -> bytes:
@@ -181,10 +165,7 @@ def _quantised(file: Path, engine: Engine, pictures: Sequence[tuple[View, Pictur
     metadata = {entry.key: entry.value for entry in proto.metadata_props}
     if metadata.get(COMPUTE) == "int8":
         raise InputError(f"{file.name} computes in 8 bits already; give the float32 model it was made from.")
-    if any(
-        weight.data_type != onnx.TensorProto.FLOAT and weight.name.endswith(".stored")
-        for weight in proto.graph.initializer
-    ):
+    if any(weight.name.endswith(".stored") for weight in proto.graph.initializer):
         raise InputError(
             f"{file.name} is stored in fewer bits than float32; export the model with --storage float32 first."
         )
@@ -196,9 +177,6 @@ def _quantised(file: Path, engine: Engine, pictures: Sequence[tuple[View, Pictur
             f"{file.name} has no convolution and no linear layer in a trunk that lpn export marked; "
             "export the model with lpn export first."
         )
-    options = {"calibration_providers": providers.settings(engine.device)}
-    if "calibration_providers" not in signature(quantize_static).parameters:  # before ONNX Runtime 1.21
-        options = {}
     with tempfile.TemporaryDirectory(prefix="lpn-") as folder, quiet():
         made = Path(folder) / "quantised.onnx"
         quantize_static(
@@ -211,7 +189,6 @@ def _quantised(file: Path, engine: Engine, pictures: Sequence[tuple[View, Pictur
             weight_type=QuantType.QInt8,
             nodes_to_quantize=names,
             extra_options={"OpTypesToExcludeOutputQuantization": _FLOAT_OUTPUTS},
-            **options,
         )
         result = onnx.load_model(made)
     del result.metadata_props[:]

@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 from dataclasses import asdict, dataclass, fields
-from typing import Any, Literal, get_args
+from functools import cache
+from typing import Annotated, Any, Literal, cast, get_args, get_origin, get_type_hints
 
 import msgspec
+from msgspec import Meta
 
 from lpn.core.errors import InputError, ModelFileError
 from lpn.core.files import printable
 from lpn.core.formats import UPGRADE
 from lpn.core.views import VIEWS, View
 from lpn.models.contract import Contract
-from lpn.models.partition import WEIGHTINGS, Partition, Weighting
+from lpn.models.partition import Partition, Weighting
 
 BACKBONES = ("resnet18", "resnet50", "vgg16", "vgg16_bn")
 Activation = Literal["none", "relu", "leaky_relu"]
@@ -24,16 +27,6 @@ Pooling = Literal["average", "safa"]
 # The slope of each activation below zero.
 SLOPES: dict[Activation, float] = {"none": 1.0, "relu": 0.0, "leaky_relu": 0.1}
 
-_ALLOWED: dict[str, tuple[Any, ...]] = {
-    "backbone": BACKBONES,
-    "last_layer": ("layer3", "layer4"),
-    "layout": get_args(Layout),
-    "pooling": get_args(Pooling),
-    "weighting": WEIGHTINGS,
-    "activation": get_args(Activation),
-    **dict.fromkeys(("shared", "polar"), (True, False)),
-}
-
 # The methods that `ModelSpec` describes.
 METHODS = ("LPN", "Baseline", "SAFA", "SAFA + LPN")
 # Prefix of timm's networks. They are our backbones, not the paper's.
@@ -41,7 +34,18 @@ TIMM = "timm:"
 _TIMM_NAME = re.compile(r"timm:[A-Za-z0-9_]{1,80}")
 
 # Far beyond any sensible network; a larger claim in a file would take all memory.
-_MAXIMA = {"n_parts": 256, "embedding": 1 << 17, "classes": 1 << 24, "last_stride": 8, "maps": 256, "input_size": 4096}
+_Few = Annotated[int, Meta(ge=1, le=256)]
+_Side = Annotated[int, Meta(ge=1, le=4096)]
+_Rate = Annotated[float, Meta(ge=0, lt=1)]
+# msgspec's error terms in words.
+_WORDS = {
+    "`float`": "a number",
+    "`int`": "a whole number",
+    ">=": "of at least",
+    "<=": "of at most",
+    ">": "above",
+    "<": "below",
+}
 
 
 @dataclass(frozen=True)
@@ -75,47 +79,35 @@ class ModelSpec:
     """
 
     backbone: str = "resnet50"
-    last_layer: str = "layer4"
-    last_stride: int = 1
+    last_layer: Literal["layer3", "layer4"] = "layer4"
+    last_stride: Annotated[int, Meta(ge=1, le=8)] = 1
     views: tuple[View, ...] = ("satellite", "street", "drone")
     shared: bool = True
-    n_parts: int = 4
+    n_parts: _Few = 4
     layout: Layout = "university"
     weighting: Weighting = "published"
     activation: Activation = "none"
-    embedding: int = 512
-    classes: int = 701
-    dropout: float = 0.5
-    input_size: tuple[int, int] = (256, 256)
+    embedding: Annotated[int, Meta(ge=1, le=1 << 17)] = 512
+    classes: Annotated[int, Meta(ge=1, le=1 << 24)] = 701
+    dropout: _Rate = 0.5
+    input_size: tuple[_Side, _Side] = (256, 256)
     pooling: Pooling = "average"
-    maps: int = 8
+    maps: _Few = 8
     polar: bool = False
-    backbone_dropout: float = 0.0
+    backbone_dropout: _Rate = 0.0
 
     def __post_init__(self) -> None:
+        check_fields(self, "model")
         if not self.views or any(view not in VIEWS for view in self.views):
             raise InputError(f"The views are {self.views}; expected one to three of {', '.join(VIEWS)}.")
         object.__setattr__(self, "views", tuple(v for v in VIEWS if v in self.views))
-        for name, most in _MAXIMA.items():
-            if name != "input_size":
-                _check_count(name, getattr(self, name), most)
-        if len(self.input_size) != 2:
-            raise InputError(f"The input size is {self.input_size}; expected height and width.")
-        for side in self.input_size:
-            _check_count("input_size", side, _MAXIMA["input_size"])
-        for name, allowed in _ALLOWED.items():
-            if getattr(self, name) not in allowed and not (name == "backbone" and is_timm(self.backbone)):
-                more = ", timm:NAME" if name == "backbone" else ""
-                raise InputError(
-                    f"The model's {name} is {getattr(self, name)!r}; expected one of {', '.join(map(str, allowed))}{more}."
-                )
-        for name in ("dropout", "backbone_dropout"):
-            rate = getattr(self, name)
-            if not isinstance(rate, int | float) or not 0 <= rate < 1:
-                raise InputError(f"The model's {name} is {rate!r}; expected a number from 0 up to 1.")
+        if self.backbone not in BACKBONES and not is_timm(self.backbone):
+            raise InputError(
+                f"The model has backbone = {self.backbone!r}; expected one of {', '.join(BACKBONES)}, timm:NAME."
+            )
         if self.backbone_dropout and not self.backbone.startswith("vgg16"):
             raise InputError(
-                f"The model's backbone_dropout is {self.backbone_dropout} with {self.backbone}, which has no dropout; set it "
+                f"The model has backbone_dropout = {self.backbone_dropout} with {self.backbone}, which has no dropout; set it "
                 "to 0, or use vgg16."
             )
 
@@ -203,6 +195,28 @@ def is_timm(backbone: Any) -> bool:
     return isinstance(backbone, str) and _TIMM_NAME.fullmatch(backbone) is not None
 
 
-def _check_count(name: str, value: Any, most: int) -> None:
-    if not isinstance(value, int) or isinstance(value, bool) or not 1 <= value <= most:
-        raise InputError(f"The model's {name} is {value!r}; expected a whole number from 1 to {most}.")
+def check_fields(record: Any, what: str) -> None:
+    """Raise InputError for a value of a dataclass outside the range in its field's annotation.
+
+    Args:
+        what: the record in the message, such as "recipe".
+    """
+    for name, hint in _hints(cast(Any, type(record))).items():
+        value = getattr(record, name)
+        try:
+            msgspec.convert(value, hint)
+            expected = "" if not isinstance(value, float) or math.isfinite(value) else "a finite number"
+        except msgspec.ValidationError as error:
+            expected = str(error).removeprefix("Expected ").partition(" - at")[0]
+            for term, words in _WORDS.items():
+                expected = expected.replace(term, words)
+            if get_origin(hint) is Literal:
+                expected = f"one of {', '.join(map(str, get_args(hint)))}"
+        if expected:
+            shown = printable(str(value)[:120])
+            raise InputError(f"The {what} has {name} = {shown}; expected {expected}.")
+
+
+@cache
+def _hints(record: Any) -> dict[str, Any]:
+    return get_type_hints(record, include_extras=True)

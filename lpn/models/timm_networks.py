@@ -1,4 +1,4 @@
-"""Networks of timm, built without weights: by name, or from the shapes of a checkpoint's entries.
+"""Networks of timm by their names, built without weights.
 
 timm imports torchvision for augmentations and data sets, which are not needed here. Torchvision's compiled operators fit
 only one build of torch; with another one, its import fails. Then timm is imported with empty stand-ins for torchvision's
@@ -14,7 +14,7 @@ import importlib
 import sys
 import types
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from typing import Any, cast
 
 import torch
@@ -35,13 +35,6 @@ _STAND_INS = (
 )
 # Layers after the last map or tokens; they are not needed.
 _BEHIND = ("head", "fc_norm", "pre_logits")
-# timm's rotary vision transformers that Game4Loc starts from, by width and depth.
-_ROTARY = {
-    (512, 12): "vit_medium_patch16_rope_reg1_gap_256",
-    (512, 20): "vit_mediumd_patch16_rope_reg1_gap_256",
-    (640, 12): "vit_betwixt_patch16_rope_reg4_gap_256",
-    (768, 12): "vit_base_patch16_rope_reg1_gap_256",
-}
 
 
 def import_timm() -> Any:
@@ -58,17 +51,13 @@ def import_timm() -> Any:
     except Exception:  # its operators may fail to register in any way
         needed = True
     try:
-        if not needed:
+        with _stand_ins() if needed else nullcontext():
             return importlib.import_module("timm")
-        with _stand_ins():
-            return importlib.import_module("timm")
-    except ModuleNotFoundError as error:
-        if error.name == "timm":
+    except Exception as error:
+        if isinstance(error, ModuleNotFoundError) and error.name == "timm":
             raise InputError(
                 "The model's network comes from timm, which is not installed; pip install 'lpn-explorer[models]'."
             ) from error
-        raise InputError(broken_package(error)) from error
-    except Exception as error:
         raise InputError(broken_package(error)) from error
 
 
@@ -102,94 +91,6 @@ def _stand_ins() -> Iterator[None]:
         for name in _STAND_INS:
             del sys.modules[name]
         sys.modules.update(present)
-
-
-def convnext(
-    depths: tuple[int, ...], widths: tuple[int, ...], second: bool = False, convolutional: bool = False
-) -> nn.Module:
-    """Build a ConvNeXt without a classifier, on the meta device; `forward_features` gives the map (B, C, h, w).
-
-    Args:
-        second: ConvNeXt V2, with a global response norm in each block in place of its scale.
-        convolutional: whether linear layers of blocks are convolutions of one pixel.
-    """
-    import_timm()
-    from timm.models.convnext import ConvNeXt
-
-    scale: dict[str, Any] = {"use_grn": True, "ls_init_value": None} if second else {}
-    with torch.device("meta"):
-        return cast(nn.Module, ConvNeXt(depths=depths, dims=widths, num_classes=0, conv_mlp=convolutional, **scale))
-
-
-def vision_transformer(
-    width: int,
-    depth: int,
-    hidden: int,
-    size: tuple[int, int],
-    patch: int,
-    heads: int,
-    *,
-    qkv_bias: bool = True,
-    class_token: bool = True,
-    registers: int = 0,
-    cells_only: bool = False,
-    layer_scale: bool = False,
-    last_norm: bool = True,
-) -> nn.Module:
-    """Build a ViT without a classifier, on the meta device.
-
-    `forward_features` gives all tokens after the last norm, the class token and registers first: (B, prefix + cells, width).
-
-    Args:
-        hidden: width of the hidden layer of each block.
-        heads: of the attention.
-        cells_only: the class token and registers have no position.
-        layer_scale: each half of a block has a scale by channel.
-        last_norm: tokens are normalised at the end.
-    """
-    import_timm()
-    from timm.models.vision_transformer import VisionTransformer
-
-    with torch.device("meta"):
-        return cast(
-            nn.Module,
-            VisionTransformer(
-                img_size=size,
-                patch_size=patch,
-                embed_dim=width,
-                depth=depth,
-                num_heads=heads,
-                # timm rounds the product of width and ratio down.
-                mlp_ratio=(hidden + 0.5) / width,
-                qkv_bias=qkv_bias,
-                class_token=class_token,
-                reg_tokens=registers,
-                no_embed_class=cells_only,
-                init_values=1.0 if layer_scale else None,
-                fc_norm=not last_norm,
-                num_classes=0,
-                global_pool="token" if class_token else "avg",
-            ),
-        )
-
-
-def rotary_transformer(width: int, depth: int, size: tuple[int, int]) -> tuple[nn.Module, Any]:
-    """Build a rotary ViT with register tokens, and return it with its timm configuration.
-
-    `forward_features` gives all tokens, registers first, without a norm after the last block, for pictures of any size.
-
-    Raises:
-        InputError: if timm has no such network of this width and depth.
-    """
-    timm = import_timm()
-    name = _ROTARY.get((width, depth))
-    if name is None:
-        raise InputError(
-            f"A rotary vision transformer of width {width} and depth {depth} is not one of timm's: "
-            f"{', '.join(sorted(_ROTARY.values()))}."
-        )
-    network = timm.create_model(name, pretrained=False, num_classes=0, img_size=size, dynamic_img_size=True)
-    return cast(nn.Module, network), network.pretrained_cfg
 
 
 def normalisation(name: str) -> tuple[Triple, Triple]:

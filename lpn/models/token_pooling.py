@@ -16,14 +16,13 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
-from typing import Literal, cast
+from typing import Any, Literal, cast
 
-import numpy as np
-
-from lpn.core.arrays import Float32Array
 from lpn.core.errors import InputError
 from lpn.core.files import printable
-from lpn.models.contract import AccountLevel, ForwardPass, part_names
+from lpn.core.images import Triple
+from lpn.core.views import VIEWS
+from lpn.models.contract import AccountLevel, Contract, part_names
 from lpn.models.partition import Partition
 
 PoolingName = Literal["mean", "gem", "cls", "cls+mean", "rings"]
@@ -102,34 +101,57 @@ class TokenPooling:
             return "the power means of GeM (Euler's split of its power)"
         return "the class token" if self.name == "cls+mean" else ""
 
-    def embedding(self, channels: int) -> int:
-        """Return the length of a part for tokens with this many channels."""
-        return 2 * channels if self.name == "cls+mean" else channels
+    def contract(
+        self, title: str, size: tuple[int, int], channels: int, normalisation: tuple[Triple, Triple], norm: str = ""
+    ) -> Contract:
+        """Return the contract of a network with this pooling; one branch describes all views.
+
+        Args:
+            title: of the network.
+            size: (height, width) of pictures.
+            channels: of the tokens.
+            normalisation: mean and standard deviation.
+            norm: what a LayerNorm behind the mean holds; empty without one.
+        """
+        return Contract(
+            f"{title}, {self}",
+            f"{title}, {self}, {size[0]} x {size[1]}",
+            VIEWS,
+            size,
+            len(self.part_names),
+            2 * channels if self.name == "cls+mean" else channels,
+            "exact, with held" if norm else self.level,
+            norm or self.held,
+            mean=normalisation[0],
+            std=normalisation[1],
+            mirror="none",
+            partitions={} if self.partition is None else dict.fromkeys(VIEWS, self.partition),
+            part_names=dict.fromkeys(VIEWS, tuple(self.part_names)),
+        )
 
 
-def pooled(pooling: TokenPooling, features: Float32Array, first: Float32Array | None) -> ForwardPass:
-    """Pool the tokens of cells; the weights of the cells in the parts come from the pooling's partition.
+def pooled(pooling: TokenPooling, shares: Any, features: Any, first: Any, join: Any) -> tuple[Any, Any, Any]:
+    """Pool the tokens of cells, as arrays of NumPy or tensors of torch.
 
     Args:
+        shares: the weight of each cell in each part, (n, h, w).
         features: (B, C, h, w).
         first: the class token (B, C); None without one.
+        join: `numpy.concatenate` or `torch.cat`.
+
+    Returns:
+        The parts (B, n, D), and their account: a map (B, D, h, w), and constants (B, n, D) or None.
     """
-    partition = pooling.partition
-    if partition is None:
-        return ForwardPass(np.asarray(first)[:, None])
-    shares = partition.weights(*features.shape[2:])
+
+    def means(values: Any) -> Any:
+        return shares.reshape(len(shares), -1) @ values.reshape(*values.shape[:2], -1).swapaxes(1, 2)
+
     if pooling.name == "gem":
-        powers = np.maximum(features, np.float32(EPSILON)) ** np.float32(pooling.power)
-        means = np.einsum("nhw,bchw->bnc", shares, powers)
-        scale = means ** np.float32(1 / pooling.power - 1)
-        return ForwardPass(means * scale, powers * scale[:, 0, :, None, None])
-    parts = np.einsum("nhw,bchw->bnc", shares, features)
-    if pooling.name != "cls+mean":
-        return ForwardPass(parts, features)
-    nothing = np.zeros_like(features)
-    token = np.asarray(first)[:, None]
-    return ForwardPass(
-        np.concatenate([token, parts], 2),
-        np.concatenate([nothing, features], 1),
-        constants=np.concatenate([token, np.zeros_like(token)], 2),
-    )
+        powers = features.clip(EPSILON) ** pooling.power
+        parts = means(powers)
+        scale = parts ** (1 / pooling.power - 1)
+        return parts * scale, powers * scale.swapaxes(1, 2)[..., None], None
+    if pooling.name == "cls+mean":
+        token = first[:, None]
+        return join([token, means(features)], 2), join([features * 0, features], 1), join([token, token * 0], 2)
+    return means(features), features, None

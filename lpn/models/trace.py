@@ -11,7 +11,7 @@ from lpn.core.arrays import BoolArray, Float32Array, Float64Array, FloatingArray
 from lpn.core.errors import InputError, ModelFileError
 from lpn.core.views import View
 from lpn.models.base import Model, whitened
-from lpn.models.contract import ForwardPass, check_fixed_cells, check_pass
+from lpn.models.contract import ForwardPass, check_pass, check_shapes
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,7 +61,7 @@ class Trace:
                     f"{contract.method} returns a map of {size[0]} x {size[1]} cells, and not which part each belongs to; "
                     "return cells with each picture, or in the heads."
                 )
-            check_fixed_cells(contract, fixed, size)
+            check_shapes(contract, {"features": (1, 1, *size), "the heads' cells": fixed.shape}, channels=False)
             cells = np.broadcast_to(fixed, (passes, *fixed.shape))
         embedding = cast(Float32Array, outputs.parts.sum(axis=0))
         constants = np.broadcast_to(model.centring(embedding, view), embedding.shape)

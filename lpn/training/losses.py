@@ -188,9 +188,8 @@ def _over_pairs(step: TrainingStep, loss: Callable[[Tensor, Tensor, Tensor | Non
 
 
 def _soft_margin(tiles: Tensor, pictures: Tensor, recipe: Recipe) -> Tensor:
-    if not recipe.metric_per_part:
-        return soft_margin_loss(descriptors(tiles), descriptors(pictures), recipe.alpha)
-    pairs = zip(torch.split(tiles, 1, 1), torch.split(pictures, 1, 1), strict=True)
+    together = 1 if recipe.metric_per_part else tiles.shape[1]
+    pairs = zip(torch.split(tiles, together, 1), torch.split(pictures, together, 1), strict=True)
     return torch.stack([soft_margin_loss(descriptors(a), descriptors(b), recipe.alpha) for a, b in pairs]).mean()
 
 

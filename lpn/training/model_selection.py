@@ -58,16 +58,14 @@ class TestSplit:
                 known[key] = descriptors.temporary_descriptors(model, pictures, view, change)
             return known[key]
 
+        lines = []
         for task in self.tasks:
             result = lazy_task(model, self.dataset, task, described).evaluate()
-            if console is not None:
-                recalls = "  ".join(f"R@{depth} {result.recall[depth]:.2f}" for depth in ("1", "5", "10", "1%"))
-                console.print(
-                    f"{task}: {recalls}  AP {result.ap:.2f}  ({result.queries} queries, {result.gallery} tiles)"
-                )
+            recalls = "  ".join(f"R@{depth} {result.recall[depth]:.2f}" for depth in ("1", "5", "10", "1%"))
+            lines.append(f"{task}: {recalls}  AP {result.ap:.2f}  ({result.queries} queries, {result.gallery} tiles)")
             row |= {f"recall@1 {task}": result.recall["1"], f"ap {task}": result.ap}
         if console is not None:
-            console.print(result.sentence)
+            console.print("\n".join([*lines, result.sentence]))
         return row
 
 

@@ -3,34 +3,22 @@
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
-from functools import cache
-from typing import Annotated, Any, Literal, NamedTuple, get_args, get_origin, get_type_hints
+from typing import Annotated, Literal, NamedTuple
 
-import msgspec
 from msgspec import Meta
 
 from lpn.core.errors import InputError
 from lpn.core.files import printable
 from lpn.core.views import View
 from lpn.models.partition import Weighting
-from lpn.models.spec import BACKBONES, Activation, Layout, Pooling, is_timm
+from lpn.models.spec import BACKBONES, Activation, Layout, Pooling, check_fields, is_timm
 
 _Amount = Annotated[float, Meta(ge=0)]
 _Share = Annotated[float, Meta(ge=0, le=1)]
 _Count = Annotated[int, Meta(ge=0)]
 _Number = Annotated[int, Meta(ge=1)]
-# msgspec's error terms in words.
-_WORDS = {
-    "`float`": "a number",
-    "`int`": "a whole number",
-    ">=": "of at least",
-    "<=": "of at most",
-    ">": "above",
-    "<": "below",
-}
 
 
 @dataclass(frozen=True)
@@ -200,24 +188,8 @@ class Recipe:
     """Random seed of initialisation, order, and augmentation."""
 
     def __post_init__(self) -> None:
-        self.check_ranges()
+        check_fields(self, "recipe")
         self.check_conflicts()
-
-    def check_ranges(self) -> None:
-        """Raise InputError for a value outside the range in its field's annotation."""
-        for name, hint in _hints().items():
-            value = getattr(self, name)
-            try:
-                msgspec.convert(value, hint)
-                expected = "" if not isinstance(value, float) or math.isfinite(value) else "a finite number"
-            except msgspec.ValidationError as error:
-                expected = str(error).removeprefix("Expected ")
-                for term, words in _WORDS.items():
-                    expected = expected.replace(term, words)
-                if get_origin(hint) is Literal:
-                    expected = f"one of {', '.join(map(str, get_args(hint)))}"
-            if expected:
-                raise InputError(f"The recipe has {name} = {_shown(value)}; expected {expected}.")
 
     def check_conflicts(self) -> None:
         """Raise InputError for settings that exclude each other."""
@@ -335,11 +307,6 @@ _CONFLICTS = (
         ", or a metric",
     ),
 )
-
-
-@cache
-def _hints() -> dict[str, Any]:
-    return get_type_hints(Recipe, include_extras=True)
 
 
 def _shown(value: object) -> str:

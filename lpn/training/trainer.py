@@ -304,17 +304,10 @@ class Trainer:
                 "The recipe trains on windows of a map; give --map in place of --data, or another --recipe."
             )
         self.name, self.places = source.root.resolve().name, TrainingSet(source, self.console, recipe.sets)
-        needs = (
-            "metric losses compare"
-            if recipe.compares_drones
-            else "ground_ratio zooms"
-            if recipe.ground_ratio != 1
-            else ""
-        )
-        if needs and "drone" not in self.places.views:
+        if (recipe.compares_drones or recipe.ground_ratio != 1) and "drone" not in self.places.views:
             raise InputError(
-                f"The recipe's {needs} drone pictures, and {self.name} has none to train on; choose another --method, or set "
-                "--ground-ratio to 1."
+                f"The recipe's {recipe.metric if recipe.compares_drones else 'ground_ratio'} needs drone pictures, and "
+                f"{self.name} has none to train on; choose another --method, or set --ground-ratio to 1."
             )
         return self.places.hold_out(validate, recipe.seed)
 

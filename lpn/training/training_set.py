@@ -97,9 +97,14 @@ class TrainingSet:
             console.print(
                 "train/google is left out: its pictures train the street branch, and there is no train/street."
             )
-        by_place = {name: _by_label(pictures) for name, pictures in sets.items() if pictures}
-        by_place = _without_broken(by_place, dataset.root, console)
-        _check_sets(by_place, dataset.root)
+        by_place = _by_place(sets, dataset.root, console)
+        if "satellite" not in by_place or not {"drone", "street"} & set(by_place):
+            listed = ", ".join(f"train/{name}" for name in by_place)
+            raise DataError(
+                f"{dataset.root.name} has {f'pictures in {listed}' if listed else 'no pictures to train on'}; training needs "
+                "train/satellite and at least one of train/drone, train/street, as in University-1652, or such pictures in lines "
+                "of a pairs.csv with the split train."
+            )
         training_places = trainable(by_place)
         if not training_places.places:
             raise DataError(
@@ -208,47 +213,25 @@ class TrainingSet:
         return picture
 
 
-def _check_sets(by_place: Mapping[str, object], root: Path) -> None:
-    """Raise DataError without tiles, or without pictures of another view."""
-    if "satellite" not in by_place or not {"drone", "street"} & set(by_place):
-        listed = ", ".join(f"train/{name}" for name in by_place)
-        held = f"pictures in {listed}" if listed else "no pictures to train on"
-        raise DataError(
-            f"{root.name} has {held}; training needs train/satellite and at least one of train/drone, train/street, as in "
-            "University-1652, or such pictures in lines of a pairs.csv with the split train."
-        )
-
-
 def _filled(files: dict[str, list[list[Path]]]) -> dict[str, list[list[Path]]]:
     """Return the sets with pictures of any place."""
     return {name: places for name, places in files.items() if any(places)}
 
 
-def _without_broken(
-    by_place: dict[str, dict[int, list[Path]]], root: Path, console: Console
-) -> dict[str, dict[int, list[Path]]]:
-    """Return the sets without broken pictures, and without emptied places and sets."""
-    files = [file for places in by_place.values() for of_place in places.values() for file in of_place]
-    broken = picture_errors(files)
-    if not broken:
-        return by_place
-    console.print(
-        f"{len(broken)} of {len(files)} training pictures cannot be used and are left out: {list_errors(broken, root)}.",
-        markup=False,
-    )
-    kept = {
-        name: {label: [file for file in of_place if file not in broken] for label, of_place in places.items()}
-        for name, places in by_place.items()
-    }
-    whole = {name: {label: of_place for label, of_place in places.items() if of_place} for name, places in kept.items()}
-    return {name: places for name, places in whole.items() if places}
-
-
-def _by_label(pictures: list[Picture]) -> dict[int, list[Path]]:
-    places: dict[int, list[Path]] = {}
-    for picture in pictures:
-        places.setdefault(picture.label, []).append(picture.path)
-    return places
+def _by_place(sets: Mapping[str, Sequence[Picture]], root: Path, console: Console) -> dict[str, dict[int, list[Path]]]:
+    """Return the files of each place in each set, without broken pictures, emptied places, and emptied sets."""
+    files = [picture.path for pictures in sets.values() for picture in pictures]
+    if broken := picture_errors(files):
+        console.print(
+            f"{len(broken)} of {len(files)} training pictures cannot be used and are left out: {list_errors(broken, root)}.",
+            markup=False,
+        )
+    by_place: dict[str, dict[int, list[Path]]] = {}
+    for name, pictures in sets.items():
+        for picture in pictures:
+            if picture.path not in broken:
+                by_place.setdefault(name, {}).setdefault(picture.label, []).append(picture.path)
+    return by_place
 
 
 def named(labels: Sequence[int]) -> str:

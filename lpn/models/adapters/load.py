@@ -10,12 +10,11 @@ import torch
 from lpn.core.errors import InputError
 from lpn.core.files import fingerprint, printable
 from lpn.models.adapters import Kind, tokens
-from lpn.models.adapters.entries import Entries
-from lpn.models.adapters.model import PublishedModel
-from lpn.models.adapters.published import PublishedParts
+from lpn.models.adapters.published import PublishedModel, PublishedParts
 from lpn.models.adapters.registry import LPN, choose
 from lpn.models.base import Model
 from lpn.models.checkpoints import from_state, holds_safetensors, is_own, load_torch, read_state
+from lpn.models.entries import Entries
 from lpn.models.options import read_options
 from lpn.models.published_checkpoints import name_unknown
 from lpn.models.token_pooling import TokenPooling

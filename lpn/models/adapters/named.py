@@ -1,34 +1,19 @@
-"""Networks of timm by name: as tokens, as a map, or as the network's own pooled vector."""
+"""Networks of timm by name: as a map, or as the network's own pooled vector."""
 
 from __future__ import annotations
-
-from collections.abc import Mapping
-from typing import Any, cast
 
 import torch
 from torch import Tensor, nn
 
 from lpn.core.errors import InputError, ModelFileError
 from lpn.models import timm_networks
-from lpn.models.adapters.entries import Entries
 from lpn.models.adapters.network import Account, HeldNorm, MeanVector, PartBranch
+from lpn.models.entries import Entries
 from lpn.models.timm_networks import TimmMap
 
 # The largest difference, relative to the largest value, between a network's vector and the mean of its cells.
 _SAME = 1e-4
 _SEED = 21
-
-
-class NamedTokens(nn.Module):
-    """All tokens of a vision transformer of timm, prefix tokens included: (B, 3, H, W) -> (B, prefix + N, C)."""
-
-    def __init__(self, network: TimmMap, grid: tuple[int, int]) -> None:
-        super().__init__()
-        self.network, self.grid = network.network, grid
-        self.prefix, self.channels = network.prefix, network.channels
-
-    def forward(self, images: Tensor) -> Tensor:
-        return cast(Tensor, self.network.forward_features(images))  # type: ignore[operator]
 
 
 class Whole(PartBranch):
@@ -74,22 +59,16 @@ def named_vector(name: str, entries: Entries, size: tuple[int, int]) -> tuple[Pa
             mapped = TimmMap(name, size, network=whole)
         except InputError:
             return Whole(whole), vector.shape[1]
-        features = mapped(noise)
-        grid = (features.shape[2], features.shape[3])
-        held = _held_norm(whole)
-        for norm in (None, held):
-            candidate = features.mean((2, 3)) if norm is None else norm(features.mean((2, 3)))
-            if candidate.shape == vector.shape and bool((candidate - vector).abs().max() < _SAME * vector.abs().max()):
-                uneven = size[0] % grid[0] or size[0] // grid[0] * grid[1] != size[1]
+        pooled = mapped(noise).mean((2, 3))
+        behind = timm_networks.norm_behind(whole)
+        for norm in (None, *([] if behind is None else [HeldNorm.of(behind)])):
+            found = pooled if norm is None else norm(pooled)
+            if found.shape == vector.shape and bool((found - vector).abs().max() < _SAME * vector.abs().max()):
+                step = size[0] // mapped.grid[0]
+                uneven = size[0] % mapped.grid[0] or step * mapped.grid[1] != size[1]
                 fixed = mapped.patch is not None or bool(uneven) or timm_networks.has_fixed_size(name)
-                return MeanVector(mapped.without_head(), norm, grid, size[0] // grid[0], fixed), vector.shape[1]
+                return MeanVector(mapped.without_head(), norm, mapped.grid, None if fixed else step), vector.shape[1]
     return Whole(whole), vector.shape[1]
-
-
-def matching(names: Mapping[str, tuple[str, tuple[int, ...]]], entries: Entries) -> str | None:
-    """Return the first name whose marker entry has the given shape, or None."""
-    markers = ((name, entries.state.get(key), shape) for name, (key, shape) in names.items())
-    return next((name for name, tensor, shape in markers if tensor is not None and tensor.shape == shape), None)
 
 
 def _fill(network: nn.Module, name: str, entries: Entries) -> None:
@@ -97,9 +76,3 @@ def _fill(network: nn.Module, name: str, entries: Entries) -> None:
         entries.fill(network)
     except ModelFileError as error:
         raise ModelFileError(f"As timm's {name}: {error}") from error
-
-
-def _held_norm(network: Any) -> HeldNorm | None:
-    """Return the LayerNorm after a network's pooling, or None."""
-    found = timm_networks.norm_behind(network)
-    return None if found is None else HeldNorm(found.weight.detach(), found.bias.detach(), found.eps)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple, cast
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor, nn
@@ -29,18 +29,26 @@ class Account(NamedTuple):
 class PartBranch(nn.Module):
     """One branch of a published model, without dropout and class layers.
 
-    Attributes:
+    Args:
         grid: (h, w) of the map of a picture of the model's input size; 1 x 1 without cells.
-        weight: A, the static heads, (n, D, C); None if features include them, or there are none.
+        heads: A (n, D, C) and c (n, D) of static heads; None if features include them, or there are none.
+        step: sides of pictures may be any multiple of it; None for the training size alone.
+
+    Attributes:
+        weight, bias: of the heads, or None.
     """
 
-    grid: tuple[int, int]
     weight: Tensor | None
+    bias: Tensor | None
 
-    def __init__(self, grid: tuple[int, int], weight: Tensor | None = None) -> None:
+    def __init__(
+        self, grid: tuple[int, int], heads: tuple[Tensor, Tensor] | None = None, step: int | None = None
+    ) -> None:
         super().__init__()
-        self.grid = grid
+        self.grid, self.step = grid, step
+        weight, bias = heads or (None, None)
         self.register_buffer("weight", weight)
+        self.register_buffer("bias", bias)
 
     def forward(self, images: Tensor) -> Tensor:
         """Return the raw parts of pictures: (B, 3, H, W) -> (B, n, D)."""
@@ -51,16 +59,21 @@ class PartBranch(nn.Module):
         raise NotImplementedError
 
     def check_size(self, size: tuple[int, int], trained: tuple[int, int]) -> None:
-        """Raise InputError unless the network takes pictures (height, width); by default only of its training size."""
-        self._check_size(size, trained, size == trained, "pictures of that size alone")
-
-    @staticmethod
-    def _check_size(size: tuple[int, int], trained: tuple[int, int], fits: bool, wanted: str) -> None:
-        if not fits:
+        """Raise InputError unless the network takes pictures of a size (height, width)."""
+        if size == trained:
+            return
+        if self.step is None or any(side % self.step for side in size):
+            takes = "pictures of that size alone" if self.step is None else f"multiples of {self.step} pixels"
             raise InputError(
                 f"The images are {size[0]} x {size[1]}; this model was trained with {trained[0]} x {trained[1]} and takes "
-                f"{wanted}."
+                f"{takes}."
             )
+
+    def headed(self, pooled: Tensor) -> Tensor:
+        """Apply the head of each part, if there are heads: (B, n, C) -> (B, n, D)."""
+        if self.weight is None or self.bias is None:
+            return pooled
+        return by_heads(pooled, self.weight, self.bias)
 
 
 class HeldNorm(nn.Module):
@@ -69,6 +82,11 @@ class HeldNorm(nn.Module):
     def __init__(self, weight: Tensor, bias: Tensor, epsilon: float = 1e-6) -> None:
         super().__init__()
         self.weight, self.bias, self.epsilon = nn.Buffer(weight), nn.Buffer(bias), epsilon
+
+    @classmethod
+    def of(cls, norm: Any) -> HeldNorm:
+        """Return a LayerNorm, or timm's LayerNorm of a map, as a held one."""
+        return cls(norm.weight.detach(), norm.bias.detach(), norm.eps)
 
     def affine(self, pooled: Tensor) -> tuple[Tensor, Tensor]:
         """Return scale and offset of each channel, (B, C) each: the norm of (B, C) is scale * pooled + offset."""
@@ -81,48 +99,66 @@ class HeldNorm(nn.Module):
 
 
 class MeanVector(PartBranch):
-    """One vector without a head: the mean over the cells of a map, plain or under a LayerNorm.
+    """One vector: the mean over the cells of a map, plain, under a LayerNorm, or under a head.
 
     Args:
         trunk: gives a map (B, C, h, w).
         norm: of the mean; None for none.
-        step: pixels along a side of one cell.
-        fixed: whether pictures must have the network's training size.
+        grid, step, heads: see `PartBranch`.
     """
 
     def __init__(
-        self, trunk: nn.Module, norm: HeldNorm | None, grid: tuple[int, int], step: int, fixed: bool = False
+        self,
+        trunk: nn.Module,
+        norm: HeldNorm | None,
+        grid: tuple[int, int],
+        step: int | None,
+        heads: tuple[Tensor, Tensor] | None = None,
     ) -> None:
-        super().__init__(grid)
-        self.trunk, self.norm, self.step, self.fixed = trunk, norm, step, fixed
-
-    def check_size(self, size: tuple[int, int], trained: tuple[int, int]) -> None:
-        """Check that both sides are multiples of a cell's, or equal the training size."""
-        if self.fixed:
-            super().check_size(size, trained)
-        else:
-            self._check_size(
-                size, trained, not any(side % self.step for side in size), f"multiples of {self.step} pixels"
-            )
-
-    def forward(self, images: Tensor) -> Tensor:
-        """Return the raw vector of pictures: (B, 3, H, W) -> (B, 1, C)."""
-        pooled = self.trunk(images).mean((2, 3))
-        return cast(Tensor, pooled if self.norm is None else self.norm(pooled)).unsqueeze(1)
+        super().__init__(grid, heads, step)
+        self.trunk, self.norm = trunk, norm
 
     def account(self, images: Tensor) -> Account:
         """Return the vector and its account, with the norm's mean and variance held."""
         features = self.trunk(images)
-        pooled = features.mean((2, 3))
+        pooled, cells = features.mean((2, 3)), whole_mean(features)
         if self.norm is None:
-            return Account(pooled.unsqueeze(1), features, whole_mean(features), torch.zeros_like(pooled).unsqueeze(1))
+            zero = self.headed(torch.zeros_like(pooled).unsqueeze(1))
+            return Account(self.headed(pooled.unsqueeze(1)), features, cells, zero)
         scale, offset = self.norm.affine(pooled)
-        return Account(
-            self.norm(pooled).unsqueeze(1),
-            features * scale[:, :, None, None],
-            whole_mean(features),
-            offset.unsqueeze(1),
-        )
+        return Account(self.norm(pooled).unsqueeze(1), features * scale[:, :, None, None], cells, offset.unsqueeze(1))
+
+
+class FirstToken(PartBranch):
+    """One vector without cells: the first token, a ViT's class token, plain or under a head.
+
+    Args:
+        trunk: gives tokens (B, T, C).
+        heads: see `PartBranch`.
+    """
+
+    def __init__(self, trunk: nn.Module, heads: tuple[Tensor, Tensor] | None = None) -> None:
+        super().__init__((1, 1), heads)
+        self.trunk = trunk
+
+    def account(self, images: Tensor) -> Account:
+        """Return the vector; it has no account."""
+        return Account(self.headed(self.trunk(images)[:, :1]))
+
+
+class TokenMap(nn.Module):
+    """The cells of tokens as a map: (B, 3, H, W) -> (B, C, h, w).
+
+    Args:
+        tokens: gives tokens (B, prefix + h w, C), and has `prefix` and `grid`.
+    """
+
+    def __init__(self, tokens: Any) -> None:
+        super().__init__()
+        self.tokens = tokens
+
+    def forward(self, images: Tensor) -> Tensor:
+        return on_grid(self.tokens(images)[:, self.tokens.prefix :].transpose(1, 2), self.tokens.grid)
 
 
 def whole_mean(features: Tensor) -> Tensor:

@@ -1,4 +1,4 @@
-"""The common part of the builders of published models: views, sizes, and options of a checkpoint."""
+"""A published model of another method in PyTorch, and the common part of the builders."""
 
 from __future__ import annotations
 
@@ -7,13 +7,18 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, cast
 
+import numpy as np
 import torch
+from torch import Tensor
 
+from lpn.core.arrays import Float32Array
 from lpn.core.errors import ModelFileError
 from lpn.core.views import View
-from lpn.models.adapters.entries import Entries
-from lpn.models.adapters.network import PartBranch
-from lpn.models.contract import AccountLevel, Contract, Role
+from lpn.models.adapters.network import Account, PartBranch
+from lpn.models.base import Model
+from lpn.models.checkpoints import exact_inference
+from lpn.models.contract import AccountLevel, Contract, ForwardPass, Heads, Role
+from lpn.models.entries import Entries
 from lpn.models.options import picture_size
 
 PAIR: tuple[View, ...] = ("satellite", "drone")
@@ -31,12 +36,72 @@ class PublishedParts:
     Attributes:
         contract: the model's contract.
         branches: by view, or by role if the contract's roles are "role".
-        length: of a descriptor in the released test code.
     """
 
     contract: Contract
     branches: Mapping[View | Role, PartBranch]
-    length: float = 1.0
+
+
+class PublishedModel(Model):
+    """A published model that runs in PyTorch, on a device.
+
+    Pictures may have other sizes than the model's if its positions allow that.
+
+    Args:
+        published: its contract and branches.
+        fingerprint: of its file.
+        device: such as "cpu".
+    """
+
+    def __init__(self, published: PublishedParts, fingerprint: str, device: torch.device | str = "cpu") -> None:
+        self.contract, self.fingerprint = published.contract, fingerprint
+        self._device = torch.device(device)
+        self.device = self._device.type
+        self.batch = 64 if self.device == "cuda" else 8
+        self.networks: Mapping[View | Role, PartBranch] = {
+            key: branch.eval().requires_grad_(False).to(self._device) for key, branch in published.branches.items()
+        }
+
+    def network(self, view: View) -> PartBranch:
+        """Return the branch that describes a view, by its role if branches have roles.
+
+        Raises:
+            InputError: if the model lacks the view.
+        """
+        self.check_view(view)
+        return self.networks[self.role(view) if self.contract.roles == "role" else view]
+
+    def run(self, images: Float32Array, view: View) -> ForwardPass:
+        """Run one forward pass of images (B, 3, H, W).
+
+        Raises:
+            InputError: if the model lacks the view, or cannot take pictures of this size.
+        """
+        account = cast(Account, self._forward(images, view, account=True))
+        return ForwardPass(*(None if tensor is None else _array(tensor) for tensor in account))  # type: ignore[arg-type]
+
+    def _parts(self, images: Float32Array, view: View) -> Float32Array:
+        return _array(cast(Tensor, self._forward(images, view, account=False)))
+
+    def _forward(self, images: Float32Array, view: View, account: bool) -> Tensor | Account:
+        network = self.network(view)
+        network.check_size((images.shape[2], images.shape[3]), self.input_size)
+        with exact_inference():
+            batch = torch.tensor(images, device=self._device)
+            return network.account(batch) if account else cast(Tensor, network(batch))
+
+    def heads(self, view: View) -> Heads:
+        """Return the static heads; empty if the features include them."""
+        weight = self.network(view).weight
+        return Heads() if weight is None or not self.contract.has_cells else Heads(_array(weight))
+
+    def map_size(self, view: View) -> tuple[int, int]:
+        """Return (h, w) of the map of an image of the model's input size; 1 x 1 without cells."""
+        return self.network(view).grid
+
+
+def _array(tensor: Tensor) -> Float32Array:
+    return np.ascontiguousarray(tensor.cpu().numpy(), np.float32)
 
 
 def published(
@@ -67,7 +132,7 @@ def published(
         views=views,
         input_size=size,
         n_parts=len(names),
-        embedding=embedding or cast(torch.Tensor, next(iter(branches.values())).bias).shape[1],
+        embedding=embedding or cast(Tensor, next(iter(branches.values())).bias).shape[1],
         level=level,
         held=held,
         groups=() if roles else tuple(by_branch),
@@ -113,27 +178,6 @@ def numbered(entries: Entries) -> list[Entries]:
 def by_role(made: Sequence[PartBranch]) -> dict[View | Role, PartBranch]:
     """Return one branch for both views, or the first of two for queries and the second for the gallery."""
     return dict.fromkeys(PAIR, made[0]) if len(made) == 1 else {"query": made[0], "gallery": made[1]}
-
-
-def count_regions(entries: Entries) -> int:
-    """Return the number of FSRA's regions, from the heads beside the class token's.
-
-    With one block, the released code describes by the class token alone, so a region's head is optional.
-    """
-    count = entries.count_heads("classifier_heat")
-    if count or entries.options.get("block") != 1:
-        check_option(entries, "block", count)
-    return count if count > 1 else 0
-
-
-def region_names(count: int) -> list[str]:
-    """Return a short name for each region of tokens, in the order of falling heat."""
-    return ["hottest", *["region"] * max(count - 2, 0), "coolest"][:count]
-
-
-def regions_level(regions: int) -> dict[str, Any]:
-    """Return a contract's arguments for the exactness of the evidence of FSRA's regions."""
-    return {"level": "exact, with held", "held": "the regions of each picture"} if regions else {"level": "one vector"}
 
 
 def equal(entries: Entries, first: str, second: str) -> bool:

@@ -15,8 +15,8 @@ from torch import Tensor
 from lpn.core.errors import InputError, ModelFileError
 from lpn.core.files import first_few, printable
 from lpn.models.adapters import methods
-from lpn.models.adapters.entries import Entries
 from lpn.models.adapters.published import PublishedParts
+from lpn.models.entries import Entries
 
 GROUP = "lpn.adapters"
 # Prefixes of all names after training with DataParallel, torch.compile, or a class with the network as `model` or `net`.

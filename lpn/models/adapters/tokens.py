@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
 
@@ -16,12 +15,12 @@ from lpn.core.files import printable
 from lpn.core.images import MEAN, STD, Triple
 from lpn.core.views import VIEWS
 from lpn.models import timm_networks
-from lpn.models.adapters.entries import Entries
 from lpn.models.adapters.network import Account, HeldNorm, PartBranch, on_grid
-from lpn.models.adapters.published import NORM_HELD, PublishedParts, published, size_of
+from lpn.models.adapters.published import NORM_HELD, PublishedParts, size_of
+from lpn.models.entries import Entries
+from lpn.models.options import NETWORK, PICTURES, read_configuration, stated_normalisation, stated_size
 from lpn.models.timm_networks import TimmMap
-from lpn.models.token_pooling import EPSILON, TokenPooling
-from lpn.models.transformers_files import NETWORK, PICTURES, read_configuration, stated_normalisation, stated_size
+from lpn.models.token_pooling import TokenPooling, pooled
 
 log = logging.getLogger(__name__)
 
@@ -32,17 +31,10 @@ class TimmTokens(nn.Module):
     def __init__(self, network: TimmMap) -> None:
         super().__init__()
         self.network = network.network
-        self.as_map, self.grid, self.channels, self.patch = (
-            network.as_map,
-            network.grid,
-            network.channels,
-            network.patch,
-        )
-        own: Any = network.network
-        self.pool = getattr(own, "attn_pool", None)
-        self.has_class = self.pool is not None or (
-            self.patch is not None and getattr(own, "cls_token", None) is not None
-        )
+        self.as_map, self.grid, self.channels = network.as_map, network.grid, network.channels
+        self.pool = getattr(network.network, "attn_pool", None)
+        of_class = network.patch is not None and getattr(network.network, "cls_token", None) is not None
+        self.has_class = self.pool is not None or of_class
 
     def forward(self, images: Tensor) -> tuple[Tensor, Tensor | None]:
         values = cast(Tensor, self.network.forward_features(images))  # type: ignore[operator]
@@ -95,28 +87,12 @@ class TokenParts(PartBranch):
         if self.shares is None:
             return Account(cast(Tensor, first).unsqueeze(1))
         shares = cast(Tensor, self.shares)
-        constants = None
-        if self.pooling.name == "gem":
-            powers = features.clamp(min=EPSILON).pow(self.pooling.power)
-            means = self._means(powers, shares)
-            features = powers * means.pow(1 / self.pooling.power - 1).transpose(1, 2).unsqueeze(3)
-            parts = means.pow(1 / self.pooling.power)
-        else:
-            parts = self._means(features, shares)
-        if self.pooling.name == "cls+mean":
-            constants = nn.functional.pad(cast(Tensor, first), (0, features.shape[1])).unsqueeze(1)
-            parts = torch.cat([cast(Tensor, first).unsqueeze(1), parts], 2)
-            features = nn.functional.pad(features, (0, 0, 0, 0, features.shape[1], 0))
+        parts, features, constants = pooled(self.pooling, shares, features, first, torch.cat)
         if self.norm is not None:
             scale, offset = self.norm.affine(parts[:, 0])
             parts, constants = self.norm(parts), offset.unsqueeze(1)
             features = features * scale[:, :, None, None]
         return Account(parts, features, shares.expand(images.shape[0], -1, -1, -1), constants)
-
-    @staticmethod
-    def _means(features: Tensor, shares: Tensor) -> Tensor:
-        """Return the mean of a map over the cells of each part: (B, C, h, w) and (n, h, w) to (B, n, C)."""
-        return torch.matmul(shares.flatten(1), features.flatten(2).transpose(1, 2))
 
 
 def of_timm(entries: Entries, pooling: TokenPooling, name: str) -> PublishedParts:
@@ -138,7 +114,7 @@ def of_timm(entries: Entries, pooling: TokenPooling, name: str) -> PublishedPart
     except ModelFileError as error:
         raise ModelFileError(f"As timm's {base} for {size[0]} x {size[1]} pixels: {error}") from error
     behind = timm_networks.norm_behind(network)
-    norm = None if behind is None else HeldNorm(behind.weight.detach(), behind.bias.detach(), behind.eps)
+    norm = None if behind is None else HeldNorm.of(behind)
     return _parts(TimmTokens(mapped.without_head()), pooling, base, size, normalisation, norm)
 
 
@@ -193,18 +169,5 @@ def _parts(
     if pooling.needs_class_token and not trunk.has_class:
         raise InputError(f"{title} has no class token for the pooling {pooling}; take mean, gem, or rings:N.")
     norm = norm if pooling.name == "mean" else None
-    made = published(
-        dict.fromkeys(VIEWS, TokenParts(trunk, pooling, norm)),
-        f"{title}, {pooling}",
-        "",
-        size,
-        pooling.level if norm is None else "exact, with held",
-        pooling.held if norm is None else NORM_HELD,
-        pooling.part_names,
-        pooling.embedding(trunk.channels),
-        mean=normalisation[0],
-        std=normalisation[1],
-        mirror="none",
-        partitions={} if pooling.partition is None else dict.fromkeys(VIEWS, pooling.partition),
-    )
-    return replace(made, contract=replace(made.contract, title=f"{title}, {pooling}, {size[0]} x {size[1]}"))
+    contract = pooling.contract(title, size, trunk.channels, normalisation, NORM_HELD if norm is not None else "")
+    return PublishedParts(contract, dict.fromkeys(VIEWS, TokenParts(trunk, pooling, norm)))

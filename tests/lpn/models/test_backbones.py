@@ -91,9 +91,9 @@ def test_weights_of_another_backbone_are_refused_even_where_some_would_fit(tmp_p
 
 
 def test_backbones_without_dropout_are_refused_a_rate() -> None:
-    with pytest.raises(InputError, match=r"backbone_dropout is 0\.2 with resnet18"):
+    with pytest.raises(InputError, match=r"backbone_dropout = 0\.2 with resnet18"):
         replace(SPEC, backbone="resnet18")
-    with pytest.raises(InputError, match=r"backbone_dropout is 1\.0"):
+    with pytest.raises(InputError, match=r"backbone_dropout = 1\.0"):
         replace(SPEC, backbone_dropout=1.0)
 
 

@@ -27,7 +27,7 @@ def test_torchvision_s_weights_are_taken_from_torch_s_folder(tmp_path: Path) -> 
     folder.mkdir(parents=True)
     for name in ("resnet18-f37072fd.pth", "vgg16_bn-6c64b313.pth"):
         (folder / name).touch()
-    assert find_weights("resnet18").file == folder / "resnet18-f37072fd.pth"
+    assert find_weights("resnet18")[0] == folder / "resnet18-f37072fd.pth"
     # Another network's name begins alike.
     with pytest.raises(ModelFileError, match="no weights of vgg16 here"):
         find_weights("vgg16")
@@ -47,7 +47,7 @@ def test_timm_s_weights_are_taken_from_its_caches(tmp_path: Path, monkeypatch: p
     in_torch = tmp_path / "torch" / "checkpoints" / "small-1234.pth"
     in_torch.parent.mkdir(parents=True)
     in_torch.touch()
-    assert find_weights("timm:small_net").file == in_torch
+    assert find_weights("timm:small_net")[0] == in_torch
     in_hub = tmp_path / "hub" / "models--timm--small_net.in1k" / "snapshots" / "a0" / "model.safetensors"
     in_hub.parent.mkdir(parents=True)
     in_hub.touch()

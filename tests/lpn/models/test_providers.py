@@ -183,51 +183,10 @@ def test_each_group_of_views_moves(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     assert gpu.computed == [1, 1, 2, 2]
 
 
-def test_quantisation_calibrates_on_the_chosen_provider(
+def test_a_model_in_8_bits_stays_on_the_cpu_unless_a_provider_is_named(
     model_file: Path, data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    given: list[Any] = []
-    module = __import__("lpn.models.quantize", fromlist=["quantize_static"])
-    original = module.quantize_static
-
-    def spy(*arguments: Any, calibration_providers: Any, **options: Any) -> None:
-        given.append([name for name, _ in calibration_providers])
-        original(*arguments, calibration_providers=[CPU], **options)
-
-    monkeypatch.setattr(module, "quantize_static", spy)
-    FakeGpu(monkeypatch)
-    quantize(model_file, open_dataset(data), tmp_path / "int8.onnx", 4, "cuda")
-    quantize(model_file, open_dataset(data), tmp_path / "again.onnx", 4)
-    assert given == [[CUDA, CPU], [CPU]]
-
-
-def test_quantisation_needs_no_newer_onnx_runtime(
-    model_file: Path, data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Before 1.21, ONNX Runtime's quantiser took no providers, and refused the word."""
-    module = __import__("lpn.models.quantize", fromlist=["quantize_static"])
-    original = module.quantize_static
-
-    def older(
-        model: Any,
-        out: Path,
-        reader: Any,
-        *,
-        quant_format: Any,
-        per_channel: bool,
-        activation_type: Any,
-        weight_type: Any,
-        nodes_to_quantize: list[str],
-        extra_options: dict[str, Any],
-    ) -> None:
-        formats = {"quant_format": quant_format, "activation_type": activation_type, "weight_type": weight_type}
-        formats |= {"extra_options": extra_options}
-        original(model, out, reader, per_channel=per_channel, nodes_to_quantize=nodes_to_quantize, **formats)
-
-    monkeypatch.setattr(module, "quantize_static", older)
-    ((written,), agreement) = quantize(model_file, open_dataset(data), tmp_path / "int8.onnx", 4)
-    assert Engine(written).precision == "int8"
-    assert min(agreement.cosines.values()) > 0.9
+    (written,), _ = quantize(model_file, open_dataset(data), tmp_path / "int8.onnx", 4)
     FakeGpu(monkeypatch)
     assert Engine(written, provider="auto").device == "cpu"
     assert Engine(written, provider="cuda").device == "cuda"
@@ -240,14 +199,11 @@ def test_the_commands_pass_the_option_on(
     describe = ["describe", "--model", str(model_file), "--images", str(pictures), "--view", "satellite"]
     describe += ["--out", str(tmp_path / "store"), "--provider"]
     evaluate = ["evaluate", "--model", str(model_file), str(data), "--provider"]
-    quantized = ["export", "--model", str(model_file), "--out", str(tmp_path / "int8.onnx")]
-    quantized += ["--compute", "int8", "--data", str(data)]
     explore = ["explore", "--model", str(model_file), str(data), "--port", "0", "--provider"]
-    for command in (describe, evaluate, [*quantized, "--provider"], explore):
+    for command in (describe, evaluate, explore):
         assert main.main([*command, "cuda"]) == 2
         assert f"has no {CUDA}" in capsys.readouterr().err
     assert not (tmp_path / "store").exists()
-    assert not (tmp_path / "int8.onnx").exists()
     FakeGpu(monkeypatch)
     assert main.main([*describe, "auto"]) == 0
     assert "Computed on cuda." in capsys.readouterr().out

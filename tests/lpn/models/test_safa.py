@@ -15,9 +15,7 @@ from hypothesis import strategies as st
 import lpn
 from lpn.core.arrays import UInt8Array
 from lpn.core.errors import InputError, ModelFileError
-from lpn.core.images import load_picture, polar
-from lpn.datasets import open_dataset
-from lpn.descriptors import describe
+from lpn.core.images import polar
 from lpn.models.backbones import VGG16, map_size
 from lpn.models.base import normalise
 from lpn.models.checkpoints import TorchModel, save
@@ -26,9 +24,6 @@ from lpn.models.lpn import LPN
 from lpn.models.partition import Partition
 from lpn.models.safa import SpatialAware
 from lpn.models.spec import ModelSpec
-from lpn.retrieval import describe_picture
-from lpn.tasks.changes import with_parts
-from lpn.tasks.opening import lazy_task
 from tools.fixtures import released_safa, seeded, small_worlds
 
 SPEC = ModelSpec(
@@ -255,19 +250,3 @@ def test_a_mirrored_picture_is_not_added(model_file: Path) -> None:
         np.testing.assert_array_equal(model.descriptors(images, "drone"), alone)
         mirrored = model.descriptors(np.ascontiguousarray(images[..., ::-1]), "drone")
         assert np.abs(mirrored - alone).max() > 1e-3
-
-
-def test_describe_and_evaluate_run_it(model_file: Path, data: Path, tmp_path: Path) -> None:
-    model, dataset = lpn.load(model_file.with_suffix(".onnx")), open_dataset(data)
-    tile = dataset.gallery("satellite")[0].path
-    store = describe(model, [tile], "satellite", tmp_path / "store")
-    assert store.descriptors.shape == (1, 4, 768)
-    picture = load_picture(tile)
-    np.testing.assert_allclose(
-        store.descriptors, model.descriptors(model.prepare(picture, "satellite")[None], "satellite"), atol=1e-6
-    )
-    one = describe_picture(model, picture, "satellite")
-    np.testing.assert_allclose(one.descriptor, store.descriptors[0], atol=1e-6)
-    result = with_parts(lazy_task(model, dataset, "drone-to-satellite"), (1, 4)).evaluate()
-    assert result.queries == result.gallery == 14
-    assert 0 < result.ap <= 100

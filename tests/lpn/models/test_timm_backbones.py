@@ -18,10 +18,9 @@ from lpn.models.lpn import LPN
 from lpn.models.spec import ModelSpec
 from lpn.models.timm_networks import TimmMap, import_timm
 from lpn.models.trace import Trace
-from lpn.training.optimizer import build_optimizer
+from lpn.training.learner import build_optimizer
 from lpn.training.recipes import RECIPES
 from tools.fixtures import seeded
-from tools.fixtures.published_models import State, vit_shapes, vit_tokens
 from tools.fixtures.seeded import relative
 
 SPEC = ModelSpec("timm:test_vit", views=("satellite", "drone"), n_parts=2, embedding=8, input_size=(64, 96))
@@ -43,9 +42,7 @@ def test_tokens_of_a_vision_transformer_lie_on_the_grid_of_their_patches() -> No
     made, pictures = network(), seeded.pictures(5, 2, 64, 96)
     own = backbone(made)
     assert (own.channels, own.prefix) == (64, 1)
-    state: State = {key.removeprefix("network."): value.double() for key, value in own.state_dict().items()}
-    assert set(vit_shapes("", 64, 6, 256, 24, qkv_bias=True)) == set(state)
-    tokens = vit_tokens(state, pictures, 2, 32**-0.5)
+    tokens = own.network.forward_features(torch.from_numpy(pictures))  # type: ignore[operator]
     found = made.features(torch.from_numpy(pictures), "drone").numpy()
     assert found.shape == (2, 64, 4, 6)
     # The class token comes first, then the patches row by row.

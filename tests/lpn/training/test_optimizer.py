@@ -7,9 +7,8 @@ import torch
 
 from lpn.models.lpn import LPN
 from lpn.models.spec import ModelSpec
-from lpn.training.learner import Learner
+from lpn.training.learner import Learner, MixedPrecision, choose_dtype, loss_factor, rate_factor
 from lpn.training.loader import TrainingBatch
-from lpn.training.optimizer import MixedPrecision, choose_dtype, loss_factor, rate_factor
 from lpn.training.recipe import Recipe
 from lpn.training.recipes import RECIPES
 

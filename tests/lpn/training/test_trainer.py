@@ -20,10 +20,11 @@ import lpn
 from lpn.cli.main import main
 from lpn.core.errors import DataError, InputError, LPNError, ModelFileError
 from lpn.datasets import open_dataset
-from lpn.models.backbones import build_backbone
-from lpn.models.checkpoints import load_torch, recipe_of, save
+from lpn.models.backbones import backbone_of
+from lpn.models.checkpoints import load_torch, save
+from lpn.models.spec import ModelSpec
 from lpn.tasks.opening import lazy_task
-from lpn.training import optimizer
+from lpn.training import learner
 from lpn.training.model_selection import HeldOut, TestSplit
 from lpn.training.recipe import Recipe
 from lpn.training.recipes import METHODS, RECIPES
@@ -155,7 +156,10 @@ def test_init_auto_takes_the_weights_that_are_here_and_names_them(
     with pytest.raises(ModelFileError, match="no weights of resnet18 here"):
         trainer(places, tmp_path / "none", init=Path("auto"))
     torch.manual_seed(5)
-    weights, file = build_backbone("resnet18", "layer3").state_dict(), tmp_path / "checkpoints" / "resnet18-1a2b.pth"
+    weights, file = (
+        backbone_of(ModelSpec("resnet18", "layer3")).state_dict(),
+        tmp_path / "checkpoints" / "resnet18-1a2b.pth",
+    )
     file.parent.mkdir()
     torch.save(weights, file)
     run, said = trainer(places, tmp_path / "run", init=Path("auto"))
@@ -169,7 +173,8 @@ def test_runs_are_not_overwritten_or_mixed(places: Path, tmp_path: Path) -> None
     quick = replace(QUICK, epochs=1)
     quick = replace(quick, weather=1.0)
     model = trainer(places, tmp_path / "run", quick)[0].run()
-    assert recipe_of(model)["weather"] == 1.0
+    with safe_open(str(model), framework="pt") as file:
+        assert json.loads(file.metadata()["recipe"])["weather"] == 1.0
     with pytest.raises(InputError, match="add --resume"):
         trainer(places, tmp_path / "run", quick)
     (tmp_path / "run" / "state.pt").rename(tmp_path / "state.pt")
@@ -229,7 +234,7 @@ def test_held_out_places_choose_and_are_not_trained_on(places: Path, tmp_path: P
 
 @pytest.mark.slow
 def test_float16_and_its_scaler_are_resumed(places: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(optimizer, "choose_dtype", lambda *_: torch.float16)
+    monkeypatch.setattr(learner, "choose_dtype", lambda *_: torch.float16)
     quick = replace(QUICK, epochs=1)
     run, said = trainer(places, tmp_path / "run", quick)
     run.learner.mixed_precision.scaler = torch.amp.GradScaler("cpu", init_scale=1024.0)

@@ -2,35 +2,82 @@
 
 from __future__ import annotations
 
-from lpn.models.adapters.entries import Entries
-from lpn.models.adapters.network import PartBranch
-from lpn.models.adapters.pooled import PooledTokens, RegionWeights, first_alone
-from lpn.models.adapters.published import (
-    PublishedParts,
-    by_view,
-    count_regions,
-    region_names,
-    regions_level,
-    size_of,
-)
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from lpn.core.errors import ModelFileError
+from lpn.models.adapters.network import Account, FirstToken, PartBranch, on_grid
+from lpn.models.adapters.published import PublishedParts, by_view, check_option, size_of
 from lpn.models.adapters.registry import Adapter
-from lpn.models.adapters.vit import Tokens
+from lpn.models.adapters.trunks import Tokens
+from lpn.models.entries import Entries
+
+
+class Regions(PartBranch):
+    """The means of k regions of tokens, and the class token, each with a head.
+
+    Tokens by falling heat, the mean over their channels, are cut into k regions of floor(N / k), with the rest in the last one.
+
+    Args:
+        heads: those of the regions, hottest first, then the class token's.
+
+    Raises:
+        ModelFileError: if there are more regions than tokens.
+    """
+
+    def __init__(self, trunk: Tokens, regions: int, heads: tuple[Tensor, Tensor]) -> None:
+        super().__init__(trunk.grid, heads)
+        self.trunk, self.regions = trunk, regions
+        if regions > (cells := trunk.grid[0] * trunk.grid[1]):
+            raise ModelFileError(f"The model has {regions} regions for {cells} tokens; expected fewer regions.")
+
+    def account(self, images: Tensor) -> Account:
+        """Return the parts and their account, with the regions held; the class token is a constant."""
+        tokens = self.trunk(images)
+        first, cells = tokens[:, :1], tokens[:, 1:]
+        shares = self.shares(cells.mean(2))
+        parts = self.headed(torch.cat([torch.matmul(shares, cells), first], 1))
+        nothing = torch.zeros_like(first).expand(-1, self.regions, -1)
+        return Account(
+            parts,
+            on_grid(cells.transpose(1, 2), self.grid),
+            on_grid(nn.functional.pad(shares, (0, 0, 0, 1)), self.grid),
+            self.headed(torch.cat([nothing, first], 1)),
+        )
+
+    def shares(self, heat: Tensor) -> Tensor:
+        """Return the weight of each cell in each region: (B, N) -> (B, k, N)."""
+        count = heat.shape[1]
+        own, other = heat[:, :, None], heat[:, None, :]
+        earlier = torch.ones(count, count, dtype=torch.bool, device=heat.device).tril(-1)
+        # Ranks by comparison are stable, and ONNX has no stable sort.
+        rank = ((other > own) | ((other == own) & earlier)).sum(2)
+        size = count // self.regions
+        region = torch.clamp(rank // size, max=self.regions - 1)
+        sizes = [size] * (self.regions - 1) + [count - size * (self.regions - 1)]
+        return torch.stack([(region == number) / size for number, size in enumerate(sizes)], 1)
 
 
 def build(entries: Entries) -> PublishedParts:
-    """Build FSRA with any number of regions; one block is the class token alone."""
+    """Build FSRA with any number of regions; one block is the class token alone, without a region's head."""
     size = size_of(entries, (256, 256))
-    regions = count_regions(entries.under("model_1."))
+    blocks = entries.under("model_1.").count_heads("classifier_heat")
+    if blocks or entries.options.get("block") != 1:
+        check_option(entries, "block", blocks)
+    regions = blocks if blocks > 1 else 0
 
     def branch(own: Entries) -> PartBranch:
         trunk = Tokens(own.under("transformer."), size, wide_scale=True)
         heads = own.heads([*(f"classifier_heat{i + 1}" for i in range(regions)), "classifier1"], trunk.channels)
-        count = 1 + trunk.grid[0] * trunk.grid[1]
-        weights = RegionWeights(regions, count, class_token=True, whole=-1) if regions else first_alone(count)
-        return PooledTokens(trunk, weights, heads, cells=regions > 0)
+        return Regions(trunk, regions, heads) if regions else FirstToken(trunk, heads)
 
-    names = [*region_names(regions), "class token"]
-    return by_view(entries, branch, "FSRA", "ViT-S", size, names=names, **regions_level(regions))
+    level: dict[str, Any] = {"level": "one vector"}
+    if regions:
+        level = {"level": "exact, with held", "held": "the regions of each picture"}
+    names = [*["hottest", *["region"] * max(regions - 2, 0), "coolest"][:regions], "class token"]
+    return by_view(entries, branch, "FSRA", "ViT-S", size, names=names, **level)
 
 
 ADAPTERS = (

@@ -10,11 +10,11 @@ from torch import Tensor, nn
 
 from lpn.core.errors import ModelFileError
 from lpn.core.files import printable
-from lpn.models.adapters.convnext import STRIDE, ResNetTrunk, Trunk, grid_of, hand_made_trunk
-from lpn.models.adapters.entries import Entries
 from lpn.models.adapters.network import Account, PartBranch, by_heads
 from lpn.models.adapters.published import NORM_HELD, PublishedParts, by_view, check_option, equal, size_of
 from lpn.models.adapters.registry import Adapter
+from lpn.models.adapters.trunks import STRIDE, hand_made_trunk
+from lpn.models.entries import Entries
 
 log = logging.getLogger(__name__)
 
@@ -43,17 +43,14 @@ class Mccg(PartBranch):
         blocks: the number of gated parts, 1 or 2.
     """
 
-    def __init__(self, entries: Entries, trunk: Trunk | ResNetTrunk, size: tuple[int, int], blocks: int) -> None:
+    def __init__(self, entries: Entries, size: tuple[int, int], blocks: int) -> None:
+        trunk = hand_made_trunk(entries)
         names = [*(f"classifier_mcb{number + 1}" for number in range(blocks)), "classifier1"]
-        weight, bias = entries.heads(names, trunk.channels)
-        super().__init__(grid_of(size), weight)
-        self.trunk, self.norm, self.bias = trunk, trunk.norm(), nn.Buffer(bias)
+        grid = size[0] // STRIDE, size[1] // STRIDE
+        super().__init__(grid, entries.heads(names, trunk.channels), STRIDE)
+        self.trunk, self.norm = trunk, trunk.norm
         gates = entries.under("tri_layer.")
         self.gates = nn.ModuleList([Gate(gates.under(f"{name}.conv.")) for name in ("cw", "hc")[:blocks]])
-
-    def check_size(self, size: tuple[int, int], trained: tuple[int, int]) -> None:
-        """Check that both sides are multiples of a cell's."""
-        self._check_size(size, trained, not any(side % STRIDE for side in size), f"multiples of {STRIDE} pixels")
 
     def gated(self, features: Tensor) -> list[Tensor]:
         """Return the map under each gate, (B, C, h, w) each."""
@@ -68,8 +65,8 @@ class Mccg(PartBranch):
     def account(self, images: Tensor) -> Account:
         """Return the parts and their account, with the gates and the norm's mean and variance held."""
         features = self.trunk(images)
-        weight = cast(Tensor, self.weight)
-        constants, whole = self.bias.expand(features.shape[0], -1, -1).clone(), features
+        weight, whole = cast(Tensor, self.weight), features
+        constants = cast(Tensor, self.bias).expand(features.shape[0], -1, -1).clone()
         if self.norm is not None:
             scale, offset = self.norm.affine(features.mean((2, 3)))
             whole = features * scale[:, :, None, None]
@@ -98,14 +95,12 @@ def build(entries: Entries) -> PublishedParts:
         )
         only = "model_2."
         entries.read.update(key for key in entries.state if key.startswith("model_1."))
-    own = entries.under(only)
-    trunk = hand_made_trunk(own)
-    branch = Mccg(own, trunk, size, blocks)
+    branch = Mccg(entries.under(only), size, blocks)
     return by_view(
         entries,
         lambda _: branch,
         "MCCG",
-        trunk.title,
+        branch.trunk.title,
         size,
         level="exact, with held",
         held="the gates" if branch.norm is None else "the gates and " + NORM_HELD,

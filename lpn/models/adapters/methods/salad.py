@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import cast
+from dataclasses import replace
 
 import torch
 import torch.nn.functional as F
@@ -11,32 +11,15 @@ from torch import Tensor, nn
 
 from lpn.core.errors import ModelFileError
 from lpn.core.views import VIEWS
-from lpn.models.adapters.entries import Entries
-from lpn.models.adapters.network import Account, PartBranch, by_heads, on_grid, whole_mean
+from lpn.models.adapters.network import Account, PartBranch, on_grid, whole_mean
 from lpn.models.adapters.published import PublishedParts, published, size_of
 from lpn.models.adapters.registry import Adapter
-from lpn.models.adapters.vit import NAMES, Tokens, dinov2
+from lpn.models.adapters.trunks import dinov2
+from lpn.models.entries import Entries
 
 # The published input size of SALAD, steps of the optimal transport, and the least length for a division.
 _SIZE = (322, 322)
 _STEPS, _LEAST = 3, 1e-12
-_HELD = "the clusters' shares of each cell, and the lengths of the clusters"
-
-
-class _Layers(nn.Module):
-    """Two linear layers with a ReLU between them, over the last axis."""
-
-    def __init__(self, entries: Entries, channels: int, second: str, sides: int) -> None:
-        super().__init__()
-        hidden, out = (entries.shape(f"{name}.weight", sides)[0] for name in ("0", second))
-        ones = (1,) * (sides - 2)
-        self.first = nn.Buffer(entries.tensor("0.weight", (hidden, channels, *ones)).flatten(1))
-        self.second = nn.Buffer(entries.tensor(f"{second}.weight", (out, hidden, *ones)).flatten(1))
-        self.first_bias = nn.Buffer(entries.tensor("0.bias", (hidden,)))
-        self.second_bias = nn.Buffer(entries.tensor(f"{second}.bias", (out,)))
-
-    def forward(self, values: Tensor) -> Tensor:
-        return F.linear(F.relu(F.linear(values, self.first, self.first_bias)), self.second, self.second_bias)
 
 
 class Salad(PartBranch):
@@ -46,34 +29,35 @@ class Salad(PartBranch):
     share in the vector. MegaLoc adds a linear layer.
 
     Args:
-        trunk: a DINOv2.
-        entries: those under `aggregator.` of SALAD, or under `aggregator.agg.` of MegaLoc.
-        head: A (1, D, token + l m) and c (1, D) of MegaLoc, for m clusters of l numbers.
+        entries: of the whole checkpoint.
+
+    Raises:
+        ModelFileError: if entries are missing or have wrong shapes, or pictures have fewer cells than there are clusters.
     """
 
-    def __init__(self, trunk: Tokens, entries: Entries, head: tuple[Tensor, Tensor] | None = None) -> None:
-        super().__init__(trunk.grid, None if head is None else head[0])
-        self.trunk, channels = trunk, trunk.channels
-        self.bias = None if head is None else nn.Buffer(head[1])
-        self.token = _Layers(entries.under("token_features."), channels, "2", 2)
-        self.values = _Layers(entries.under("cluster_features."), channels, "3", 4)
-        self.scores = _Layers(entries.under("score."), channels, "3", 4)
-        self.dust_bin = nn.Buffer(entries.tensor("dust_bin", ()))
-
-    @property
-    def clusters(self) -> int:
-        """The number of clusters."""
-        return len(self.scores.second_bias)
-
-    @property
-    def width(self) -> int:
-        """The numbers of the vector before MegaLoc's linear layer."""
-        return len(self.token.second_bias) + self.clusters * len(self.values.second_bias)
+    def __init__(self, entries: Entries, size: tuple[int, int], mega: bool) -> None:
+        trunk = dinov2(entries.under("backbone." if mega else "backbone.model."), size)
+        own, channels = entries.under("aggregator.agg." if mega else "aggregator."), trunk.channels
+        length, numbers, self.clusters = (
+            own.shape(f"{name}.bias", 1)[0] for name in ("token_features.2", "cluster_features.3", "score.3")
+        )
+        self.width = length + self.clusters * numbers
+        token = _layers(own.under("token_features."), channels, "2")
+        values, scores = (_layers(own.under(f"{name}."), channels, "3") for name in ("cluster_features", "score"))
+        weight, bias = entries.linear("aggregator.linear", self.width) if mega else (None, None)
+        super().__init__(trunk.grid, None if weight is None or bias is None else (weight[None], bias[None]))
+        self.trunk, self.token, self.values, self.scores = trunk, token, values, scores
+        self.dust_bin = nn.Buffer(own.tensor("dust_bin", ()))
+        if (cells := self.grid[0] * self.grid[1]) <= self.clusters:
+            raise ModelFileError(
+                f"{entries.name} has {self.clusters} clusters, and pictures of {size[0]} x {size[1]} have {cells} cells; set h "
+                "and w in an opts.yaml beside the file to larger ones."
+            )
 
     def forward(self, images: Tensor) -> Tensor:
         """Return the vector of pictures: (B, 3, H, W) -> (B, 1, D)."""
         token, values, shares = self._shared(images)
-        return self._headed(torch.cat([token, torch.matmul(shares, values).transpose(1, 2).flatten(1)], 1))
+        return self.headed(torch.cat([token, torch.matmul(shares, values).transpose(1, 2).flatten(1)], 1)[:, None])
 
     def account(self, images: Tensor) -> Account:
         """Return the vector and its account, with the shares of the clusters and the lengths held."""
@@ -83,12 +67,7 @@ class Salad(PartBranch):
         features = on_grid(F.pad(by_cell, (0, 0, token.shape[1], 0)), self.grid)
         constants = F.pad(token, (0, by_cell.shape[1]))
         vector = torch.cat([token, parts.transpose(1, 2).flatten(1)], 1)
-        return Account(self._headed(vector), features, whole_mean(features), self._headed(constants))
-
-    def _headed(self, vector: Tensor) -> Tensor:
-        if self.weight is None:
-            return vector.unsqueeze(1)
-        return by_heads(vector.unsqueeze(1), self.weight, cast(Tensor, self.bias))
+        return Account(self.headed(vector[:, None]), features, whole_mean(features), self.headed(constants[:, None]))
 
     def _shared(self, images: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Return the class token's part (B, T), the cells' vectors (B, N, l), and their shares in the clusters (B, m, N).
@@ -102,6 +81,19 @@ class Salad(PartBranch):
         lengths = torch.linalg.vector_norm(torch.matmul(shares, values), dim=2, keepdim=True).clamp(min=_LEAST)
         scale = (self.clusters + 1) ** -0.5
         return F.normalize(self.token(token), dim=1) * scale, values, shares / lengths * scale
+
+
+def _layers(entries: Entries, channels: int, second: str) -> nn.Sequential:
+    """Return two linear layers with a ReLU between them; convolutions of one pixel are read as such."""
+    entries = entries.renamed({rf"{second}\.": "2."})
+    flat = replace(
+        entries, state={key: value.flatten(1) if value.ndim == 4 else value for key, value in entries.state.items()}
+    )
+    hidden, out = (flat.shape(f"{name}.weight", 2)[0] for name in ("0", "2"))
+    with torch.device("meta"):
+        layers = nn.Sequential(nn.Linear(channels, hidden), nn.ReLU(), nn.Linear(hidden, out))
+    flat.fill(layers)
+    return layers
 
 
 def transport(scores: Tensor, dust_bin: Tensor) -> Tensor:
@@ -121,40 +113,17 @@ def transport(scores: Tensor, dust_bin: Tensor) -> Tensor:
 
 
 def build(entries: Entries) -> PublishedParts:
-    """Build SALAD or MegaLoc on a DINOv2; one branch describes all views.
-
-    Raises:
-        ModelFileError: if entries are missing or have wrong shapes, or pictures have fewer cells than there are clusters.
-        InputError: if timm is needed and cannot be imported.
-    """
-    mega = entries.has("aggregator.agg.")
-    size = size_of(entries, _SIZE)
-    trunk = dinov2(entries.under("backbone." if mega else "backbone.model."), size)
-    head = None
-    if mega:
-        out, width = entries.shape("aggregator.linear.weight", 2)
-        matrix, bias = entries.linear("aggregator.linear", width)
-        head = matrix.reshape(1, out, width), bias[None]
-    branch = Salad(trunk, entries.under("aggregator.agg." if mega else "aggregator."), head)
-    if head is not None and branch.width != head[0].shape[2]:
-        raise ModelFileError(
-            f"In {entries.name}, aggregator.linear.weight takes {head[0].shape[2]} numbers; expected the {branch.width} of the "
-            "class token and the clusters."
-        )
-    cells = trunk.grid[0] * trunk.grid[1]
-    if cells <= branch.clusters:
-        raise ModelFileError(
-            f"{entries.name} has {branch.clusters} clusters, and pictures of {size[0]} x {size[1]} have {cells} cells; set h and "
-            "w in an opts.yaml beside the file to larger ones."
-        )
+    """Build SALAD or MegaLoc on a DINOv2; one branch describes all views."""
+    mega, size = entries.has("aggregator.agg."), size_of(entries, _SIZE)
+    branch = Salad(entries, size, mega)
     return published(
         dict.fromkeys(VIEWS, branch),
         "MegaLoc" if mega else "SALAD",
-        f"DINOv2 {NAMES.get(trunk.channels, 'ViT')}",
+        f"DINOv2 {branch.trunk.title}",
         size,
         level="exact, with held",
-        held=_HELD,
-        embedding=branch.width if head is None else head[0].shape[1],
+        held="the clusters' shares of each cell, and the lengths of the clusters",
+        embedding=branch.width if branch.bias is None else branch.bias.shape[1],
         resize="bilinear",
         mirror="none",
     )

@@ -29,7 +29,6 @@ from tools.fixtures.published_models import (
     small_fsra,
     small_mccg,
     small_vector,
-    small_vit,
 )
 from tools.fixtures.seeded import relative
 
@@ -65,18 +64,17 @@ def test_regions_of_tokens_and_a_street_with_weights_of_its_own(tmp_path: Path) 
 
 
 @pytest.mark.slow
-def test_maps_under_gates(tmp_path: Path) -> None:
-    answer_alike(*exported(small_mccg(2), "h: 64\nw: 96\n", tmp_path, ["model.onnx"]))
-
-
-@pytest.mark.slow
-def test_one_vector_of_a_vision_transformer(tmp_path: Path) -> None:
-    answer_alike(*exported(small_vit("model."), "", tmp_path, ["model.onnx"]))
-
-
-@pytest.mark.slow
-def test_gates_over_a_resnet(tmp_path: Path) -> None:
-    answer_alike(*exported(small_mccg(2, resnet=True), "h: 64\nw: 96\n", tmp_path, ["model.onnx"]))
+@pytest.mark.parametrize(
+    ("state", "options"),
+    [
+        (small_mccg(2), "h: 64\nw: 96\n"),
+        (small_mccg(2, resnet=True), "h: 64\nw: 96\n"),
+        (small_denseuav(), "head_pool: global\n"),
+    ],
+    ids=["gates", "resnet", "class token"],
+)
+def test_a_branch_of_all_views(state: State, options: str, tmp_path: Path) -> None:
+    answer_alike(*exported(state, options, tmp_path, ["model.onnx"]))
 
 
 @pytest.mark.slow
@@ -86,9 +84,9 @@ def test_gates_over_a_resnet(tmp_path: Path) -> None:
         (small_fsra(2), ""),
         (small_mccg(2), "h: 64\nw: 64\n"),
         (small_vector("camp"), "h: 64\nw: 64\n"),
-        (small_denseuav(0), "head_pool: max\n"),
+        (small_denseuav(), ""),
     ],
-    ids=["regions", "gates", "vector", "maximum"],
+    ids=["regions", "gates", "vector", "tokens"],
 )
 def test_in_8_bits_its_evidence_stays_exact(state: State, options: str, data: Path, tmp_path: Path) -> None:
     model, _ = exported(state, options, tmp_path, ["model.onnx"])
@@ -106,7 +104,7 @@ def test_both_passes_of_a_baseline_of_sues_are_one_trunk(
     data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     network = timm_networks.named_network("test_resnet", (64, 64)).state_dict()
-    monkeypatch.setattr(sues, "_NETWORKS", {"test_resnet": ("conv1.0.weight", tuple(network["conv1.0.weight"].shape))})
+    monkeypatch.setattr(sues, "NETWORKS", {"test_resnet": ("conv1.0.weight", tuple(network["conv1.0.weight"].shape))})
     shapes = {f"model_{branch}.{key}": list(value.shape) for branch in (1, 2) for key, value in network.items()}
     shapes |= {"classifier.add_block.0.weight": [512, 96], "classifier.add_block.0.bias": [512]}
     state = distinct(seeded.entries(shapes), "model_2.")

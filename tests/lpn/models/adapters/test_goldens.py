@@ -15,8 +15,8 @@ import lpn
 from lpn.core import images
 from lpn.models.adapters.methods.mccg import Mccg
 from lpn.models.adapters.methods.sdpl import Sdpl
-from lpn.models.adapters.model import PublishedModel
 from lpn.models.adapters.network import MeanVector
+from lpn.models.adapters.published import PublishedModel
 from lpn.models.base import normalise
 from lpn.models.trace import Trace
 from tools.fixtures import published_models, seeded
@@ -37,8 +37,8 @@ class Case:
         (folder / "opts.yaml").write_text(f"h: {height}\nw: {width}\n")
         self.model = cast(PublishedModel, lpn.load(folder / "net_119.pth", "cpu"))
         self.trunk = Tensor()
-        branch = self.model.network("drone")
-        branch.trunk.register_forward_hook(self._keep)
+        trunk = self.model.network("drone").trunk
+        getattr(trunk, "tokens", trunk).register_forward_hook(self._keep)
 
     def _keep(self, _module: torch.nn.Module, _inputs: object, output: Tensor) -> None:
         self.trunk = output
@@ -105,8 +105,6 @@ def test_sample4geo(folder: Path) -> None:
     case = Case("sample4geo_tiny_256", folder, prefix="module.")
     contract = case.model.contract
     assert (contract.resize, contract.mirror, contract.mean) == ("linear", "none", images.MEAN)
-    found = case.model.released_descriptors(case.golden.pictures, "satellite")
-    assert relative(found, case.golden.arrays["descriptor"]) < TOLERANCE
     case.check(1)
     case.trunk_agrees("features", 32, 1)
 

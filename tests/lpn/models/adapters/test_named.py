@@ -1,4 +1,4 @@
-"""Networks of timm by their name, DenseUAV's other backbones and heads, SDPL's and SUES-200's baselines.
+"""Networks of timm by their name: of Sample4Geo, Game4Loc, DenseUAV, and SUES-200's baselines.
 
 What a network gives is taken from timm's own forward pass; the heads are computed here from the entries.
 """
@@ -17,17 +17,13 @@ from torch import Tensor
 import lpn
 from lpn.core.errors import InputError, ModelFileError
 from lpn.models import timm_networks
-from lpn.models.adapters.entries import Entries
-from lpn.models.adapters.methods import denseuav, sues
-from lpn.models.adapters.model import PublishedModel
-from lpn.models.adapters.named import matching
-from lpn.models.backbones import Bottleneck, ResNet
+from lpn.models.adapters.methods import sues
+from lpn.models.adapters.published import PublishedModel
 from lpn.models.base import normalise
-from lpn.models.contract_metadata import from_metadata, to_metadata
+from lpn.models.entries import Entries
 from lpn.models.trace import Trace
 from tools.fixtures import published_models, published_network, seeded
-from tools.fixtures.published_models import State, relative_by_part, small_denseuav
-from tools.fixtures.published_network import head_shapes
+from tools.fixtures.published_models import State, relative_by_part
 
 TOLERANCE = 2e-5
 # An entry of timm's test_resnet, and its shape.
@@ -63,27 +59,6 @@ def check(model: PublishedModel, pictures: np.ndarray, raw: Tensor, view: Any = 
     assert Trace.from_pass(model, outputs, view).errors().max() < 1e-5
     assert outputs.features is not None
     assert outputs.features.shape[-2:] == model.map_size(view)
-
-
-def head(state: State, name: str, values: Tensor) -> Tensor:
-    """A head's Linear and BatchNorm, of (B, C)."""
-    return published_network.head({key: value.double() for key, value in state.items()}, f"head.head.{name}", values)
-
-
-def ring_means(features: Tensor, n: int, published: bool) -> list[Tensor]:
-    """The mean of each of n square rings of (B, C, h, w), or its sum divided by the area of its box."""
-    height, width = features.shape[2:]
-    found, inner, inner_area = [], torch.zeros(features.shape[:2], dtype=features.dtype), 0
-    for ring in range(1, n + 1):
-        down, across = ring * (height // (2 * n)), ring * (width // (2 * n))
-        rows = slice(height // 2 - down, height // 2 + down) if ring < n else slice(None)
-        columns = slice(width // 2 - across, width // 2 + across) if ring < n else slice(None)
-        box = features[:, :, rows, columns]
-        area = box.shape[2] * box.shape[3]
-        total = box.sum((2, 3))
-        found.append((total - inner) / (area if published else area - inner_area))
-        inner, inner_area = total, area
-    return found
 
 
 @pytest.mark.parametrize(
@@ -127,7 +102,8 @@ def test_a_network_without_a_name_or_of_another_name_is_told_so(tmp_path: Path) 
     _, own = network("test_resnet", (64, 64))
     state = prefixed("model.", own) | {"logit_scale": torch.ones(())}
     with pytest.raises(
-        ModelFileError, match=r"holds model\.conv1\.0\.weight, .* write its network's name in timm as `model: N"
+        ModelFileError,
+        match=r"holds model\.conv1\.0\.weight, which tells no network; write .* as `model: N",
     ):
         opened(state, tmp_path, "")
     with pytest.raises(ModelFileError, match=r"^As timm's test_nfnet: net_119\.pth lacks model\.stem\."):
@@ -149,140 +125,40 @@ def test_branches_of_a_named_network_follow_the_role(tmp_path: Path) -> None:
         check(model.for_task("drone", "satellite"), pictures.numpy(), made(pictures)[:, None], "satellite")
 
 
-@pytest.mark.parametrize("regions", [0, 1, 2])
-def test_denseuav_on_a_convolutional_network(regions: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(denseuav, "_BACKBONES", {"test_resnet": _STEM})
-    made, own = network("test_resnet", (96, 64))
-    names = ["classifier1", *(f"classifier_heat{i + 1}" for i in range(regions))] if regions else ["classifier"]
-    heads = seeded.entries({k: v for name in names for k, v in head_shapes(f"head.head.{name}", 96).items()})
-    option = f"head: FSRA_CNN\nblock: {regions}" if regions else "head: SingleBranchCNN\nhead_pool: max\nblock: 1"
-    model = opened(prefixed("backbone.backbone.", own) | heads, tmp_path, f"{option}\nh: 96\nw: 64\n")
-    assert model.contract.claim == ("exact, with the regions of each picture held" if regions > 1 else "exact")
-    pictures = seeded.pictures(23, 2, 96, 64)
+@pytest.mark.parametrize("pool", ["avg", "global", "max"])
+def test_denseuav_on_a_network_that_the_options_name(pool: str, tmp_path: Path) -> None:
+    name = "test_resnet" if pool == "avg" else "test_vit"
+    made, own = network(name, (160, 160))
+    heads = seeded.entries(published_network.head_shapes("head.head.classifier", made.num_features))
+    state = prefixed("backbone.backbone.", own) | heads
+    option = f"model: {name}\nhead: SingleBranch\nhead_pool: {pool}\nh: 160\nw: 160\n"
+    if pool == "max":
+        with pytest.raises(ModelFileError, match="head_pool: max; expected one of avg, global"):
+            opened(state, tmp_path, option)
+        return
+    model, pictures = opened(state, tmp_path, option), seeded.pictures(23, 1, 160, 160)
+    assert model.contract.claim == ("exact" if pool == "avg" else "one vector")
     with torch.inference_mode():
         features = made.forward_features(torch.from_numpy(pictures)).double()
-    parts = [head(heads, names[0], features.mean((2, 3)))]
-    if regions > 1:
-        # Without a class token all cells are in a region; `region_means` leaves the first token out.
-        tokens = F.pad(features.flatten(2).transpose(1, 2), (0, 0, 1, 0))
-        means = [
-            torch.stack(found) for found in zip(*(published_models.region_means(t, 2) for t in tokens), strict=True)
-        ]
-        parts += [head(heads, f"classifier_heat{i + 1}", mean) for i, mean in enumerate(means)]
-    check(model, pictures, torch.stack(parts, 1))
-    rows = model.released_descriptors(pictures, "drone")
-    length = (len(parts) / max(regions, 1)) ** 0.5
-    np.testing.assert_allclose(np.linalg.norm(rows, axis=1), length, rtol=1e-5)
-
-
-@pytest.mark.parametrize("whole", [True, False])
-def test_denseuav_with_the_rings_of_lpn(whole: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    names = [f"classifier_lpn_{ring + 1}" for ring in range(3)]
-    if whole:
-        state = {key: value for key, value in small_denseuav(0, 112).items() if key.startswith("backbone.")}
-        tokens = published_models.vit_tokens(
-            published_models.under(state, "backbone.backbone."), seeded.pictures(24, 1, 112, 112), 1, 64**-0.5
-        )
-        first, features = tokens[:, 0], tokens[:, 1:].transpose(1, 2).reshape(1, 64, 7, 7)
-        names = ["global_classifier", *names]
-    else:
-        monkeypatch.setattr(denseuav, "_BACKBONES", {"test_resnet": _STEM})
-        made, own = network("test_resnet", (208, 208))
-        state = prefixed("backbone.backbone.", own)
-        with torch.inference_mode():
-            features = made.forward_features(torch.from_numpy(seeded.pictures(24, 1, 208, 208))).double()
-        first = torch.zeros(1, 96)
-    heads = seeded.entries(
-        {k: v for name in names for k, v in head_shapes(f"head.head.{name}", features.shape[1]).items()}
-    )
-    side = 112 if whole else 208
-    option = f"head: {'LPN' if whole else 'LPN_CNN'}\nblock: 3\nh: {side}\nw: {side}\n"
-    model = opened(state | heads, tmp_path, option)
-    assert features.shape[2:] == (7, 7)
-    values = [*([first.double()] if whole else []), *ring_means(features, 3, published=True)]
-    raw = torch.stack([head(heads, name, value) for name, value in zip(names, values, strict=True)], 1)
-    check(model, seeded.pictures(24, 1, side, side), raw)
-    assert model.contract.names("drone")[-1] == ("4 outer" if whole else "3 outer")
-    if whole:
-        cut = {key: value for key, value in heads.items() if ".global_classifier." not in key}
-        with pytest.raises(ModelFileError, match=r"lacks head\.head\.global_classifier\.add_block\.0\.weight, which"):
-            opened(state | cut, tmp_path, option)
-    with pytest.raises(
-        ModelFileError, match=r"head LPN, but the opts\.yaml beside it says head: FSRA; correct or remove it"
-    ):
-        opened(state | heads, tmp_path, option.replace("LPN_CNN", "FSRA").replace("LPN", "FSRA"))
-
-
-def test_denseuav_with_generalised_weights_of_places(tmp_path: Path) -> None:
-    state = {**small_denseuav(0), "head.head.pool.gem2.p": torch.linspace(-1, 3, 16)}
-    model, pictures = opened(state, tmp_path, "head: GeM\nhead_pool: max\n"), seeded.pictures(25, 1, 64, 64)
-    tokens = published_models.vit_tokens(published_models.under(state, "backbone.backbone."), pictures, 1, 64**-0.5)
-    weights = torch.softmax(torch.linspace(-1, 3, 16).double(), 0)
-    check(model, pictures, head(state, "classifier", (tokens[:, 1:] * weights[:, None]).sum(1))[:, None])
-    assert model.contract.claim == "exact"
+    pooled = features.mean((2, 3)) if pool == "avg" else features[:, 0]
+    doubled = {key: value.double() for key, value in heads.items()}
+    check(model, pictures, published_network.head(doubled, "head.head.classifier", pooled)[:, None])
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("pool", ["avg", "max", "global", "regions"])
-def test_denseuav_on_a_distilled_network_pools_the_second_token_with_the_cells(
-    pool: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_denseuav_takes_one_class_token(tmp_path: Path) -> None:
     name = "deit_tiny_distilled_patch16_224"
-    monkeypatch.setattr(denseuav, "_BACKBONES", {name: ("dist_token", (1, 1, 192))})
-    made, own = network(name, (64, 64))
-    names = ["classifier1", "classifier_heat1", "classifier_heat2"] if pool == "regions" else ["classifier"]
-    heads = seeded.entries({k: v for name in names for k, v in head_shapes(f"head.head.{name}", 192).items()})
-    option = "head: FSRA\nblock: 2\n" if pool == "regions" else f"head: SingleBranch\nhead_pool: {pool}\n"
-    model = opened(prefixed("backbone.backbone.", own) | heads, tmp_path, f"{option}h: 64\nw: 64\n")
-    pictures = seeded.pictures(26, 1, 64, 64)
-    with torch.inference_mode():
-        tokens = made.forward_features(torch.from_numpy(pictures)).double()
-    pooled = {"avg": tokens[:, 1:].mean(1), "max": tokens[:, 1:].amax(1)}
-    values = [pooled.get(pool, tokens[:, 0])]
-    if pool == "regions":
-        values += [mean[None] for mean in published_models.region_means(tokens[0], 2)]
-    check(model, pictures, torch.stack([head(heads, n, v) for n, v in zip(names, values, strict=True)], 1))
-
-
-@pytest.mark.parametrize("rings", [0, 2])
-def test_the_baselines_of_sdpl_have_rings_of_their_own_area_or_the_whole_map(
-    rings: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    depths = [1, 1, 1, 1]
-    made = ResNet(Bottleneck, depths, "layer4", last_stride=1 if rings else 2).eval()
-    monkeypatch.setattr("lpn.models.adapters.methods.sdpl.DEPTHS", depths)
-    own = seeded.entries({key: list(value.shape) for key, value in made.state_dict().items()})
-    made.load_state_dict(own)
-    names = [f"classifier{ring}" for ring in range(rings)] or ["classifier"]
-    state = seeded.entries({k: v for name in names for k, v in head_shapes(name, 2048).items()})
-    state |= prefixed("model_1.model.", own) | prefixed("model_2.model.", own)
-    if rings:
-        state |= {f"model_1.gem{ring}.p": torch.ones(2048) for ring in range(rings)}
-    option = (
-        f"h: 96\nw: 96\nstride: 1\ndense_LPN: false\nLPN: {str(rings > 0).lower()}\nblock: {rings or 4}\nviews: 2\n"
-    )
-    model, pictures = opened(state, tmp_path, option), seeded.pictures(27, 1, 96, 96)
-    assert (model.contract.method, model.contract.claim, model.n_parts) == ("SDPL", "exact", rings or 1)
-    shapes = {
-        "images": (1, 3, 96, 96),
-        "parts": (1, rings or 1, 512),
-        "features": (1, 2048, 6, 6),
-        "cells": (1, rings or 1, 6, 6),
-        "head_weight": (rings or 1, 512, 2048),
-    }
-    assert from_metadata(to_metadata(model.contract), "sdpl.onnx", shapes) == model.contract
-    with torch.inference_mode():
-        features = made(torch.from_numpy(pictures)).double()
-    doubled = {f"head.head.{key}": value for key, value in state.items()}
-    raw = [head(doubled, n, v) for n, v in zip(names, ring_means(features, rings or 1, False), strict=True)]
-    check(model, pictures, torch.stack(raw, 1))
+    _, own = network(name, (224, 224))
+    heads = seeded.entries(published_network.head_shapes("head.head.classifier", 192))
+    with pytest.raises(ModelFileError, match="has 2 tokens before the cells on timm's deit_tiny"):
+        opened(prefixed("backbone.backbone.", own) | heads, tmp_path, f"model: {name}\n")
 
 
 @pytest.mark.parametrize("shared", [True, False])
 def test_a_baseline_of_sues_adds_the_raw_mirror_to_the_scaled_picture(
     shared: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(sues, "_NETWORKS", {"test_resnet": _STEM})
+    monkeypatch.setattr(sues, "NETWORKS", {"test_resnet": _STEM})
     made, own = network("test_resnet", (64, 96))
     other = own if shared else {key: value * 1.1 if value.ndim > 1 else value for key, value in own.items()}
     shapes = {"classifier.add_block.0.weight": [512, 96], "classifier.add_block.0.bias": [512]}
@@ -305,43 +181,18 @@ def test_a_baseline_of_sues_adds_the_raw_mirror_to_the_scaled_picture(
     assert relative_by_part(model.descriptors(pictures, "drone"), expected) < TOLERANCE
 
 
-def test_the_lpn_of_sues_has_rings_under_heads_without_a_batchnorm(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(sues, "_LPN_NETWORK", "test_resnet")
-    monkeypatch.setattr(sues, "_LPN_ENTRIES", f"model.{_STEM[0]}")
-    monkeypatch.setattr(sues, "_LPN_CHANNELS", 96)
-    made, own = network("test_resnet", (160, 160))
-    shapes = {f"classifier{ring}.add_block.0.weight": [512, 96] for ring in range(2)}
-    heads = seeded.entries(shapes | {key.replace("weight", "bias"): [512] for key in shapes})
-    state = prefixed("model_1.model.", own) | prefixed("model_2.model.", own) | heads
-    model = opened(state, tmp_path, "h: 160\nw: 160\nstride: 2\n")
-    assert (model.contract.claim, model.contract.mirror) == ("exact", "sum")
-    assert model.contract.names("drone") == ["1 centre", "2 outer"]
-    pictures = seeded.pictures(30, 1, 160, 160)
-    with torch.inference_mode():
-        rings = ring_means(cast(Any, made).forward_features(torch.from_numpy(pictures)), 2, published=True)
-    raw = [published_models.linear(heads, f"classifier{i}.add_block.0", ring) for i, ring in enumerate(rings)]
-    check(model, pictures, torch.stack(raw, 1))
-    with pytest.raises(ModelFileError, match=r"pools its rings by their maximum .* only the average \(avg\) is read"):
-        opened(state, tmp_path, "pool: max\nstride: 2\n")
-    with pytest.raises(ModelFileError, match="says stride: 3; expected 1 or 2"):
-        opened(state, tmp_path, "stride: 3\n")
-
-
 def test_a_baseline_of_sues_that_is_not_read_says_so(tmp_path: Path) -> None:
     state = {f"model_{branch}.model.conv1.weight": torch.ones(2) for branch in (1, 2)}
     with pytest.raises(
-        ModelFileError, match=r"baseline of SUES-200 that is not read .* found model_1\.model\.conv1\.weight"
+        ModelFileError, match=r"model of SUES-200 that is not read .* found model_1\.model\.conv1\.weight"
     ):
         opened(state | {"classifier0.add_block.0.weight": torch.ones(2, 2)}, tmp_path, "")
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("table", [denseuav._BACKBONES, sues._NETWORKS], ids=["denseuav", "sues"])
-def test_each_backbone_is_told_by_one_entry(table: dict[str, tuple[str, tuple[int, ...]]]) -> None:
+def test_each_baseline_of_sues_is_told_by_one_entry() -> None:
     timm = timm_networks.import_timm()
-    for name in table:
+    for name in sues.NETWORKS:
         with torch.device("meta"):
             state = timm.create_model(name, pretrained=False).state_dict()
-        assert matching(table, Entries("net.pth", state)) == name
+        assert sues.network_in(Entries("net.pth", state)) == name

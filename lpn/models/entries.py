@@ -1,4 +1,4 @@
-"""The entries of a published checkpoint for an adapter: by prefix, with their shapes checked, and reads recorded."""
+"""The entries of a checkpoint: by prefix, with their shapes checked, and reads recorded."""
 
 from __future__ import annotations
 
@@ -137,17 +137,23 @@ class Entries:
             )
         return value
 
-    def fill(self, network: nn.Module) -> None:
+    def fill(self, network: nn.Module, optional: str = "num_batches_tracked$") -> None:
         """Put the entries into a network of equal names, also one on the meta device; further entries are ignored.
+
+        Args:
+            optional: a pattern of entries that may be missing, and are 0 then.
 
         Raises:
             ModelFileError: as for `tensor`.
         """
-        own = network.state_dict()
-        counters = {key: torch.zeros((), dtype=torch.int64) for key in own if key.endswith("num_batches_tracked")}
-        # Parameters that take a tensor without a copy must own it: branches of one file may share tensors.
-        tensors = {key: self.tensor(key, tuple(value.shape)) for key, value in own.items() if key not in counters}
-        network.load_state_dict(tensors | counters, assign=True)
+        tensors = {}
+        for key, value in network.state_dict().items():
+            if re.search(optional, key) and (key not in self.state or not value.is_floating_point()):
+                tensors[key] = torch.zeros(value.shape, dtype=value.dtype)
+            else:
+                # A copy: branches may share tensors, and results would depend on a tensor's alignment in its file.
+                tensors[key] = self.tensor(key, tuple(value.shape)).clone()
+        network.load_state_dict(tensors, assign=True)
 
     def linear(self, prefix: str, channels: int) -> tuple[Tensor, Tensor]:
         """Return a head of one linear layer: A (D, C) and c (D,)."""
