@@ -10,11 +10,11 @@ import numpy as np
 from lpn.core.arrays import Float64Array
 from lpn.core.homography import apply_homography, inverse
 from lpn.flight.files import Frame
-from lpn.flight.locate.camera_place import told_tilt_error
+from lpn.flight.locate.camera_place import frame_tilt_error
 from lpn.flight.locate.camera_pose import CameraPose, PoseMatches, solve_pose
-from lpn.flight.locate.levelled import Levelled, PhotoView
+from lpn.flight.locate.levelled import PhotoView
 from lpn.flight.locate.matchers import Complex
-from lpn.flight.locate.registration import Registration
+from lpn.flight.locate.registration import Registration, is_turned_over
 from lpn.flight.maps import Map
 
 # Reach of the second round of matching around the first pose's predictions, as a share of the picture's width.
@@ -27,53 +27,50 @@ _SIGMAS = 3.0
 _MATCH_ERROR = 1.0
 
 
-def photo_pose(
-    basemap: Map, frame: Frame, size: tuple[int, int], registration: Registration, levelled: Levelled | None
-) -> CameraPose | str:
+def photo_pose(basemap: Map, frame: Frame, view: PhotoView, registration: Registration) -> CameraPose | str:
     """Solve the pose of a photo's camera; on flat ground if the map has no elevation.
 
     Args:
-        size: width and height of the photo in pixels.
+        view: the registered picture.
         registration: of the photo, with its matches; `homography` and `width` are of the photo itself.
-        levelled: the registered picture; None if the photo itself was registered.
 
     Returns:
         The pose, or a sentence with the reason for none; "" without matches.
     """
-    matched, plane, metres = registration.matched, registration.homography, registration.width
-    if matched is None or plane is None or metres is None:
+    ground, plane, metres = registration.ground, registration.homography, registration.width
+    if ground is None or plane is None or metres is None:
         return ""
-    flat = basemap.elevation is None
-    noise = _MATCH_ERROR * max(1.0, matched.ground.resolution * size[0] / metres)
-    view = PhotoView(size, levelled)
+    heights = None if basemap.elevation is None else basemap.heights
+    noise = _MATCH_ERROR * max(1.0, ground.resolution * view.size[0] / metres)
     # If neither heights nor the photo tell the tilt, noise and relief may pass for one.
-    proven = flat and (frame.pitch is None or frame.roll is None)
+    proven = heights is None and (frame.pitch is None or frame.roll is None)
+    parameters = 8 if registration.model == "homography" else 4 if proven else 6
+
+    def raised(places: Float64Array) -> Float64Array:
+        return np.column_stack([places, np.zeros(len(places)) if heights is None else heights(places)])
 
     def collected(u: Complex, places: Float64Array) -> PoseMatches:
-        heights = np.zeros(len(places)) if flat else basemap.heights(places)
-        known = np.isfinite(heights)
-        points = np.column_stack([places, heights])[known]
-        parameters = 8 if registration.model == "homography" else 4 if proven else 6
-        return PoseMatches(view.pixels(u)[known], points, size, plane, parameters, noise)
+        points = raised(places)
+        known = np.isfinite(points[:, 2])
+        return PoseMatches(view.pixels(u)[known], points[known], view.size, plane, parameters, noise)
 
     def again(predict: Callable[[Float64Array], Float64Array]) -> PoseMatches:
         # The plane's model limits the ground that the photo may show.
-        on_plane = np.abs(view.units(apply_homography(inverse(plane), matched.ground.points)))
-        numbers = np.flatnonzero(on_plane < _SEEN)
-        places = matched.ground.points[numbers]
-        heights = np.zeros(len(places)) if flat else basemap.heights(places)
-        predicted = np.full(len(matched.ground.points), np.nan, np.complex128)
-        predicted[numbers] = view.units(predict(np.column_stack([places, heights])))
-        u, chosen = matched.again(predicted, _REACH)
-        return collected(u, matched.ground.points[chosen])
+        on_plane = np.abs(view.units(apply_homography(inverse(plane), ground.points)))
+        near = np.flatnonzero(on_plane < _SEEN)
+        predicted = np.full(len(ground.points), np.nan, np.complex128)
+        predicted[near] = view.units(predict(raised(ground.points[near])))
+        u, chosen = registration.rematch(predicted, _REACH)
+        return collected(u, ground.points[chosen])
 
-    def ground_below(place: Float64Array) -> float | None:
-        height = 0.0 if flat else float(basemap.heights(place[None])[0])
-        return height if np.isfinite(height) else None
-
-    first = collected(matched.u, np.stack([matched.m.real, matched.m.imag], axis=1))
-    solved = solve_pose(first, frame.fov, flat, ground_below, None if flat else again, proven)
-    return solved if isinstance(solved, str) else _contradiction(frame, solved, registration.turned) or solved
+    best = registration.places[0]
+    first = collected(best.u, np.stack([best.m.real, best.m.imag], axis=1))
+    solved = solve_pose(first, frame.fov, heights, None if heights is None else again, proven)
+    return (
+        solved
+        if isinstance(solved, str)
+        else _contradiction(frame, solved, is_turned_over(registration.turn)) or solved
+    )
 
 
 def _contradiction(frame: Frame, solved: CameraPose, turned: bool) -> str:
@@ -82,7 +79,7 @@ def _contradiction(frame: Frame, solved: CameraPose, turned: bool) -> str:
         return ""
     way = -1 if turned else 1  # the file was turned after the flight
     told = way * (frame.pitch + 90) - 90, way * frame.roll
-    limits = [_SIGMAS * math.hypot(told_tilt_error(frame), float(sigma)) for sigma in solved.sigmas[4:]]
+    limits = [_SIGMAS * math.hypot(frame_tilt_error(frame), float(sigma)) for sigma in solved.sigmas[4:]]
     if abs(solved.pitch - told[0]) <= limits[0] and abs(solved.roll - told[1]) <= limits[1]:
         return ""
     return (
