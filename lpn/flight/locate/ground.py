@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from lpn.core.arrays import BoolArray, Float64Array, UInt8Array
+from lpn.core.arrays import Float64Array
 from lpn.core.errors import OutputError
 from lpn.core.files import cache_folder, write_atomic
 from lpn.flight.locate.matchers import Ground, Matcher
@@ -125,8 +125,11 @@ class MapFeatures:
         pixels = _SIDE + 2 * _MARGIN
         size = pixels * resolution
         picture, valid = self._map.read(Window(x, y, size), pixels)
-        features = describe_ground(self.matcher, picture, valid, (x - size / 2, y + size / 2), resolution, _LIMIT)
-        return features.near(np.array([[x, y]]), _SIDE * resolution / 2)
+        features = self.matcher.features(picture, valid, _LIMIT)
+        easting = x - size / 2 + (features.points[:, 0] + 0.5) * resolution
+        northing = y + size / 2 - (features.points[:, 1] + 0.5) * resolution
+        ground = Ground(np.stack([easting, northing], axis=1).astype(np.float64), features.descriptors, resolution)
+        return ground.near(np.array([[x, y]]), _SIDE * resolution / 2)
 
     def _write(self, file: Path, ground: Ground) -> None:
         if not self._is_writable:
@@ -144,26 +147,3 @@ class MapFeatures:
                 file.parent,
                 getattr(error, "strerror", None) or error,
             )
-
-
-def describe_ground(
-    matcher: Matcher,
-    picture: UInt8Array,
-    valid: BoolArray | None,
-    corner: tuple[float, float],
-    resolution: float,
-    limit: int = 8192,
-) -> Ground:
-    """Describe a north-up piece of the map.
-
-    Args:
-        picture: (H, W, 3) uint8.
-        valid: pixels with data, (H, W); None for all.
-        corner: metres east and north of the picture's north-west corner.
-        resolution: metres per pixel.
-        limit: greatest number of features.
-    """
-    features = matcher.features(picture, valid, limit)
-    east = corner[0] + (features.points[:, 0] + 0.5) * resolution
-    north = corner[1] - (features.points[:, 1] + 0.5) * resolution
-    return Ground(np.stack([east, north], axis=1).astype(np.float64), features.descriptors, resolution)

