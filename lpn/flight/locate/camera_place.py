@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import msgspec
 import numpy as np
@@ -12,8 +13,10 @@ from lpn.core.arrays import Float64Array
 from lpn.core.homography import middle_pixel
 from lpn.flight.files import Frame
 from lpn.flight.files.cameras import rotation
-from lpn.flight.locate.located import LocatedFrame, StageRecord
 from lpn.flight.locate.registration import Registration, is_turned_over
+
+if TYPE_CHECKING:
+    from lpn.flight.locate.located import LocatedFrame, StageRecord
 
 # Largest tilt in degrees for which the camera's place is returned, and 1-sigma errors of a gimbal's and an aircraft's tilt.
 _MAX_TILT = 15.0

@@ -24,7 +24,7 @@ from lpn.core.progress import CountProgress, report_progress
 from lpn.flight.files import Flight, Frame, ground_width
 from lpn.flight.locate.agreement import MatchedDetails, map_agreement
 from lpn.flight.locate.camera_place import camera_place, scattered_radii
-from lpn.flight.locate.camera_pose import DEFAULT_FOV, CameraPose
+from lpn.flight.locate.camera_pose import DEFAULT_FOV, CameraPose, photo_pose
 from lpn.flight.locate.continuity import refuse_contradicted
 from lpn.flight.locate.ground import MAX_BLOCKS, MapFeatures
 from lpn.flight.locate.levelled import PhotoView, level
@@ -32,7 +32,6 @@ from lpn.flight.locate.line_records import LineRecords
 from lpn.flight.locate.located import LocatedFrame, StageRecord
 from lpn.flight.locate.matchers import Ground, Matcher, open_matchers
 from lpn.flight.locate.options import LocateOptions
-from lpn.flight.locate.photo_pose import photo_pose
 from lpn.flight.locate.registration import (
     APART,
     FREE_FACTOR,
