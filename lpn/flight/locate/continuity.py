@@ -113,7 +113,7 @@ def _refuse_jumps(frames: Sequence[LocatedFrame], of_camera: bool) -> list[str]:
 
 
 def top_speeds(times: Float64Array, places: Float64Array, tags: Float64Array | None = None) -> Float64Array | None:
-    """Return the metres a second that the drone can fly from each position to the next, (N - 1,); None with fewer than 8.
+    """Return the metres a second that the drone can fly from each position to the next, (N - 1,); None if they are too few.
 
     The speed is a multiple of the 80th percentile of the speeds between neighbours, and of the largest speed of the tags near by.
     Tags of which half repeat tell nothing.
