@@ -27,10 +27,10 @@ from lpn.flight.locate.continuity import NEW_HEADING, other_turn
 from lpn.flight.locate.ground import MapFeatures
 from lpn.flight.locate.located import LocatedFrame, StageRecord
 from lpn.flight.locate.map_evidence import ENOUGH, MapEvidence
-from lpn.flight.locate.matchers import MatcherName, open_matcher
+from lpn.flight.locate.matchers import MatcherName, open_matchers
 from lpn.flight.locate.options import LocateOptions
 from lpn.flight.locate.ranked_stages import OVERLAP, best_windows, sequence_answer
-from lpn.flight.locate.registered_stage import Before, PhotoSearch, compared, register_photo, with_map_error
+from lpn.flight.locate.registered_stage import FlightPrior, PhotoSearch, register_photo, with_map_error
 from lpn.flight.locate.retrieval import (
     ALIKE,
     MIN_DISTINCT,
@@ -135,7 +135,8 @@ class LiveLocator:
         self._view: View = "drone" if "drone" in model.views else "satellite"
         self._pixels = max(model.input_size)
         self._on_progress = on_progress
-        self._features = [MapFeatures(basemap, open_matcher(self.options.matcher))] if self.options.register else []
+        first = open_matchers(self.options.matcher)[0]
+        self._features = [MapFeatures(basemap, first)] if self.options.register else []
         self._ground: _Ground | None = None
         self._tiles = np.zeros((0, 0, 0), np.float32)
         self._kept: deque[Float32Array] = deque(maxlen=_KEPT)
@@ -146,7 +147,7 @@ class LiveLocator:
         self._scored: deque[tuple[float, Float64Array, BoolArray]] = deque(maxlen=_SCORED)
         self._time: float | None = None
         self._evidence = MapEvidence(basemap.bounds)
-        self._before = Before()
+        self._prior = FlightPrior()
         # Turns of the last registrations with whether they stand; then time and place of the last one.
         self._turns: deque[tuple[float, bool]] = deque(maxlen=_TURNED)
         self._registered_at: float | None = None
@@ -355,15 +356,14 @@ class LiveLocator:
             located,
             frame.undistorted(photo),
             LocateOptions(matcher=self.options.matcher),
-            self._before,
+            self._prior,
             side,
-            quick=len(self._before.ratios) >= _TURNS,
+            quick=len(self._prior.ratios) >= _TURNS,
         )
         map_error = self.options.map_error
         answer = with_map_error(
             register_photo(search), self.basemap.total_error(map_error), self.basemap.place_error(map_error)
         )
-        answer = compared(self.basemap, answer, search.photo)
         # A place that the map contradicts may be an equal building, and proves nothing.
         if counts := answer.accepted and map_misfit(answer) is None:
             answer = self._continuous(ground, located, answer)
@@ -375,7 +375,7 @@ class LiveLocator:
         self._evidence.add(located, side)
         if self._fresh:
             ground.filter.weigh(self._likely(ground, located, answer, len(ground.beyond)))
-            self._before.add(frame, answer)
+            self._prior.add(frame, answer)
             self._place = located.middle(answer)
 
     def _continuous(self, ground: _Ground, located: LocatedFrame, answer: StageRecord) -> StageRecord:

@@ -1,4 +1,4 @@
-"""Offsets between a registered photo and the map, place by place.
+"""Offsets between a registered photo and the map, place by place: of its matched details, and of patches all over it.
 
 A mosaic's seams, a lens, and objects on the ground bend a photo against its map, beyond the one transformation of the
 registration. Square places of the laid photo are matched with the map around them by normalised cross-correlation, and back.
@@ -13,8 +13,10 @@ import msgspec
 import numpy as np
 
 from lpn.core import images
-from lpn.core.arrays import BoolArray, Float32Array, Float64Array, UInt8Array
+from lpn.core.arrays import BoolArray, Float32Array, Float64Array, Int64Array, UInt8Array
 from lpn.core.homography import apply_homography, corner_pixels, inverse, middle_pixel
+from lpn.flight.locate.levelled import PhotoView
+from lpn.flight.locate.registration import Registration
 from lpn.flight.maps import Map, Window
 
 # Pixels of the square around the laid photo, of a place's side, and of the search around a place.
@@ -32,6 +34,8 @@ _LEAST, _STANDS_OUT, _BESIDE, _BACK = 0.55, 0.15, 5, 3.0
 _SHOWN, _CONTRAST = 0.98, 2.0
 # Fewer places of a photo tell nothing of the rest.
 _FEW_PLACES = 3
+# Most matched details in a sample, as a person cannot distinguish more, and rows in which they are numbered from left to right.
+_SAMPLE, _ROWS = 24, 4
 # Beyond this share of the searched distance, other places may lie outside of the search.
 _BORDER = 0.9
 
@@ -65,6 +69,60 @@ def offset_rows(places: Float64Array, offsets: Float64Array, digits: int) -> lis
     """Return the rows of `PhotoPlaces` for places (N, 2) and offsets (N, 2), in metres rounded to these digits."""
     rounded = np.hstack([places.round(4), offsets.round(digits)]).tolist()
     return [(across, down, east, north) for across, down, east, north in rounded]
+
+
+class MatchedDetails(PhotoPlaces, frozen=True):
+    """The matches of a photo that agree with its registration, and a sample spread over the photo.
+
+    Attributes:
+        rows: of the sample.
+        median: of all these matches' distances in metres.
+        limit: metres within which a match agrees.
+    """
+
+    median: float
+    limit: float
+
+    @classmethod
+    def of(cls, registration: Registration, view: PhotoView) -> MatchedDetails | None:
+        """Return the matches of an accepted registration; None for a refused one.
+
+        Args:
+            view: the registered picture.
+        """
+        if not registration.accepted or registration.ground is None or registration.homography is None:
+            return None
+        best = registration.places[0]
+        pixels = view.pixels(best.u)
+        offsets = np.stack([best.m.real, best.m.imag], axis=1) - apply_homography(registration.homography, pixels)
+        metres = np.hypot(*offsets.T)
+        agree = np.flatnonzero(metres < best.limit)
+        places = (pixels[agree] + 0.5) / view.size
+        chosen = _spread(places * view.size)
+        chosen = chosen[np.lexsort((places[chosen, 0], np.floor(places[chosen, 1] * _ROWS)))]
+        rows = offset_rows(places[chosen], offsets[agree][chosen], 3)
+        return cls(rows, round(float(np.median(metres[agree])), 3), round(best.limit, 3))
+
+    def on_map(self, homography: Float64Array, width: int, height: int) -> Float64Array:
+        """Return the sample's places on the map, metres east and north, (N, 2).
+
+        Args:
+            homography: of the registration, from pixels of the photo to metres, (3, 3).
+            width, height: of the photo in pixels.
+        """
+        return apply_homography(homography, self.places * (width, height) - 0.5) + self.offsets
+
+
+def _spread(points: Float64Array) -> Int64Array:
+    """Return the indices of at most `_SAMPLE` points, (N, 2), each as far as possible from earlier ones."""
+    chosen: list[int] = []
+    # The first is nearest to the mean of all.
+    far = -np.hypot(*(points - points.mean(axis=0)).T)
+    for _ in range(min(_SAMPLE, len(points))):
+        chosen.append(int(far.argmax()))
+        near = np.hypot(*(points - points[chosen[-1]]).T)
+        far = near if len(chosen) == 1 else np.minimum(far, near)
+    return np.array(chosen, np.int64)
 
 
 class MapAgreement(PhotoPlaces, frozen=True):

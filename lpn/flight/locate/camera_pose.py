@@ -1,4 +1,4 @@
-"""A camera's six-degree pose from matches of its photo with the map's heights: PnP with MAGSAC, refined, with covariance.
+"""The six-degree pose of a registered photo's camera, from its matches and the map's heights: PnP with MAGSAC, refined.
 
 A map point is (east, north, height) in metres. OpenCV's camera looks along +z, with x to the picture's right and y downward. A
 map point p in the camera's axes is R (p - c), where c is the camera's place.
@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import cv2
 import msgspec
@@ -18,7 +18,13 @@ import numpy as np
 from lpn.core.arrays import BoolArray, Float64Array
 from lpn.core.homography import apply_homography, inverse
 from lpn.core.numbers import wrap_degrees
+from lpn.flight.files import Frame
 from lpn.flight.files.cameras import angles_of_view, fov_of_sensor, rotation
+from lpn.flight.locate.camera_place import frame_tilt_error
+from lpn.flight.locate.levelled import PhotoView
+from lpn.flight.locate.matchers import Complex
+from lpn.flight.locate.registration import Registration, is_turned_over
+from lpn.flight.maps import Map
 
 # Fields of view in degrees that are tried for an unknown one, and the default.
 _FOVS = (35.0, 50.0, 62.0, 72.0, 82.0, 95.0)
@@ -42,6 +48,14 @@ _ITERATIONS = 30
 _FINEST = 0.3
 # The limit of a squared residual in variances (GRIC's lambda 3 times its codimension).
 _CUT = 4.0
+# Reach of the second round of matching around the first pose's predictions, as a share of the picture's width.
+_REACH = 0.02
+# Ground within this many widths of the picture's middle, by the plane's model, may be in the picture.
+_SEEN = 1.0
+# Sigmas by which a pose's tilt may differ from the photo's.
+_SIGMAS = 3.0
+# 1-sigma error of a match in pixels of the compared pictures.
+_MATCH_ERROR = 1.0
 
 
 class CameraTilt(NamedTuple):
@@ -142,6 +156,11 @@ class PoseMatches:
     plane_parameters: int
     noise: float
 
+    @property
+    def threshold(self) -> float:
+        """Pixels within which a match agrees with a pose."""
+        return max(3 * self.noise, 0.004 * self.size[0], 1.5)
+
 
 @dataclass(frozen=True, eq=False)
 class _Camera:
@@ -159,13 +178,81 @@ class _Camera:
     def place(self) -> Float64Array:
         return -self.matrix.T @ self.shift
 
+    def intrinsics(self, size: tuple[int, int]) -> Float64Array:
+        return np.array([[self.focal, 0, (size[0] - 1) / 2], [0, self.focal, (size[1] - 1) / 2], [0, 0, 1]])
+
+    def project(self, points: Float64Array, size: tuple[int, int]) -> Float64Array:
+        """Return the pixels of points, (N, 2); NaN behind the camera."""
+        seen = points @ self.matrix.T + self.shift
+        with np.errstate(divide="ignore", invalid="ignore"):
+            pixels = seen[:, :2] / seen[:, 2:] * self.focal + (np.array(size) - 1) / 2
+        return np.where(seen[:, 2:] > 0, pixels, np.nan)
+
+
+def photo_pose(basemap: Map, frame: Frame, view: PhotoView, registration: Registration) -> CameraPose | str:
+    """Solve the pose of a photo's camera; on flat ground if the map has no elevation.
+
+    Args:
+        view: the registered picture.
+        registration: of the photo, with its matches; `homography` and `width` are of the photo itself.
+
+    Returns:
+        The pose, or a sentence with the reason for none; "" without matches.
+    """
+    ground, plane, metres = registration.ground, registration.homography, registration.width
+    if ground is None or plane is None or metres is None:
+        return ""
+    heights = None if basemap.elevation is None else basemap.heights
+    noise = _MATCH_ERROR * max(1.0, ground.resolution * view.size[0] / metres)
+    # If neither heights nor the photo tell the tilt, noise and relief may pass for one.
+    proven = heights is None and (frame.pitch is None or frame.roll is None)
+    parameters = 8 if registration.model == "homography" else 4 if proven else 6
+
+    def raised(places: Float64Array) -> Float64Array:
+        return np.column_stack([places, np.zeros(len(places)) if heights is None else heights(places)])
+
+    def collected(u: Complex, places: Float64Array) -> PoseMatches:
+        points = raised(places)
+        known = np.isfinite(points[:, 2])
+        return PoseMatches(view.pixels(u)[known], points[known], view.size, plane, parameters, noise)
+
+    def again(predict: Callable[[Float64Array], Float64Array]) -> PoseMatches:
+        # The plane's model limits the ground that the photo may show.
+        on_plane = np.abs(view.units(apply_homography(inverse(plane), ground.points)))
+        near = np.flatnonzero(on_plane < _SEEN)
+        predicted = np.full(len(ground.points), np.nan, np.complex128)
+        predicted[near] = view.units(predict(raised(ground.points[near])))
+        u, chosen = registration.rematch(predicted, _REACH)
+        return collected(u, ground.points[chosen])
+
+    best = registration.places[0]
+    first = collected(best.u, np.stack([best.m.real, best.m.imag], axis=1))
+    solved = solve_pose(first, frame.fov, heights, None if heights is None else again, proven)
+    if isinstance(solved, str):
+        return solved
+    return _contradiction(frame, solved, is_turned_over(registration.turn)) or solved
+
+
+def _contradiction(frame: Frame, solved: CameraPose, turned: bool) -> str:
+    """Return a sentence if pitch or roll contradict the photo's; "" if they agree within three sigmas."""
+    if frame.pitch is None or frame.roll is None:
+        return ""
+    way = -1 if turned else 1  # the file was turned after the flight
+    told = way * (frame.pitch + 90) - 90, way * frame.roll
+    limits = [_SIGMAS * math.hypot(frame_tilt_error(frame), float(sigma)) for sigma in solved.sigmas[4:]]
+    if abs(solved.pitch - told[0]) <= limits[0] and abs(solved.roll - told[1]) <= limits[1]:
+        return ""
+    return (
+        f"The matches would have the camera at a pitch of {solved.pitch:.1f}° and a roll of {solved.roll:.1f}°, and the photo "
+        f"tells {told[0]:.1f}° and {told[1]:.1f}°, so there is no pose."
+    )
+
 
 def solve_pose(
     matches: PoseMatches,
     fov: float | None,
-    flat: bool,
-    ground_below: Callable[[Float64Array], float | None],
-    rematch: Callable[[Callable[[Float64Array], Float64Array]], PoseMatches | None] | None = None,
+    heights: Callable[[Float64Array], Float64Array] | None,
+    rematch: Callable[[Callable[[Float64Array], Float64Array]], PoseMatches] | None = None,
     proven: bool = False,
 ) -> CameraPose | str:
     """Solve the pose of a camera from matches of its photo with the map.
@@ -181,8 +268,7 @@ def solve_pose(
     Args:
         matches: of the registration.
         fov: horizontal field of view in degrees; None if unknown.
-        flat: whether the ground counts as flat.
-        ground_below: returns the height in metres at a place (2,); None if unknown.
+        heights: returns the ground's heights in metres at places (K, 2), NaN where unknown; None if the ground counts as flat.
         rematch: matches again near predicted pixels; its argument maps points (N, 3) to pixels (N, 2).
         proven: True if the pose must be better than the plane by one parameter's worth.
 
@@ -191,39 +277,42 @@ def solve_pose(
     """
     if len(matches.points) < _LEAST_MATCHES:
         return "Too few matches have a height for a pose of the camera."
+    flat = heights is None
     middle = np.array([*matches.points[:, :2].mean(axis=0), np.median(matches.points[:, 2])])
-    solved = _solved(matches, middle, fov)
-    if isinstance(solved, str):
-        return solved
-    camera, source, inliers = solved
+    first = _Solver(matches, middle)
+    solved = first.solved(fov)
+    if solved is None:
+        return "The matches agree on no pose of the camera."
+    solver, (camera, source) = first, solved
+    inliers = first.agreeing(camera)
     # Matches of a second round favour the pose that predicted them, so the first round's are compared.
-    if not _explains(matches, _residuals(camera, matches, middle), 6 + (source == "solved"), proven):
+    if not first.explained_by(camera, 6 + (source == "solved"), proven):
         return (
             "On flat ground the matches do not show how far the camera was tilted, so there is no pose."
             if proven
             else "The matches lie on the map as on a plane, and no camera with this field of view explains them as well."
         )
     if rematch is not None:
-        first = camera
-        again = rematch(lambda points: _project(first, points - middle, matches.size))
-        if again is not None and len(again.points) >= len(matches.points) // 2:
-            better = _solved(again, middle, camera_fov(camera, matches.size) if fov is None else fov)
-            if not isinstance(better, str) and better[2].sum() >= inliers.sum():
-                matches, (camera, _, inliers) = again, better
-    cells = _cells(matches.pixels[inliers], matches.size)
+        predicted = camera
+        again = _Solver(rematch(lambda points: predicted.project(points - middle, matches.size)), middle)
+        if len(again.points) >= len(matches.points) // 2:
+            better = again.solved(first.fov(camera) if fov is None else fov)
+            if better is not None and (agreeing := again.agreeing(better[0])).sum() >= inliers.sum():
+                solver, camera, inliers = again, better[0], agreeing
+    count, cells = int(inliers.sum()), solver.cells(inliers)
     # The ring from one to two thresholds has three times the area inside one threshold.
-    ring = int((_residuals(camera, matches, middle) < 2 * _threshold(matches)).sum() - inliers.sum())
-    if inliers.sum() < _OVER_CHANCE * ring / 3:
-        return f"The {int(inliers.sum())} matches that agree on a pose of the camera are hardly more than would agree by chance."
-    if inliers.sum() < _LEAST_MATCHES or cells < _LEAST_CELLS:
-        return f"Only {int(inliers.sum())} matches, in {cells} parts of the photo, agree on a pose of the camera."
+    ring = int(solver.agreeing(camera, 2.0).sum()) - count
+    if count < _OVER_CHANCE * ring / 3:
+        return f"The {count} matches that agree on a pose of the camera are hardly more than would agree by chance."
+    if count < _LEAST_MATCHES or cells < _LEAST_CELLS:
+        return f"Only {count} matches, in {cells} parts of the photo, agree on a pose of the camera."
     place = camera.place + middle
-    below = ground_below(place[:2])
-    height = place[2] if flat else None if below is None else place[2] - below
+    below = 0.0 if heights is None else float(heights(place[None, :2])[0])
+    height = float(place[2] - below) if np.isfinite(below) else None
     above = place[2] - middle[2]
     if above <= 0 or (height is not None and height <= 0):
         return "The pose that the matches agree on lies below the ground."
-    covariance = _covariance(camera, matches, middle, inliers, source == "solved", cells)
+    covariance = solver.covariance(camera, inliers, source == "solved")
     if flat:
         covariance *= _RELIEF**2
         covariance[2, 2] += _RELIEF_METRES**2
@@ -231,207 +320,150 @@ def solve_pose(
         return "The matches do not tell the pose: its error would be more than a quarter of the height."
     if source == "assumed":
         covariance[2, 2] += (_ASSUMED_ERROR * above) ** 2
-    heading, pitch, roll = angles_of_view(camera.matrix)
-    return CameraPose(
-        float(place[0]),
-        float(place[1]),
-        float(place[2]),
-        None if height is None else float(height),
-        heading,
-        pitch,
-        roll,
-        camera_fov(camera, matches.size),
-        source,
-        flat,
-        int(inliers.sum()),
-        [float(value) for value in covariance.ravel()],
-    )
+    east, north, altitude = place.tolist()
+    angles, values = angles_of_view(camera.matrix), covariance.ravel().tolist()
+    return CameraPose(east, north, altitude, height, *angles, solver.fov(camera), source, flat, count, values)
 
 
-def camera_fov(camera: _Camera, size: tuple[int, int]) -> float:
-    """Return the horizontal field of view of a camera in degrees."""
-    return fov_of_sensor(size[0], camera.focal)
+class _Solver:
+    """The solution of a pose from matches, about a point (3,) in their middle."""
 
+    def __init__(self, matches: PoseMatches, middle: Float64Array) -> None:
+        self._matches, self._pixels, self._size = matches, matches.pixels, matches.size
+        self.points, self._threshold = matches.points - middle, matches.threshold
 
-def _solved(matches: PoseMatches, middle: Float64Array, fov: float | None) -> tuple[_Camera, str, BoolArray] | str:
-    tried = []
-    for angle in _FOVS if fov is None else (fov,):
-        camera = _first(matches, middle, matches.size[0] / 2 / math.tan(math.radians(angle) / 2))
-        if camera is not None:
-            tried.append(_refined(camera, matches, middle, False))
-    if not tried:
-        return "The matches agree on no pose of the camera."
-    threshold = _threshold(matches)
+    def solved(self, fov: float | None) -> tuple[_Camera, str] | None:
+        """Return the best camera, and whether its field of view is "told", "solved", or "assumed"; None without one."""
+        tried = [camera for angle in (_FOVS if fov is None else (fov,)) if (camera := self._first(angle)) is not None]
+        if not tried:
+            return None
+        best = min(tried, key=lambda one: float(np.minimum((self._residuals(one) / self._threshold) ** 2, 1).sum()))
+        if fov is not None:
+            return best, "told"
+        free = self._refined(best, True)
+        error = self._focal_error(free, self.agreeing(free))
+        if error <= _FOCAL_ERROR and _FOVS[0] - 15 < self.fov(free) < _FOVS[-1] + 15:
+            return free, "solved"
+        assumed = self._first(DEFAULT_FOV)
+        return None if assumed is None else (assumed, "assumed")
 
-    def cost(camera: _Camera) -> float:
-        return float(np.minimum((_residuals(camera, matches, middle) / threshold) ** 2, 1).sum())
+    def fov(self, camera: _Camera) -> float:
+        """Return the horizontal field of view of a camera in degrees."""
+        return fov_of_sensor(self._size[0], camera.focal)
 
-    best = min(tried, key=cost)
-    source = "told"
-    if fov is None:
-        free = _refined(best, matches, middle, True)
-        agreeing = _residuals(free, matches, middle) < threshold
-        error = _focal_error(free, matches, middle, agreeing)
-        if error <= _FOCAL_ERROR and _FOVS[0] - 15 < camera_fov(free, matches.size) < _FOVS[-1] + 15:
-            best, source = free, "solved"
-        else:
-            focal = matches.size[0] / 2 / math.tan(math.radians(DEFAULT_FOV) / 2)
-            again = _first(matches, middle, focal)
-            if again is None:
-                return "The matches agree on no pose of the camera."
-            best, source = _refined(again, matches, middle, False), "assumed"
-    return best, source, _residuals(best, matches, middle) < threshold
+    def agreeing(self, camera: _Camera, thresholds: float = 1.0) -> BoolArray:
+        """Tell which matches agree with a camera, (M,)."""
+        return np.asarray(self._residuals(camera) < thresholds * self._threshold)
 
+    def cells(self, which: BoolArray | slice = np.s_[:]) -> int:
+        """Count the cells of a grid over the photo that hold at least one of these matches."""
+        cells = np.floor((self._pixels[which] + 0.5) / self._size * _GRID).astype(np.int64).clip(0, _GRID - 1)
+        return len(np.unique(cells[:, 0] * _GRID + cells[:, 1]))
 
-def _threshold(matches: PoseMatches) -> float:
-    return max(3 * matches.noise, 0.004 * matches.size[0], 1.5)
+    def explained_by(self, camera: _Camera, parameters: int, clearly: bool) -> bool:
+        """Tell by GRIC whether a pose explains the matches as well as the plane's model, or clearly better."""
+        plane, places = inverse(self._matches.plane), self._matches.points[:, :2]
+        flat = np.linalg.norm(apply_homography(plane, places) - self._pixels, axis=1)
+        cells = self.cells()
+        share, worth = min(cells / len(flat), 1.0), math.log(4 * cells)
 
+        def gric(values: Float64Array, count: int) -> float:
+            return share * float(np.minimum((values / (self._threshold / 3)) ** 2, _CUT).sum()) + count * worth
 
-def _intrinsics(focal: float, size: tuple[int, int]) -> Float64Array:
-    return np.array([[focal, 0, (size[0] - 1) / 2], [0, focal, (size[1] - 1) / 2], [0, 0, 1]])
+        margin = -worth if clearly else worth
+        return gric(self._residuals(camera), parameters) <= gric(flat, self._matches.plane_parameters) + margin
 
+    def covariance(self, camera: _Camera, inliers: BoolArray, free: bool) -> Float64Array:
+        """Return the covariance of place and angles, (6, 6), see `CameraPose`; NaN if the matches do not tell them."""
+        inner = self._inner_covariance(camera, inliers, free)[:6, :6]
 
-def _first(matches: PoseMatches, middle: Float64Array, focal: float) -> _Camera | None:
-    parameters = cv2.UsacParams()
-    parameters.threshold = _threshold(matches)
-    parameters.confidence = 0.999
-    parameters.maxIterations = 2000
-    parameters.score = cv2.SCORE_METHOD_MAGSAC
-    parameters.loMethod = cv2.LOCAL_OPTIM_SIGMA
-    parameters.randomGeneratorState = 0
-    try:
-        found, _, turn, shift, _ = cv2.solvePnPRansac(
-            np.ascontiguousarray(matches.points - middle),
-            np.ascontiguousarray(matches.pixels),
-            _intrinsics(focal, matches.size),
-            np.zeros(4),
-            params=parameters,
-        )
-    except cv2.error:
-        return None
-    if not found or not (np.isfinite(turn).all() and np.isfinite(shift).all()):
-        return None
-    return _Camera(np.asarray(turn, np.float64).ravel(), np.asarray(shift, np.float64).ravel(), focal)
+        def outer(values: Float64Array) -> Float64Array:
+            moved = _Camera(values[:3], values[3:], camera.focal)
+            return np.array([*moved.place, *angles_of_view(moved.matrix)])
 
+        at = np.concatenate([camera.turn, camera.shift])
+        start = outer(at)
+        slopes = np.empty((6, 6))
+        for i, step in enumerate([1e-5] * 3 + [1e-3] * 3):
+            change = outer(at + step * np.eye(6)[i]) - start
+            change[3] = wrap_degrees(change[3])
+            slopes[:, i] = change / step
+        return np.asarray(slopes @ inner @ slopes.T)
 
-def _refined(camera: _Camera, matches: PoseMatches, middle: Float64Array, free: bool) -> _Camera:
-    """Fit a camera to its inliers by Levenberg's method, with the focal length if it is free."""
-    threshold = _threshold(matches)
-    damping = 1e-3
-    points = matches.points - middle
+    def _first(self, fov: float) -> _Camera | None:
+        """Return a camera of a field of view by random samples of the matches, refined; None without one."""
+        parameters = cv2.UsacParams()
+        parameters.threshold = self._threshold
+        parameters.confidence = 0.999
+        parameters.maxIterations = 2000
+        parameters.score = cv2.SCORE_METHOD_MAGSAC
+        parameters.loMethod = cv2.LOCAL_OPTIM_SIGMA
+        parameters.randomGeneratorState = 0
+        start = _Camera(np.zeros(3), np.zeros(3), self._size[0] / 2 / math.tan(math.radians(fov) / 2))
+        points, pixels = (np.ascontiguousarray(values) for values in (self.points, self._pixels))
+        intrinsics = start.intrinsics(self._size)
+        try:
+            found, _, turn, shift, _ = cv2.solvePnPRansac(points, pixels, intrinsics, np.zeros(4), params=parameters)
+        except cv2.error:
+            return None
+        if not found or not (np.isfinite(turn).all() and np.isfinite(shift).all()):
+            return None
+        turn, shift = (np.asarray(values, np.float64).ravel() for values in (turn, shift))
+        return self._refined(_Camera(turn, shift, start.focal), False)
 
-    def judged(candidate: _Camera) -> tuple[float, Float64Array, Float64Array]:
-        off, jacobian = _linearised(candidate, points, matches, free)
-        squares = (off.reshape(-1, 2) ** 2).sum(axis=1) / threshold**2
-        # Geman and McClure's cost has no step at the threshold.
-        weights = np.repeat(1 / (1 + squares) ** 2, 2)
-        cost = float((squares / (1 + squares)).sum())
-        return cost, (jacobian * weights[:, None]).T @ jacobian, (jacobian * weights[:, None]).T @ off
+    def _refined(self, camera: _Camera, free: bool) -> _Camera:
+        """Fit a camera to its inliers by Levenberg's method, with the focal length if it is free."""
+        damping = 1e-3
 
-    cost, normal, slope = judged(camera)
-    for _ in range(_ITERATIONS):
-        step = np.linalg.lstsq(normal + damping * np.diag(np.diag(normal)), slope, rcond=None)[0]
-        focal = camera.focal * math.exp(float(np.clip(step[6], -0.3, 0.3))) if free else camera.focal
-        moved = _Camera(camera.turn + step[:3], camera.shift + step[3:6], focal)
-        tried = judged(moved)
-        if np.isfinite(tried[0]) and tried[0] < cost:
-            done = cost - tried[0] < 1e-7 * cost
-            camera, (cost, normal, slope), damping = moved, tried, damping / 5
-            if done:
-                break
-        else:
-            damping *= 10
-            if damping > 1e8:
-                break
-    return camera
+        def judged(candidate: _Camera) -> tuple[float, Float64Array, Float64Array]:
+            off, jacobian = self._linearised(candidate, free)
+            squares = (off.reshape(-1, 2) ** 2).sum(axis=1) / self._threshold**2
+            # Geman and McClure's cost has no step at the threshold.
+            weighted = jacobian * np.repeat(1 / (1 + squares) ** 2, 2)[:, None]
+            return float((squares / (1 + squares)).sum()), weighted.T @ jacobian, weighted.T @ off
 
+        cost, normal, slope = judged(camera)
+        for _ in range(_ITERATIONS):
+            step = np.linalg.lstsq(normal + damping * np.diag(np.diag(normal)), slope, rcond=None)[0]
+            focal = camera.focal * math.exp(float(np.clip(step[6], -0.3, 0.3))) if free else camera.focal
+            moved = _Camera(camera.turn + step[:3], camera.shift + step[3:6], focal)
+            tried = judged(moved)
+            if np.isfinite(tried[0]) and tried[0] < cost:
+                done = cost - tried[0] < 1e-7 * cost
+                camera, (cost, normal, slope), damping = moved, tried, damping / 5
+                if done:
+                    break
+            else:
+                damping *= 10
+                if damping > 1e8:
+                    break
+        return camera
 
-def _linearised(
-    camera: _Camera, points: Float64Array, matches: PoseMatches, free: bool
-) -> tuple[Float64Array, Float64Array]:
-    """Return pixels minus projections, (2 M,), and the Jacobian by turn, shift, and the focal length's logarithm."""
-    projected, jacobian = cv2.projectPoints(
-        points, camera.turn, camera.shift, _intrinsics(camera.focal, matches.size), np.zeros(4)
-    )
-    off = (matches.pixels - projected.reshape(-1, 2)).ravel()
-    columns = [jacobian[:, :6]]
-    if free:
-        columns.append((jacobian[:, 6:7] + jacobian[:, 7:8]) * camera.focal)
-    return off, np.hstack(columns)
+    def _linearised(self, camera: _Camera, free: bool) -> tuple[Float64Array, Float64Array]:
+        """Return pixels minus projections, (2 M,), and the Jacobian by turn, shift, and the focal length's logarithm."""
+        intrinsics = camera.intrinsics(self._size)
+        projected, jacobian = cv2.projectPoints(self.points, camera.turn, camera.shift, intrinsics, np.zeros(4))
+        off = (self._pixels - projected.reshape(-1, 2)).ravel()
+        of_focal = (jacobian[:, 6:7] + jacobian[:, 7:8]) * camera.focal
+        return off, np.hstack([jacobian[:, :6], of_focal] if free else [jacobian[:, :6]])
 
+    def _residuals(self, camera: _Camera) -> Float64Array:
+        """Return the pixels from each match to its projection, (M,); infinite behind the camera."""
+        off = np.linalg.norm(camera.project(self.points, self._size) - self._pixels, axis=1)
+        return np.where(np.isnan(off), np.inf, off)
 
-def _project(camera: _Camera, points: Float64Array, size: tuple[int, int]) -> Float64Array:
-    seen = points @ camera.matrix.T + camera.shift
-    with np.errstate(divide="ignore", invalid="ignore"):
-        pixels = seen[:, :2] / seen[:, 2:] * camera.focal + (np.array(size) - 1) / 2
-    return np.where(seen[:, 2:] > 0, pixels, np.nan)
+    def _inner_covariance(self, camera: _Camera, inliers: BoolArray, free: bool) -> Float64Array:
+        """Return the covariance of turn, shift, and the focal length's logarithm; NaN if the matches do not tell them."""
+        off, jacobian = (values[np.repeat(inliers, 2)] for values in self._linearised(camera, free))
+        variance = max(float(off @ off) / max(len(off) - jacobian.shape[1], 1), (_FINEST / 2) ** 2)
+        count = int(inliers.sum())
+        try:
+            return np.linalg.inv(jacobian.T @ jacobian / variance * (min(self.cells(inliers), count) / max(count, 1)))
+        except np.linalg.LinAlgError:
+            return np.full((jacobian.shape[1],) * 2, np.nan)
 
-
-def _residuals(camera: _Camera, matches: PoseMatches, middle: Float64Array) -> Float64Array:
-    """Return the pixels from each match to its projection, (M,); infinite behind the camera."""
-    off = np.linalg.norm(_project(camera, matches.points - middle, matches.size) - matches.pixels, axis=1)
-    return np.where(np.isnan(off), np.inf, off)
-
-
-def _explains(matches: PoseMatches, residuals: Float64Array, parameters: int, clearly: bool) -> bool:
-    """Tell by GRIC whether a pose explains the matches as well as the plane's model, or clearly better."""
-    flat = np.linalg.norm(apply_homography(inverse(matches.plane), matches.points[:, :2]) - matches.pixels, axis=1)
-    sigma = _threshold(matches) / 3
-    cells = _cells(matches.pixels, matches.size)
-    share = min(cells / len(residuals), 1.0)
-
-    def gric(values: Float64Array, count: int) -> float:
-        return share * float(np.minimum((values / sigma) ** 2, _CUT).sum()) + count * math.log(4 * cells)
-
-    margin = -math.log(4 * cells) if clearly else math.log(4 * cells)
-    return gric(residuals, parameters) <= gric(flat, matches.plane_parameters) + margin
-
-
-def _normal(
-    camera: _Camera, matches: PoseMatches, middle: Float64Array, inliers: BoolArray, free: bool, cells: int
-) -> Any:
-    """Return the inverse covariance of turn, shift, and the focal length's logarithm."""
-    off, jacobian = _linearised(camera, matches.points - middle, matches, free)
-    rows = np.repeat(inliers, 2)
-    off, jacobian = off[rows], jacobian[rows]
-    variance = max(float(off @ off) / max(len(off) - jacobian.shape[1], 1), (_FINEST / 2) ** 2)
-    return jacobian.T @ jacobian / variance * (min(cells, int(inliers.sum())) / max(int(inliers.sum()), 1))
-
-
-def _focal_error(camera: _Camera, matches: PoseMatches, middle: Float64Array, inliers: BoolArray) -> float:
-    if inliers.sum() < _LEAST_MATCHES:
-        return math.inf
-    normal = _normal(camera, matches, middle, inliers, True, _cells(matches.pixels[inliers], matches.size))
-    try:
-        return math.sqrt(max(float(np.linalg.inv(normal)[6, 6]), 0.0))
-    except np.linalg.LinAlgError:
-        return math.inf
-
-
-def _covariance(
-    camera: _Camera, matches: PoseMatches, middle: Float64Array, inliers: BoolArray, free: bool, cells: int
-) -> Float64Array:
-    normal = _normal(camera, matches, middle, inliers, free, cells)
-    try:
-        inner = np.linalg.inv(normal)[:6, :6]
-    except np.linalg.LinAlgError:
-        return np.full((6, 6), np.nan)
-
-    def outer(values: Float64Array) -> Float64Array:
-        moved = _Camera(values[:3], values[3:], camera.focal)
-        return np.array([*moved.place, *angles_of_view(moved.matrix)])
-
-    at = np.concatenate([camera.turn, camera.shift])
-    start = outer(at)
-    slopes = np.empty((6, 6))
-    for i, step in enumerate([1e-5] * 3 + [1e-3] * 3):
-        change = outer(at + step * np.eye(6)[i]) - start
-        change[3] = wrap_degrees(change[3])
-        slopes[:, i] = change / step
-    return np.asarray(slopes @ inner @ slopes.T)
-
-
-def _cells(pixels: Float64Array, size: tuple[int, int]) -> int:
-    """Count the cells of a grid over the photo that hold at least one of these pixels."""
-    cells = np.floor((pixels + 0.5) / size * _GRID).astype(np.int64).clip(0, _GRID - 1)
-    return len(np.unique(cells[:, 0] * _GRID + cells[:, 1]))
+    def _focal_error(self, camera: _Camera, inliers: BoolArray) -> float:
+        if inliers.sum() < _LEAST_MATCHES:
+            return math.inf
+        variance = float(self._inner_covariance(camera, inliers, True)[6, 6])
+        return math.sqrt(max(variance, 0.0)) if math.isfinite(variance) else math.inf

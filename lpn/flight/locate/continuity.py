@@ -10,10 +10,15 @@ error of headings may change from leg to leg, so turns that many frames share co
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
+
 import numpy as np
 
 from lpn.core.arrays import BoolArray, Float64Array, Int64Array
 from lpn.core.numbers import wrap_degrees
+from lpn.flight.locate.located import LocatedFrame, tag_positions
+from lpn.flight.locate.retrieval import heading_is_certain
 
 # The speed limit as a multiple of the 80th percentile of registered speeds, and of the largest speed of near tags.
 _REGISTERED, _TAGGED = 1.2, 1.3
@@ -37,19 +42,86 @@ _ALIKE = 2.5
 NEW_HEADING = 10
 
 
-def top_speeds(times: Float64Array, places: Float64Array, tags: Float64Array | None = None) -> Float64Array | None:
-    """Return the metres a second that the drone can fly from each position to the next, (N - 1,).
+# Shift of a picture's middle by the tilt, as a share of the ground width: 8 degrees at 70 degrees of view.
+_SWAY = 0.1
 
-    The speed is 1.2 times the 80th percentile of the speeds between neighbours. It is at least 1.3 times the largest speed of the
-    tags from 10 positions before to 10 after, and at least 10 m/s, or 20 m/s without tags there or if half of all tags repeat.
+
+def refuse_contradicted(frames: Sequence[LocatedFrame]) -> list[str]:
+    """Refuse registrations that others of the flight contradict, by turn or by place; return sentences about it."""
+    return [*_refuse_turned(frames), *_refuse_jumps(frames, True), *_refuse_jumps(frames, False)]
+
+
+def _refuse_turned(frames: Sequence[LocatedFrame]) -> list[str]:
+    """Refuse registrations whose turn against a certain heading differs from the others'; return a sentence about them.
+
+    There is no limit on their share: beyond the edge of a map 5 of 21 were false.
+    """
+    turned = [
+        (located, answer, answer.turn)
+        for located in frames
+        if (answer := located.stages["registration"]).accepted
+        and answer.turn is not None
+        and heading_is_certain(located.frame)
+    ]
+    found = other_turns(np.array([turn for *_, turn in turned], np.float64))
+    for i, degrees in found.items():
+        located, answer, _ = turned[i]
+        located.stages["registration"] = answer.refused("turned", degrees=degrees)
+    if not found:
+        return []
+    by = " to ".join(dict.fromkeys(f"{f(found.values()):.1f}°" for f in (min, max)))
+    return [
+        f"{len(found)} of {len(turned)} registrations are turned by {by} against their headings, "
+        "unlike the others, and are refused, as they may show equal buildings. "
+        f"Of each leg whose headings are off, up to {NEW_HEADING - 1} right photos may be among them."
+    ]
+
+
+def _refuse_jumps(frames: Sequence[LocatedFrame], of_camera: bool) -> list[str]:
+    """Refuse registrations that the drone cannot have reached and left, unless they are many; return sentences about it.
+
+    Radii exclude the map's error, which moves neighbours alike.
+
+    Args:
+        of_camera: whether the track is of cameras or of pictures' middles.
+    """
+    timed = [
+        (located, answer)
+        for located in frames
+        if (answer := located.stages["registration"]).accepted
+        and answer.camera == of_camera
+        and answer.radius is not None
+        and located.frame.time is not None
+    ]
+    times = np.array([located.frame.time for located, _ in timed], np.float64)
+    places = np.array([(answer.x, answer.y) for _, answer in timed], np.float64).reshape(-1, 2)
+    sway = 0.0 if of_camera else _SWAY
+    radii = np.array([math.hypot(answer.own_radius, sway * (answer.width or 0.0)) for _, answer in timed])
+    speeds = top_speeds(times, places, tag_positions(located for located, _ in timed))
+    if speeds is None:
+        return []
+    found = np.flatnonzero(jumps(times, places, radii, speeds))
+    if len(found) > MOST * len(timed):
+        return [
+            f"{len(found)} of {len(timed)} registrations lie where the drone would have had to be faster than it flies to "
+            "get there and back. These are too many to tell which of all are wrong, so none of them was refused; check the track."
+        ]
+    for i in found:
+        located, answer = timed[i]
+        located.stages["registration"] = answer.refused("jump", speed=float(speeds[i - 1 : i + 1].max()))
+    return []
+
+
+def top_speeds(times: Float64Array, places: Float64Array, tags: Float64Array | None = None) -> Float64Array | None:
+    """Return the metres a second that the drone can fly from each position to the next, (N - 1,); None if they are too few.
+
+    The speed is a multiple of the 80th percentile of the speeds between neighbours, and of the largest speed of the tags near by.
+    Tags of which half repeat tell nothing.
 
     Args:
         times: seconds, ascending, (N,).
         places: metres east and north, (N, 2).
         tags: likewise, NaN where there is none.
-
-    Returns:
-        None with fewer than 8 positions, or if fewer than 7 pairs of neighbours have different times.
     """
     seconds = np.diff(times)
     if len(times) < _FEWEST or (seconds > 0).sum() < _FEWEST - 1:
@@ -76,10 +148,8 @@ def jumps(times: Float64Array, places: Float64Array, radii: Float64Array, speeds
     neither the way to them nor the way back is, or not the whole way over them. Time and memory are linear in N.
 
     Args:
-        times: seconds, ascending, (N,).
-        places: metres east and north, (N, 2).
+        times, places: see `top_speeds`, which returns `speeds`.
         radii: 1-sigma radii in metres, (N,).
-        speeds: metres a second from each position to the next, (N - 1,).
     """
     count = len(times)
     is_jump = np.zeros(count, bool)

@@ -9,7 +9,7 @@ import logging
 import math
 import threading
 import zipfile
-from collections.abc import Callable, Hashable
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -17,8 +17,7 @@ import numpy as np
 from lpn.core.arrays import Float64Array
 from lpn.core.errors import OutputError
 from lpn.core.files import cache_folder, write_atomic
-from lpn.flight.locate.matchers import Matcher
-from lpn.flight.locate.registration import Ground, describe_ground
+from lpn.flight.locate.matchers import Ground, Matcher
 from lpn.flight.maps import Map, Window
 
 log = logging.getLogger(__name__)
@@ -33,43 +32,11 @@ _PHOTO = 900
 _ENLARGED = 2.0
 # Most blocks that one photo is compared with.
 MAX_BLOCKS = 48
-# Bytes of features in memory: as many blocks as one photo needs of two matchers, 2 MB each of XFeat and 4 MB of SIFT.
-_MEMORY = 300_000_000
 
-
-class GroundCache:
-    """A thread-safe LRU cache of features, for blocks of all maps of a process.
-
-    Args:
-        limit: most bytes of all features together; the newest block stays even if it is larger.
-    """
-
-    def __init__(self, limit: int) -> None:
-        self._limit, self._lock = limit, threading.Lock()
-        self._grounds: dict[Hashable, Ground] = {}  # in the order of last use
-
-    def get(self, key: Hashable, make: Callable[[], Ground]) -> Ground:
-        """Return the features of a block, made by `make` if they are not cached."""
-        with self._lock:
-            if (held := self._grounds.pop(key, None)) is not None:
-                self._grounds[key] = held
-                return held
-        ground = make()
-        with self._lock:
-            self._grounds[key] = ground
-            sizes = {key: one.points.nbytes + one.descriptors.nbytes for key, one in self._grounds.items()}
-            while sum(sizes.values()) > self._limit and len(sizes) > 1:
-                oldest = next(iter(sizes))
-                del sizes[oldest], self._grounds[oldest]
-        return ground
-
-    def clear(self) -> None:
-        with self._lock:
-            self._grounds.clear()
-
-
-# Shared by all maps of a process, to bound the memory.
-in_memory = GroundCache(_MEMORY)
+# Blocks of all maps of a process, the last used ones last: as many as one photo needs of two matchers. A block of XFeat takes
+# 2 MB, and one of SIFT 4 MB.
+in_memory: dict[tuple[str, int, int, int], Ground] = {}
+_lock = threading.Lock()
 
 
 class MapFeatures:
@@ -87,7 +54,8 @@ class MapFeatures:
         self._map, self.matcher = basemap, matcher
         identity = [FORMAT, basemap.digest(), matcher.name, matcher.version, _SIDE, _MARGIN, _LIMIT]
         self._digest = hashlib.sha256(json.dumps(identity).encode()).hexdigest()[:24]
-        self._folder: Path | None = cache_folder() / "locate" / "ground" / self._digest
+        self._folder = cache_folder() / "locate" / "ground" / self._digest
+        self._is_writable = True
 
     def resolution(self, width: float) -> float:
         """Return the metres per pixel of the comparison for a ground width in metres: half the map's pixel times a power of 2."""
@@ -101,55 +69,55 @@ class MapFeatures:
             None if more than `MAX_BLOCKS` blocks are needed.
         """
         resolution = self.resolution(width)
-        side = _SIDE * resolution
-        west, north = self._map.bounds[0], self._map.bounds[3]
-        columns, rows = self._grid(side)
+        columns, rows = self._grid(resolution)
         if centres is None:
-            if columns * rows > MAX_BLOCKS:
+            if not self.holds_map(width):
                 return None
-            blocks = {(row, column) for row in range(rows) for column in range(columns)}
+            blocks = set(product(range(rows), range(columns)))
         else:
+            side, west, north = _SIDE * resolution, self._map.bounds[0], self._map.bounds[3]
             blocks = set()
             for x, y in centres:
                 left, right = (int((x + d - west) // side) for d in (-reach, reach))
                 top, bottom = (int((north - y - d) // side) for d in (reach, -reach))
-                blocks |= {
-                    (row, column)
-                    for row in range(max(top, 0), min(bottom, rows - 1) + 1)
-                    for column in range(max(left, 0), min(right, columns - 1) + 1)
-                }
+                across = range(max(left, 0), min(right, columns - 1) + 1)
+                blocks |= set(product(range(max(top, 0), min(bottom, rows - 1) + 1), across))
             if len(blocks) > MAX_BLOCKS:
                 return None
-        level = round(math.log2(resolution / self._map.resolution))
-        grounds = [self._block(level, row, column, resolution) for row, column in sorted(blocks)]
+        grounds = [self._block(row, column, resolution) for row, column in sorted(blocks)]
         points = np.concatenate([ground.points for ground in grounds]) if grounds else np.zeros((0, 2))
         values = np.concatenate([ground.descriptors for ground in grounds]) if grounds else np.zeros((0, 1), np.float32)
-        if centres is None:
-            return Ground(points, values, resolution)
-        near = np.zeros(len(points), bool)
-        for centre in centres:
-            near |= (np.abs(points - centre) <= reach).all(axis=1)
-        return Ground(points[near], values[near], resolution)
+        ground = Ground(points, values, resolution)
+        return ground if centres is None else ground.near(centres, reach)
 
     def holds_map(self, width: float) -> bool:
         """Tell whether the whole map has at most `MAX_BLOCKS` blocks for a ground width in metres."""
-        columns, rows = self._grid(_SIDE * self.resolution(width))
-        return columns * rows <= MAX_BLOCKS
+        return math.prod(self._grid(self.resolution(width))) <= MAX_BLOCKS
 
-    def _grid(self, side: float) -> tuple[int, int]:
-        west, south, east, north = self._map.bounds
+    def _grid(self, resolution: float) -> tuple[int, int]:
+        """Return the columns and rows of the map's blocks."""
+        side, (west, south, east, north) = _SIDE * resolution, self._map.bounds
         return max(math.ceil((east - west) / side), 1), max(math.ceil((north - south) / side), 1)
 
-    def _block(self, level: int, row: int, column: int, resolution: float) -> Ground:
-        key = (level, row, column)
-
-        def made() -> Ground:
-            if (ground := self._read(key, resolution)) is None:
-                ground = self._described(row, column, resolution)
-                self._write(key, ground)
-            return ground
-
-        return in_memory.get((self._digest, key), made)
+    def _block(self, row: int, column: int, resolution: float) -> Ground:
+        level = round(math.log2(resolution / self._map.resolution))
+        key = (self._digest, level, row, column)
+        with _lock:
+            if (held := in_memory.pop(key, None)) is not None:
+                in_memory[key] = held
+                return held
+        file = self._folder / f"{level}_{row}_{column}.npz"
+        try:
+            with np.load(io.BytesIO(file.read_bytes()), allow_pickle=False) as arrays:
+                ground = Ground(arrays["points"], arrays["descriptors"], resolution)
+        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):  # missing, or damaged
+            ground = self._described(row, column, resolution)
+            self._write(file, ground)
+        with _lock:
+            in_memory[key] = ground
+            for oldest in list(in_memory)[: -2 * MAX_BLOCKS]:
+                del in_memory[oldest]
+        return ground
 
     def _described(self, row: int, column: int, resolution: float) -> Ground:
         west, north = self._map.bounds[0], self._map.bounds[3]
@@ -157,25 +125,14 @@ class MapFeatures:
         pixels = _SIDE + 2 * _MARGIN
         size = pixels * resolution
         picture, valid = self._map.read(Window(x, y, size), pixels)
-        corner = (x - size / 2, y + size / 2)
-        features = describe_ground(self.matcher, picture, valid, corner, resolution, _LIMIT)
-        return features.near(np.array([x, y]), _SIDE * resolution / 2)
+        features = self.matcher.features(picture, valid, _LIMIT)
+        easting = x - size / 2 + (features.points[:, 0] + 0.5) * resolution
+        northing = y + size / 2 - (features.points[:, 1] + 0.5) * resolution
+        ground = Ground(np.stack([easting, northing], axis=1).astype(np.float64), features.descriptors, resolution)
+        return ground.near(np.array([[x, y]]), _SIDE * resolution / 2)
 
-    def _file(self, key: tuple[int, int, int]) -> Path | None:
-        return None if self._folder is None else self._folder / f"{'_'.join(map(str, key))}.npz"
-
-    def _read(self, key: tuple[int, int, int], resolution: float) -> Ground | None:
-        """Read a block's file; None if it is missing or damaged."""
-        if (file := self._file(key)) is None:
-            return None
-        try:
-            with np.load(io.BytesIO(file.read_bytes()), allow_pickle=False) as arrays:
-                return Ground(arrays["points"], arrays["descriptors"], resolution)
-        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
-            return None
-
-    def _write(self, key: tuple[int, int, int], ground: Ground) -> None:
-        if (file := self._file(key)) is None:
+    def _write(self, file: Path, ground: Ground) -> None:
+        if not self._is_writable:
             return
         data = io.BytesIO()
         np.savez(data, points=ground.points, descriptors=ground.descriptors)
@@ -183,7 +140,7 @@ class MapFeatures:
             file.parent.mkdir(parents=True, exist_ok=True)
             write_atomic(file, data.getvalue())
         except (OSError, OutputError) as error:
-            self._folder = None  # so that the warning comes once
+            self._is_writable = False  # so that the warning comes once
             log.warning(
                 "Features of the map are not kept for the next run, as %s cannot be written (%s); set LPN_CACHE to a folder that "
                 "can be.",

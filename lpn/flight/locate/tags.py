@@ -12,11 +12,7 @@ from lpn.flight.files import Flight
 from lpn.flight.locate.camera_place import camera_place
 from lpn.flight.locate.corrections import Correction
 from lpn.flight.locate.located import BY_HAND, LocatedFrame, StageRecord
-from lpn.flight.locate.registration import (
-    Registration,
-    pose,
-    turn_between,
-)
+from lpn.flight.locate.registration import Registration
 from lpn.flight.maps import Map
 
 
@@ -74,22 +70,19 @@ def enter_corrections(basemap: Map, frames: list[LocatedFrame], corrections: Map
         del left[located.frame.name]
         frame, size = located.frame, (located.frame.width, located.frame.height)
         matrix = correction.homography(basemap.frame, *size)
-        centre, heading, width = pose(matrix, *size)
-        turn = turn_between(frame.heading, heading)
-        laid = Registration(
-            None, BY_HAND, "homography", 0, 0, 0.0, matrix, centre, heading, width, turn, np.zeros((2, 2))
-        )
+        laid = Registration(None, BY_HAND, covariance=np.zeros((2, 2))).laid(matrix, size, frame.heading)
+        assert laid.centre is not None
         below = camera_place(frame, size, laid)
-        x, y = (centre if below is None else below[0]).tolist()
+        x, y = (laid.centre if below is None else below[0]).tolist()
         located.by_hand = StageRecord(
             "accepted",
             f"A person laid the photo by hand. {laid.turn_sentence}".rstrip(),
             x,
             y,
             below is not None,
-            heading=heading,
-            turn=turn,
-            width=width,
+            heading=laid.heading,
+            turn=laid.turn,
+            width=laid.width,
             homography=matrix.ravel().tolist(),
         )
     notes = []

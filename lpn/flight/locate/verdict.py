@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lpn.core.numbers import upper_bound
-from lpn.flight.locate.camera_place import below_camera, told_tilt
+from lpn.flight.locate.camera_place import below_camera, frame_tilt
 from lpn.flight.locate.errors import Errors
 from lpn.flight.locate.located import BY_HAND, STAGES, LocatedFrame, StageRecord, TrackState
 from lpn.flight.locate.words import AGAINST, DECIDED
@@ -231,4 +231,4 @@ def _shift(located: LocatedFrame) -> float:
     answer = located.stages.get("registration")
     width = 0.0 if answer is None or answer.width is None else answer.width
     height = located.frame.flying_height or width / 2
-    return height * math.tan(math.radians(min(max(TILT, told_tilt(located.frame)), _MOST_TILT)))
+    return height * math.tan(math.radians(min(max(TILT, frame_tilt(located.frame)), _MOST_TILT)))

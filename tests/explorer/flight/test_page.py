@@ -19,11 +19,10 @@ from explorer.flight.own import own_photo
 from explorer.flight.service import FlightSnapshot
 from explorer.parameters import UnusableError
 from lpn.core.arrays import UInt8Array
-from lpn.flight.locate.agreement import MapAgreement
+from lpn.flight.locate.agreement import MapAgreement, MatchedDetails
 from lpn.flight.locate.audit import TagAudit
 from lpn.flight.locate.camera_pose import CameraPose
 from lpn.flight.locate.located import LocatedFlight, LocatedFrame, StageRecord
-from lpn.flight.locate.matched_details import MatchedDetails
 from lpn.flight.locate.own_photo import OwnPhoto
 from lpn.flight.maps import open_map
 from lpn.library.analyser import OwnPicture

@@ -149,8 +149,6 @@ def laid(monkeypatch: pytest.MonkeyPatch) -> dict[str, tuple[float, ...] | None]
         return StageRecord("accepted", "It fits.", x, y, True, 1.0, 90.0 + turn, turn, width, 50, matrix)
 
     monkeypatch.setattr(lpn.flight.live.locator, "register_photo", register)
-    # The photos show other ground than these places.
-    monkeypatch.setattr(lpn.flight.live.locator, "compared", lambda _, answer, __: answer)
     return places
 
 
@@ -196,17 +194,20 @@ def test_places_away_from_the_middle_that_do_not_fit_the_map_are_a_doubt(
 def contradict(monkeypatch: pytest.MonkeyPatch, *places: tuple[float, float]) -> None:
     """Let the map contradict the registrations at these places, or all."""
     off = MapAgreement.of(np.full((4, 2), 0.5), np.full((4, 2), 9.0), 20.0)
+    plain = lpn.flight.live.locator.register_photo
 
-    def compared(_: Map, answer: StageRecord, __: Any) -> StageRecord:
+    def register(search: PhotoSearch) -> StageRecord:
+        answer = plain(search)
         is_off = answer.accepted and (not places or (answer.x, answer.y) in places)
         return replace_record(answer, agreement=off) if is_off else answer
 
-    monkeypatch.setattr(lpn.flight.live.locator, "compared", compared)
+    monkeypatch.setattr(lpn.flight.live.locator, "register_photo", register)
 
 
 def test_places_that_the_map_contradicts_prove_nothing_and_lead_no_later_frame(
     town: Map, flight: Flight, laid: dict[str, tuple[float, ...] | None], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    registered = lpn.flight.live.locator.register_photo
     contradict(monkeypatch)
     unseen = [replace(flight.frames[-1], name=f"unseen {i}", time=9.0 + i) for i in range(2)]
     frames = [replace(frame, latitude=None, longitude=None) for frame in (*flight.frames, *unseen)]
@@ -216,7 +217,7 @@ def test_places_that_the_map_contradicts_prove_nothing_and_lead_no_later_frame(
     assert [one.state for one in answers] == ["contradicted"] * 6 + ["refused"] * 2
     assert all(one.doubt == ["map"] for one in answers[:6])
     # They differ in place and turn from all accepted ones, and do not affect the next one.
-    monkeypatch.setattr(lpn.flight.live.locator, "compared", lambda _, answer, __: answer)
+    monkeypatch.setattr(lpn.flight.live.locator, "register_photo", registered)
     laid["there"] = (80.0, -80.0, 40.0)
     there = replace(frames[-1], name="there", time=10.5)
     assert live_answer(locator.locate(there, ArrivedPicture(there, 0).pixels())).state == "accepted"

@@ -14,6 +14,7 @@ import pytest
 from lpn.core.arrays import Float32Array, Float64Array, UInt8Array
 from lpn.flight.files import Flight, Frame
 from lpn.flight.maps import Map, open_map
+from tests.lpn.flight.maps.small_maps import write_geotiff
 
 # Metres per pixel, and side in pixels, of the drawn map; its centre is the origin.
 RESOLUTION = 0.25
@@ -74,14 +75,10 @@ def photo_of(picture: UInt8Array, homography: Float64Array, pixels: tuple[int, i
 
 def write_map(file: Path, picture: np.ndarray) -> Map:
     """Write the whole drawn map, (side, side, 3), as a GeoTIFF, and open it."""
-    rasterio = pytest.importorskip("rasterio")
-    side = len(picture)
-    metres = SIDE * RESOLUTION / side
-    place = rasterio.Affine(metres, 0, 500_000 + CORNER[0], 0, -metres, 5_200_000 + CORNER[1])
-    kind = {"driver": "GTiff", "width": side, "height": side, "count": 3, "dtype": "uint8", "crs": "EPSG:32632"}
-    with rasterio.open(file, "w", transform=place, **kind) as written:
-        written.write(picture.transpose(2, 0, 1))
-    return open_map(file)
+    pytest.importorskip("rasterio")
+    metres = SIDE * RESOLUTION / len(picture)
+    matrix = (metres, 0, 500_000 + CORNER[0], 0, -metres, 5_200_000 + CORNER[1])
+    return open_map(write_geotiff(file, picture, matrix=matrix))
 
 
 def small_flight(folder: Path, town: Map) -> Flight:

@@ -19,19 +19,20 @@ from lpn.flight.files.lenses import Lens
 from lpn.flight.locate import registered_stage
 from lpn.flight.locate.camera_pose import CameraPose, PoseMatches, solve_pose
 from lpn.flight.locate.ground import MapFeatures
-from lpn.flight.locate.levelled import level
+from lpn.flight.locate.levelled import PhotoView, level
 from lpn.flight.locate.located import LocatedFrame
-from lpn.flight.locate.matchers import Matcher, SiftMatcher
+from lpn.flight.locate.matchers import Ground, Matcher, SiftMatcher
 from lpn.flight.locate.options import LocateOptions
 from lpn.flight.locate.pipeline import locate
-from lpn.flight.locate.registered_stage import Before
-from lpn.flight.locate.registration import Expectation, Ground, Registration, register
+from lpn.flight.locate.registered_stage import FlightPrior
+from lpn.flight.locate.registration import Expectation, Registration, register
 from lpn.flight.locate.tracks import full_track
 from lpn.flight.locate.words import Reason
 from lpn.flight.maps import Map, open_map
 from lpn.flight.maps.elevation import ElevationFile
 from lpn.flight.maps.folder import build_map
 from tests.lpn.flight.locate.scenery import CORNER, RESOLUTION, SIDE, land, write_map
+from tests.lpn.flight.maps.small_maps import write_geotiff
 
 SIZE, FOV = (640, 480), 71.6
 # A wide lens without correction: pixels at the picture's corners lie 50 pixels too near to its middle.
@@ -63,8 +64,12 @@ def matches(heading: float, pitch: float, roll: float, relief: float, false: int
     return PoseMatches(noisy, points, SIZE, np.asarray(plane, np.float64), 8, PIXEL_NOISE)
 
 
+def level_ground(places: Float64Array) -> Float64Array:
+    return np.zeros(len(places))
+
+
 def solved(given: PoseMatches, fov: float | None, flat: bool) -> CameraPose:
-    answer = solve_pose(given, fov, flat, lambda _: 0.0)
+    answer = solve_pose(given, fov, None if flat else level_ground)
     assert isinstance(answer, CameraPose), answer
     return answer
 
@@ -104,21 +109,28 @@ def test_on_flat_ground_a_tilt_that_nothing_tells_has_to_be_proven() -> None:
     turned = PLACE + rays(30.0, -90.0, 0.0, corners.astype(np.float64)) * PLACE[2]
     similarity = cv2.getPerspectiveTransform(corners, turned[:, :2].astype(np.float32))
     plain = replace(nadir, plane=np.asarray(similarity, np.float64), plane_parameters=4)
-    answer = solve_pose(plain, FOV, True, lambda _: 0.0, proven=True)
+    answer = solve_pose(plain, FOV, None, proven=True)
     assert answer == "On flat ground the matches do not show how far the camera was tilted, so there is no pose."
-    assert isinstance(solve_pose(tilted, FOV, True, lambda _: 0.0, proven=True), CameraPose)
+    assert isinstance(solve_pose(tilted, FOV, None, proven=True), CameraPose)
 
 
-def test_matches_that_agree_by_chance_or_lie_on_a_plane_of_their_own_have_no_pose() -> None:
-    answer = solve_pose(matches(30.0, -80.0, 0.0, 15.0, false=395), FOV, False, lambda _: 0.0)
+FEW = replace(matches(30.0, -80.0, 0.0, 15.0), pixels=np.zeros((8, 2)), points=np.zeros((8, 3)))
+
+
+@pytest.mark.parametrize(
+    ("given", "fov", "flat", "reason"),
+    [
+        (matches(30.0, -80.0, 0.0, 15.0, false=395), FOV, False, ""),
+        (FEW, FOV, False, "Too few matches have a height for a pose of the camera."),
+        # With another field of view than the photo's, the plane explains flat ground, and the camera does not.
+        (matches(200.0, -50.0, 0.0, 0.0), 30.0, True, "as on a plane"),
+    ],
+    ids=["by chance", "few", "as on a plane"],
+)
+def test_matches_without_a_pose(given: PoseMatches, fov: float, flat: bool, reason: str) -> None:
+    answer = solve_pose(given, fov, None if flat else level_ground)
     assert isinstance(answer, str)
-    few = matches(30.0, -80.0, 0.0, 15.0)
-    answer = solve_pose(replace(few, pixels=few.pixels[:8], points=few.points[:8]), FOV, False, lambda _: 0.0)
-    assert answer == "Too few matches have a height for a pose of the camera."
-    # Another field of view than the photo tells: the plane explains flat ground, and the camera does not.
-    answer = solve_pose(matches(200.0, -50.0, 0.0, 0.0), 30.0, True, lambda _: 0.0)
-    assert isinstance(answer, str)
-    assert "as on a plane" in answer
+    assert reason in answer
 
 
 def test_a_tilted_photo_is_levelled_and_one_that_an_aircraft_tells_is_not() -> None:
@@ -126,14 +138,14 @@ def test_a_tilted_photo_is_levelled_and_one_that_an_aircraft_tells_is_not() -> N
     photo = np.zeros((SIZE[1], SIZE[0], 3), np.uint8)
     photo[:, SIZE[0] // 2 :] = 255
     levelled = level(photo, frame)
-    assert levelled is not None
+    assert levelled.valid is not None
     rows, columns = levelled.valid.shape
     # The middle stays, and the picture's left and right.
     assert levelled.picture[rows // 2, columns // 2 - 5].max() == 0
     assert levelled.picture[rows // 2, columns // 2 + 5].min() == 255
     assert 0.4 < levelled.valid.mean() < 0.95
-    assert level(photo, replace(frame, pitch=-85.0)) is None
-    assert level(photo, replace(frame, heading_source="aircraft")) is None
+    for other in (replace(frame, pitch=-85.0), replace(frame, heading_source="aircraft")):
+        assert level(photo, other).picture is photo
 
 
 def relief(x: Float64Array, y: Float64Array) -> Float64Array:
@@ -144,16 +156,13 @@ def relief(x: Float64Array, y: Float64Array) -> Float64Array:
 @pytest.fixture(scope="module")
 def town(tmp_path_factory: pytest.TempPathFactory) -> Map:
     """The drawn map with hills."""
-    rasterio = pytest.importorskip("rasterio")
     folder = tmp_path_factory.mktemp("relief")
     plain = write_map(folder / "ortho.tif", land())
     plain.close()
     at = CORNER[0] + np.arange(0, SIDE * RESOLUTION, 2.0) + 1
     heights = relief(*np.meshgrid(at, -at)).astype(np.float32)
-    place = rasterio.Affine(2, 0, 500_000 + CORNER[0], 0, -2, 5_200_000 + CORNER[1])
-    kind = {"driver": "GTiff", "width": len(at), "height": len(at), "count": 1, "dtype": "float32", "crs": "EPSG:32632"}
-    with rasterio.open(folder / "dsm.tif", "w", transform=place, **kind) as file:
-        file.write(heights, 1)
+    matrix = (2, 0, 500_000 + CORNER[0], 0, -2, 5_200_000 + CORNER[1])
+    write_geotiff(folder / "dsm.tif", heights[..., None], matrix=matrix)
     build_map([folder / "ortho.tif"], folder / "map", elevation=ElevationFile(folder / "dsm.tif"))
     return open_map(folder / "map")
 
@@ -216,16 +225,18 @@ def test_a_photo_that_tells_no_tilt_is_levelled_at_tilts_that_are_tried(
     cv2.imwrite(str(tmp_path / "a.png"), photographed(heading, pitch, place)[..., ::-1])
 
     def register_levelled(
-        matcher: Matcher, photo: UInt8Array, ground: Ground, expected: Expectation, *rest: Any
+        matcher: Matcher, photo: PhotoView, ground: Ground, expected: Expectation, *rest: Any
     ) -> Registration:
-        if rest[-1] is not None:
+        if photo.is_levelled:
             return register(matcher, photo, ground, expected, *rest)
         return Registration(Reason("no match"), "SIFT", support=rival, centre=np.array([90.0, 90.0]))
 
     monkeypatch.setattr(registered_stage, "register", register_levelled)
     frame = Frame("a.png", tmp_path / "a.png", *SIZE, height_above_ground=80.0, heading=heading, fov=FOV)
     features = [MapFeatures(town, SiftMatcher())]
-    answer = registered_stage.register_frame(town, features, LocatedFrame(frame, None), LocateOptions(), Before(), None)
+    answer = registered_stage.register_frame(
+        town, features, LocatedFrame(frame, None), LocateOptions(), FlightPrior(), None
+    )
     # Another place that a photo fits as well with another tilt is a rival.
     assert answer.accepted == (rival == 0)
     if answer.accepted:

@@ -32,20 +32,20 @@ def found(
     return np.flatnonzero(jumps(times, places, radii, speeds)).tolist()
 
 
-@pytest.mark.parametrize("step", [0.5, 1.0, 2.4])
-@pytest.mark.parametrize(
-    "speeds",
-    [
-        [0] * 60 + [10] * 5 + [0] * 35,
-        [0] * 40 + [300] + [0] * 39,
-        [2] * 112 + [-18] * 8,
-        [0] * 60 + [28] * 5 + [0] * 35,
-    ],
+UNEVEN = (
+    [0] * 60 + [10] * 5 + [0] * 35,
+    [0] * 40 + [300] + [0] * 39,
+    [2] * 112 + [-18] * 8,
+    [0] * 60 + [28] * 5 + [0] * 35,
 )
+
+
+@pytest.mark.parametrize("step", [0.5, 1.0, 2.4])
+@pytest.mark.parametrize("speeds", UNEVEN)
 def test_true_positions_of_uneven_flights_stay(speeds: list[float], step: float) -> None:
-    assert found(*flown(speeds, step)) == []
-    # Late tags, too.
     times, places, radii = flown(speeds, step)
+    assert found(times, places, radii) == []
+    # Late tags, too.
     assert found(times, places, radii, places[np.maximum(np.arange(len(places)) - 2, 0)]) == []
 
 
@@ -103,50 +103,50 @@ def test_a_few_positions_or_equal_times_tell_no_speed() -> None:
 def test_memory_is_linear() -> None:
     times, places, radii = flown([8.0] * 4000, 1.0)
     places[1000] += (0.0, 60.0)
-    speeds = top_speeds(times, places)
-    assert speeds is not None
     tracemalloc.start()
     try:
-        assert np.flatnonzero(jumps(times, places, radii, speeds)).tolist() == [1000]
+        assert found(times, places, radii) == [1000]
         assert tracemalloc.get_traced_memory()[1] < 2000 * len(times)
     finally:
         tracemalloc.stop()
 
 
 # Turns against a gimbal's headings with a degree of noise; 178 degrees are those of a file that is upside down.
-TURNS = np.array([-1.7, -2.5, 178.0, -1.0, -1.9, -1.6, -2.1, -181.0] * 2 + [6.7, 8.5, 7.7, 7.2, 8.8])
-
-
-def test_a_few_registrations_that_are_turned_unlike_the_others_are_found_out() -> None:
-    assert other_turns(TURNS).keys() == {16, 17, 18, 19, 20}
-    assert other_turns(TURNS)[18] == pytest.approx(9.5, abs=0.3)
-    # A half turn is no ground for a refusal, but is named in one: most of the others stand upright.
-    assert other_turns(np.append(TURNS, 188.0))[21] == pytest.approx(170, abs=0.3)
-    assert other_turns(np.append(TURNS + 180.0, 188.0))[21] == pytest.approx(10, abs=0.3)
-    # They may be the first frames, headings may be wrong by anything that is constant, and none are half turns.
-    for wrong in (88.0, 90.0, 179.0, -91.0):
-        assert other_turns(TURNS[::-1] + wrong).keys() == {0, 1, 2, 3, 4}
-    # A registration turned the opposite way does not hide them.
-    assert other_turns(np.append(TURNS, -7.1)).keys() == {16, 17, 18, 19, 20, 21}
-    # Headings that vary allow more than 5 degrees.
-    assert other_turns(np.append(TURNS[:16], 5.0)).keys() == {16}
-    assert other_turns(np.append(TURNS[:16], [5.0, -4.0, 0.5])) == {}
-    # Within 5 degrees they may be right.
-    assert other_turns(np.append(TURNS[:16], 3.0)) == {}
+USUAL = np.array([-1.7, -2.5, 178.0, -1.0, -1.9, -1.6, -2.1, -181.0] * 2)
+TURNS = np.append(USUAL, [6.7, 8.5, 7.7, 7.2, 8.8])
+LAST = {16, 17, 18, 19, 20}
 
 
 @pytest.mark.parametrize(
-    "turns",
+    ("turns", "other"),
     [
-        np.append(TURNS, [8.0, 7.5, 7.0]),
-        np.concatenate([np.zeros(200), np.full(10, 12.0), np.zeros(50)]),
-        np.tile([*[-6.0] * 6, *[6.0] * 6], 4),
-        np.concatenate([np.full(12, off) for off in (-30.0, 0.0, 30.0)]),
-        np.append(np.zeros(7), 40.0),
-        np.random.default_rng(0).uniform(-180, 180, 100),
-        np.zeros(0),
+        (TURNS, LAST),
+        # They may be the first frames, headings may be wrong by anything that is constant, and none are half turns.
+        *((TURNS[::-1] + wrong, {0, 1, 2, 3, 4}) for wrong in (88.0, 90.0, 179.0, -91.0)),
+        # A registration turned the opposite way does not hide them.
+        (np.append(TURNS, -7.1), LAST | {21}),
+        # Within 5 degrees a turn may be right, and headings that vary allow more.
+        (np.append(USUAL, 5.0), {16}),
+        (np.append(USUAL, 3.0), set()),
+        (np.append(USUAL, [5.0, -4.0, 0.5]), set()),
+        # Many share another turn: eight of 24, ten of 260, legs, or three settings of the compass.
+        (np.append(TURNS, [8.0, 7.5, 7.0]), set()),
+        (np.concatenate([np.zeros(200), np.full(10, 12.0), np.zeros(50)]), set()),
+        (np.tile([*[-6.0] * 6, *[6.0] * 6], 4), set()),
+        (np.repeat([-30.0, 0.0, 30.0], 12), set()),
+        # Few turns, any turns, and none tell nothing.
+        (np.append(np.zeros(7), 40.0), set()),
+        (np.random.default_rng(0).uniform(-180, 180, 100), set()),
+        (np.zeros(0), set()),
     ],
-    ids=["eight of 24", "ten of 260", "legs", "three settings", "few", "anyhow", "none"],
 )
-def test_turns_that_many_share_and_those_of_headings_that_tell_nothing_stay(turns: Float64Array) -> None:
-    assert other_turns(turns) == {}
+def test_a_few_registrations_that_are_turned_unlike_the_others_are_found_out(
+    turns: Float64Array, other: set[int]
+) -> None:
+    assert other_turns(turns).keys() == other
+
+
+def test_a_half_turn_is_no_ground_for_a_refusal_but_is_named_in_one() -> None:
+    assert other_turns(TURNS)[18] == pytest.approx(9.5, abs=0.3)
+    assert other_turns(np.append(TURNS, 188.0))[21] == pytest.approx(170, abs=0.3), "most others stand upright"
+    assert other_turns(np.append(TURNS + 180.0, 188.0))[21] == pytest.approx(10, abs=0.3)

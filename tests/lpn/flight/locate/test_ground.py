@@ -10,9 +10,8 @@ import numpy as np
 import pytest
 
 from lpn.flight.locate import ground
-from lpn.flight.locate.ground import GroundCache, MapFeatures
+from lpn.flight.locate.ground import MapFeatures
 from lpn.flight.locate.matchers import SiftMatcher
-from lpn.flight.locate.registration import Ground
 from lpn.flight.maps import Map
 from tests.lpn.flight.locate.scenery import land, write_map
 
@@ -80,22 +79,11 @@ def test_a_cache_that_cannot_be_written_is_said_once(
     assert [record.getMessage().partition(" are ")[0] for record in caplog.records] == ["Features of the map"]
 
 
-def test_features_of_all_maps_together_take_a_limited_number_of_bytes() -> None:
-    cache, made = GroundCache(8000), list[str]()
-
-    def get(key: str, features: int = 40) -> None:
-        def make() -> Ground:
-            made.append(key)
-            return Ground(np.zeros((features, 2)), np.zeros((features, 16), np.float32), 1.0)  # 80 bytes each
-
-        cache.get(key, make)
-
-    for key in "abaca":
-        get(key)
-    assert made == ["a", "b", "c"], "the one that was used last stays"
-    get("b")
-    get("d", 200)
-    get("d")
-    assert made == ["a", "b", "c", "b", "d"], "the newest is kept, whatever it takes"
-    get("a")
-    assert made[5:] == ["a"]
+def test_the_blocks_that_were_used_last_stay_in_memory(town: Map, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(ground, "MAX_BLOCKS", 1)
+    features = MapFeatures(town, _CountingMatcher())
+    for width in (60.0, 1000.0, 60.0, 4000.0):  # one block each, of a resolution of its own
+        assert features.around(None, 0.0, width) is not None
+    levels = [level for _, level, *_ in ground.in_memory]
+    assert len(levels) == 2
+    assert levels[0] < 0 < levels[1], "the first was used again before the third came"

@@ -13,20 +13,28 @@ from lpn.flight.locate.agreement import MapAgreement
 from lpn.flight.locate.located import LocatedFrame, StageRecord, WindowRecord
 from lpn.flight.locate.map_evidence import ENOUGH, MapEvidence, judge_map
 
+Places = dict[int, tuple[float, float]]
 BOUNDS = (-500.0, -500.0, 500.0, 500.0)
 
 
 def flight(
-    places: dict[int, tuple[float, float]], frames: int = 20, tagged: int = 0, tag: tuple[float, float] = (0.0, 0.0)
+    places: Places, frames: int = 20, tags: Places | None = None, camera: bool = True, followed: bool = False
 ) -> list[LocatedFrame]:
-    """Frames of which some are registered at places, as pictures of 60 m, and the first ones have a tag."""
-    made = []
+    """Return frames of which some are registered at places, as pictures of 60 m, and some have tags.
+
+    Args:
+        camera: whether places with tags are the camera's; other places may lie 8 m farther from their tags here.
+        followed: whether all have answers of the sequence, along `TRACK`.
+    """
+    made, tags = [], tags or {}
     for i in range(frames):
-        located = LocatedFrame(Frame(f"{i}", Path("a"), 40, 30), np.array(tag) if i < tagged else None)
-        answer = StageRecord("refused", "Too few.")
+        located = LocatedFrame(Frame(f"{i}", Path("a"), 40, 30), np.array(tags[i]) if i in tags else None)
+        located.stages["registration"] = StageRecord("refused", "Too few.")
         if i in places:
-            answer = StageRecord("accepted", "It fits.", *places[i], radius=1.0, width=60.0)
-        located.stages["registration"] = answer
+            answer = StageRecord("accepted", "It fits.", *places[i], camera and i in tags, radius=1.0, width=60.0)
+            located.stages["registration"] = answer
+        if followed:
+            located.stages["sequence"] = StageRecord("refused", "Near.", 40.0 * i, 0.0, code="unproven")
         made.append(located)
     return made
 
@@ -37,41 +45,26 @@ def accepted(frames: list[LocatedFrame]) -> int:
 
 SCATTERED = {i: (97.0 * i % 800 - 400, 231.0 * i % 800 - 400) for i in range(0, 20, 4)}
 TRACK = {i: (40.0 * i, 0.0) for i in range(5)}
-
-
 NEAR = {i: (160.0 * i - 400 + 8, 10.0) for i in range(5)}
-
-
-def tagged(frames: list[LocatedFrame], tags: dict[int, tuple[float, float]], camera: bool = True) -> list[LocatedFrame]:
-    """Give frames tags; a place that is not the camera's may lie 8 m farther from them here."""
-    for i, tag in tags.items():
-        frames[i].tag = np.array(tag)
-        answer = frames[i].stages["registration"]
-        frames[i].stages["registration"] = msgspec.structs.replace(answer, camera=camera)
-    return frames
-
-
-def followed(frames: list[LocatedFrame]) -> list[LocatedFrame]:
-    """Give frames a sequence along the track."""
-    for i, located in enumerate(frames):
-        located.stages["sequence"] = StageRecord("refused", "Near.", 40.0 * i, 0.0, code="unproven")
-    return frames
+FORGED = {i: (160.0 * i - 400, 0.0) for i in NEAR}
+# A photo without a tag beside each with one, of the same view.
+PAIRS = {2 * i + more: (x + more, y) for i, (x, y) in NEAR.items() for more in (0, 1)}
 
 
 def off(metres: float, agreeing: int) -> list[LocatedFrame]:
     """Scattered places with tags `metres` off for some, and 200 m for the others."""
     tags = {i: (x, y + (metres if k < agreeing else 200.0)) for k, (i, (x, y)) in enumerate(SCATTERED.items())}
-    return tagged(flight(SCATTERED), tags)
+    return flight(SCATTERED, tags=tags)
 
 
 def apart(metres: float) -> list[LocatedFrame]:
     """Two registered photos of 20, `metres` apart, with tags."""
-    return tagged(flight({3: (0.0, 0.0), 8: (metres, 0.0)}), {3: (0.0, 10.0), 8: (metres, 10.0)})
+    return flight({3: (0.0, 0.0), 8: (metres, 0.0)}, tags={3: (0.0, 10.0), 8: (metres, 10.0)})
 
 
-FORGED = {i: (160.0 * i - 400, 0.0) for i in NEAR}
-# A photo without a tag beside each with one, of the same view.
-PAIRS = {2 * i + more: (x + more, y) for i, (x, y) in NEAR.items() for more in (0, 1)}
+def one(frames: int, tag: tuple[float, float] = (3.0, 4.0)) -> list[LocatedFrame]:
+    """One registered photo with a tag, the first of some."""
+    return flight({0: (0.0, 0.0)}, frames, {0: tag})
 
 
 @pytest.mark.parametrize(
@@ -80,7 +73,7 @@ PAIRS = {2 * i + more: (x + more, y) for i, (x, y) in NEAR.items() for more in (
         (flight({}), None, None, 0),
         # As many as by chance, with tags that merely lie on the map, and more than by chance.
         (flight(SCATTERED), None, None, 0),
-        (flight(SCATTERED, tagged=20), None, None, 0),
+        (flight(SCATTERED, tags=dict.fromkeys(range(20), (0.0, 0.0)), camera=False), None, None, 0),
         (flight({i: (90.0 * i - 400, 400.0 * (i % 2)) for i in range(10)}), None, None, 10),
         (flight({i: (90.0 * i - 400, 0.0) for i in range(4)}, 5), None, None, 4),
         (flight({i: (90.0 * i - 400, 0.0) for i in range(3)}, 5), None, None, 0),
@@ -93,22 +86,22 @@ PAIRS = {2 * i + more: (x + more, y) for i, (x, y) in NEAR.items() for more in (
         (off(14.0, 2), None, None, 5),
         (off(40.0, 5), None, None, 0),
         # One that agrees proves a large map alone, and on a narrow search it does not.
-        (tagged(flight({0: (0.0, 0.0)}, 8), {0: (3.0, 4.0)}), None, None, 1),
-        (tagged(flight({0: (0.0, 0.0)}, 1), {0: (3.0, 4.0)}), None, None, 1),
-        (tagged(flight({0: (0.0, 0.0)}, 1), {0: (3.0, 4.0)}), 15.0, None, 0),
-        (tagged(flight({0: (0.0, 0.0)}, 1), {0: (300.0, 4.0)}), None, None, 0),
+        (one(8), None, None, 1),
+        (one(1), None, None, 1),
+        (one(1), 15.0, None, 0),
+        (one(1, (300.0, 4.0)), None, None, 0),
         # Tags that the search used prove little: each agrees by chance in every second draw within 15 m.
-        (tagged(flight(NEAR), FORGED, False), None, None, 5),
-        (tagged(flight(NEAR), FORGED, False), 100.0, None, 5),
-        (tagged(flight(NEAR), FORGED, False), 15.0, None, 0),
-        (tagged(flight(TRACK), {i: (40.0 * i, 22.0) for i in TRACK}, False), 15.0, None, 0),
-        (tagged(flight(PAIRS), {2 * i + 1: tag for i, tag in FORGED.items()}), 100.0, None, 10),
+        (flight(NEAR, tags=FORGED, camera=False), None, None, 5),
+        (flight(NEAR, tags=FORGED, camera=False), 100.0, None, 5),
+        (flight(NEAR, tags=FORGED, camera=False), 15.0, None, 0),
+        (flight(TRACK, tags={i: (40.0 * i, 22.0) for i in TRACK}, camera=False), 15.0, None, 0),
+        (flight(PAIRS, tags={2 * i + 1: tag for i, tag in FORGED.items()}), 100.0, None, 10),
         # Photos of the same things agree once.
         (apart(24.0), 60.0, None, 0),
         (apart(40.0), 60.0, None, 2),
         # Neighbours prove the map only where a model has much ground searched.
-        (followed(flight(TRACK)), None, 50.0, 0),
-        (followed(flight(TRACK)), None, 600.0, 5),
+        (flight(TRACK, followed=True), None, 50.0, 0),
+        (flight(TRACK, followed=True), None, 600.0, 5),
     ],
 )
 def test_a_map_is_that_of_the_flight_where_all_evidence_together_says_so(
@@ -160,7 +153,7 @@ def test_an_accepted_sequence_a_correction_and_details_that_suffice_alone_show_t
 
 
 def test_what_the_sequence_holds_back_is_accepted_as_it_was_found() -> None:
-    frames = followed(flight(TRACK))
+    frames = flight(TRACK, followed=True)
     judge_map(frames, MapEvidence(BOUNDS, side=600.0))
     assert {(one.stages["sequence"].state, one.stages["sequence"].sentence) for one in frames} == {
         ("accepted", "Near.")

@@ -13,9 +13,10 @@ from lpn.core.images import load_picture
 from lpn.flight.files import Frame
 from lpn.flight.locate import ground, registration
 from lpn.flight.locate.ground import MapFeatures
-from lpn.flight.locate.matchers import SiftMatcher, open_matchers
+from lpn.flight.locate.levelled import PhotoView
+from lpn.flight.locate.matchers import Ground, SiftMatcher, open_matchers
 from lpn.flight.locate.own_photo import register_own_photo
-from lpn.flight.locate.registration import Ground, Registration, Similarity
+from lpn.flight.locate.registration import Place, Registration
 from lpn.flight.maps import Map, Window, open_map
 from tests.lpn.flight.locate.scenery import ground_to_photo, land, photo_of, write_map
 
@@ -90,15 +91,16 @@ def test_what_a_file_with_the_tag_of_another_region_tells_is_not_believed(
 def test_all_matchers_together_must_support_a_photo_of_anywhere(
     own: float, others: list[float], accepted: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    supports = iter(others)
-    monkeypatch.setattr(registration, "_support_at", lambda *_: next(supports))
-    of_flight = Registration(None, "XFeat", support=own, places=(Similarity(70 + 0j, 20 - 30j),))
+    monkeypatch.setattr(registration, "_total_support", lambda *_: sum(others))
+    of_flight = Registration(None, "XFeat", support=own, places=(Place(70 + 0j, 20 - 30j),))
     nothing = Ground(np.zeros((0, 2)), np.zeros((0, 1), np.float32), 1.0)
-    answer = registration.proven(of_flight, photo(), [(SiftMatcher(), nothing) for _ in others])
+    answer = registration.proven(of_flight, PhotoView.plain(photo()), [(SiftMatcher(), nothing) for _ in others])
     assert answer.accepted == accepted
     needed = 15 * (2 + len(others))
-    assert accepted or answer.reason == (
-        f"Its best place has a support of {own + sum(others)}, and a photo of anywhere needs {needed}."
+    assert accepted or (
+        answer.refusal is not None
+        and answer.refusal.sentence
+        == (f"Its best place has a support of {own + sum(others)}, and a photo of anywhere needs {needed}.")
     )
 
 

@@ -25,23 +25,22 @@ from lpn.flight.files.base import HeadingSource
 from lpn.flight.files.cut import cut_square
 from lpn.flight.files.quality import flight_notes
 from lpn.flight.locate import pipeline, ranked_stages, registered_stage
-from lpn.flight.locate.camera_place import nadir_pixel
+from lpn.flight.locate.camera_place import camera_place
 from lpn.flight.locate.corrections import Correction, set_correction
 from lpn.flight.locate.ground import MapFeatures
+from lpn.flight.locate.levelled import PhotoView
 from lpn.flight.locate.located import LocatedFlight, LocatedFrame, StageRecord, WindowRecord
-from lpn.flight.locate.matchers import Features, SiftMatcher
+from lpn.flight.locate.matchers import Ground, SiftMatcher
 from lpn.flight.locate.options import LocateOptions
 from lpn.flight.locate.pipeline import locate
-from lpn.flight.locate.registered_stage import Before
-from lpn.flight.locate.registration import Expectation, Registration, Similarity, contested, register
+from lpn.flight.locate.registered_stage import FlightPrior
+from lpn.flight.locate.registration import Expectation, Place, Registration, contested, register
 from lpn.flight.locate.retrieval import MapRetrieval, pyramid_sizes, retrieve
 from lpn.flight.locate.tags import tags_on_map
 from lpn.flight.locate.tracks import best_track, full_track
 from lpn.flight.locate.words import Reason
-from lpn.flight.maps import Map, Window, open_map
+from lpn.flight.maps import Map, Window
 from tests.lpn.flight.locate.scenery import (
-    CORNER,
-    RESOLUTION,
     SIDE,
     GridModel,
     ground_to_photo,
@@ -67,15 +66,9 @@ def _cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture(scope="module")
 def town(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Map]:
-    rasterio = pytest.importorskip("rasterio")
-    file = tmp_path_factory.mktemp("map") / "town.tif"
     # The map is coarser than the photos.
-    side, metres = SIDE // 2, 2 * RESOLUTION
-    place = rasterio.Affine(metres, 0, 500_000 + CORNER[0], 0, -metres, 5_200_000 + CORNER[1])
-    kind = {"driver": "GTiff", "width": side, "height": side, "count": 3, "dtype": "uint8", "crs": "EPSG:32632"}
-    with rasterio.open(file, "w", transform=place, **kind) as written:
-        written.write(cv2.resize(land(), (side, side), interpolation=cv2.INTER_AREA).transpose(2, 0, 1))
-    with_map = open_map(file)
+    picture = cv2.resize(land(), (SIDE // 2, SIDE // 2), interpolation=cv2.INTER_AREA)
+    with_map = write_map(tmp_path_factory.mktemp("map") / "town.tif", picture)
     yield with_map
     with_map.close()
 
@@ -433,7 +426,7 @@ def test_a_photo_beyond_what_was_searched_is_searched_again_about_its_place(
     features = MapFeatures(town, SiftMatcher())
     monkeypatch.setattr(features, "around", lambda places, *_: places)
     located = LocatedFrame(flight.frames[0], None, windows=[WindowRecord(5.0, 0.0, 40.0, 0.9, 0.0, [], [])])
-    answer = registered_stage.register_frame(town, [features], located, SIFT, Before(), 40.0)
+    answer = registered_stage.register_frame(town, [features], located, SIFT, FlightPrior(), 40.0)
     assert answer.accepted == (searches == 1)
     assert centres[0] == [5.0, 0.0]
     assert set(map(tuple, centres[1:])) == ({(90.0, 0.0)} if searches == 2 else set())
@@ -449,7 +442,7 @@ class _MutualMatcher(SiftMatcher):
 class _OneEyedMatcher(SiftMatcher):
     """SIFT that describes the whole map, but matches only in its eastern half."""
 
-    def match(self, photo: Features, ground: Features) -> np.ndarray:
+    def match(self, photo: np.ndarray, ground: Ground) -> np.ndarray:
         pairs = super().match(photo, ground)
         return pairs[ground.points[pairs[:, 1], 0] > 0]
 
@@ -467,7 +460,8 @@ def test_a_matcher_that_finds_one_of_two_equal_places_does_not_decide(flight: Fl
     located = LocatedFrame(replace(flight.frames[0], file=file, height_above_ground=height), None)
     both, one = MapFeatures(town, _MutualMatcher()), MapFeatures(town, _OneEyedMatcher())
     alone, after = (
-        registered_stage.register_frame(town, kinds, located, SIFT, Before(), None) for kinds in ([one], [both, one])
+        registered_stage.register_frame(town, kinds, located, SIFT, FlightPrior(), None)
+        for kinds in ([one], [both, one])
     )
     assert alone.accepted
     assert alone.x == pytest.approx(50, abs=1)
@@ -477,12 +471,12 @@ def test_a_matcher_that_finds_one_of_two_equal_places_does_not_decide(flight: Fl
 
 def test_a_place_that_earlier_matches_hardly_support_is_no_rival(town: Map) -> None:
     size, width = (240, 180), 60.0
-    photo = photo_of(land(), ground_to_photo((50.0, 10.0), 0.0, width, size), size)
+    photo = PhotoView.plain(photo_of(land(), ground_to_photo((50.0, 10.0), 0.0, width, size), size))
     described = MapFeatures(town, SiftMatcher()).around(None, 0.0, width)
     assert described is not None
     found = register(SiftMatcher(), photo, described, Expectation(width, 0.0))
     searches = [(SiftMatcher(), described), (_MutualMatcher(), described)]
-    away = Similarity(complex(width), -40 - 30j)
+    away = Place(complex(width), -40 - 30j)
     assert found.accepted
     assert contested(found, photo, searches, [away]).accepted
     assert contested(found, photo, searches, [found.places[0]]) is found
@@ -529,7 +523,7 @@ def test_a_radius_holds_the_errors_of_the_map_and_of_an_aircrafts_tilt(
         None,
         "SIFT",
         support=30.0,
-        places=(Similarity(WIDTH + 0j, complex(*place)),),
+        places=(Place(WIDTH + 0j, complex(*place)),),
         homography=laid,
         centre=np.array(place),
         width=WIDTH,
@@ -598,10 +592,12 @@ def test_the_nadir_is_where_the_footprint_has_the_camera() -> None:
     corners = footprint(frame, 50.0)
     assert corners is not None
     pixels = np.array([(-0.5, -0.5), (399.5, -0.5), (399.5, 299.5), (-0.5, 299.5)], np.float32)
-    to_pixel = cv2.getPerspectiveTransform(corners.astype(np.float32), pixels)
-    below = to_pixel @ (0, 0, 1)
-    assert nadir_pixel(frame, (400, 300)) == pytest.approx(tuple(below[:2] / below[2]), abs=0.1)
-    assert nadir_pixel(replace(frame, roll=None), (400, 300)) is None
+    to_metres = cv2.getPerspectiveTransform(pixels, corners.astype(np.float32))
+    laid = Registration(None, "SIFT", homography=to_metres, width=70.0, covariance=np.eye(2))
+    found = camera_place(frame, (400, 300), laid)
+    assert found is not None
+    assert np.linalg.norm(found[0]) < 0.05
+    assert camera_place(replace(frame, roll=None), (400, 300), laid) is None
 
 
 def test_too_large_a_search_is_refused(town: Map) -> None:

@@ -10,11 +10,9 @@ import numpy as np
 import pytest
 
 from lpn.flight.files import Frame
-from lpn.flight.locate.camera_place import height_of_width, told_tilt_error
+from lpn.flight.locate.camera_place import frame_tilt_error, height_of_width, scattered_radii, tilt_error
 from lpn.flight.locate.errors import RIGHT_CALIBRATION
 from lpn.flight.locate.located import LocatedFrame, StageRecord
-from lpn.flight.locate.registered_stage import correct_radii
-from lpn.flight.locate.tilts import tilt_error
 
 HEIGHT, SPREAD = 100.0, 0.2
 FRAME = Frame("a", Path("a"), 80, 60, heading_source="gimbal", pitch=-90.0, roll=0.0, fov=70.0)
@@ -27,6 +25,14 @@ def _flown(count: int, degrees: float, rng: np.random.Generator) -> tuple[np.nda
     deviation = math.hypot(SPREAD, HEIGHT * math.tan(math.radians(degrees)))
     errors = rng.normal(0, deviation, track.shape)
     return times, track + errors, np.linalg.norm(errors, axis=1)
+
+
+def _registered(
+    times: np.ndarray, places: np.ndarray, radius: float, width: float
+) -> tuple[list[LocatedFrame], list[StageRecord]]:
+    answers = [StageRecord("accepted", "It agrees.", float(x), float(y), True, radius, width=width) for x, y in places]
+    rows = zip(times.tolist(), answers, strict=True)
+    return [LocatedFrame(replace(FRAME, time=time), None, {"registration": answer}) for time, answer in rows], answers
 
 
 @pytest.mark.parametrize("degrees", [0.3, 0.8])
@@ -56,24 +62,16 @@ def test_what_the_flight_cannot_tell_keeps_the_prior() -> None:
 
 
 def test_radii_of_a_smooth_flight_count_with_its_own_tilts() -> None:
-    told, width = told_tilt_error(FRAME), 140.0
+    told, width = frame_tilt_error(FRAME), 140.0
     height = height_of_width(FRAME, width)
     times, places, _ = _flown(40, 0.4, np.random.default_rng(2))
     radius = math.hypot(SPREAD, height * math.tan(math.radians(told)))
-    answers = [StageRecord("accepted", "It agrees.", float(x), float(y), True, radius, width=width) for x, y in places]
-    frames = [LocatedFrame(replace(FRAME, time=float(t)), None) for t in times]
-    for located, answer in zip(frames, answers, strict=True):
-        located.stages["registration"] = answer
-    (note,) = correct_radii(frames, answers, 0.5)
+    frames, answers = _registered(times, places, radius, width)
+    radii, (note,) = scattered_radii(frames, answers)
     assert "in place of 1.5 degrees" in note
-    for located in frames:
-        changed = located.stages["registration"]
-        assert changed.radius is not None
-        assert 0.5 * radius < changed.radius < 0.7 * radius
-        assert changed.sentence.endswith(
-            f"is ± {changed.radius:.1f} m (1 sigma along each axis), of which ± 0.5 m are assumed for the map."
-        )
-    assert correct_radii(frames[:10], answers[:10], 0.5) == []
+    assert list(radii) == list(range(40))
+    assert 0.5 * radius < min(radii.values()) <= max(radii.values()) < 0.7 * radius
+    assert scattered_radii(frames[:10], answers[:10]) == ({}, [])
 
 
 def test_a_tilt_that_is_wrong_by_the_same_angle_along_each_leg_stays_within_the_radii() -> None:
@@ -87,14 +85,9 @@ def test_a_tilt_that_is_wrong_by_the_same_angle_along_each_leg_stays_within_the_
     places[:, 1] -= ways * HEIGHT * math.tan(math.radians(0.8))
     width = 2 * HEIGHT * math.tan(math.radians(35.0))
     radius = math.hypot(SPREAD, HEIGHT * math.tan(math.radians(1.5)))
-    answers = [StageRecord("accepted", "It agrees.", float(x), float(y), True, radius, width=width) for x, y in places]
-    frames = [
-        LocatedFrame(replace(FRAME, time=float(t)), None, {"registration": a})
-        for t, a in zip(times, answers, strict=True)
-    ]
-    (note,) = correct_radii(frames, answers, 0.0)
+    smaller, (note,) = scattered_radii(*_registered(times, places, radius, width))
     assert "0.75 degrees for an error that photos have in common" in note
-    radii = np.array([located.stages["registration"].radius for located in frames])
+    radii = np.array(list(smaller.values()))
     errors = np.linalg.norm(places - truth, axis=1)
     assert radii.max() < 0.7 * radius
     for k, right in ((1, RIGHT_CALIBRATION[1] - 5), (2, 98), (3, 100)):
