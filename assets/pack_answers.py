@@ -28,7 +28,7 @@ from lpn.descriptors.transforms import UNCHANGED
 from lpn.descriptors.writer import write_store
 from lpn.flight.files import Flight, open_flight
 from lpn.flight.locate import shipped
-from lpn.flight.locate.located import LocatedFlight, StageRecord
+from lpn.flight.locate.located import StageRecord
 from lpn.flight.locate.options import LocateOptions
 from lpn.flight.locate.pipeline import locate
 from lpn.flight.locate.registered_stage import FORMAT
@@ -56,9 +56,9 @@ def pack(map_path: Path, flight_path: Path, out: Path, cache: Path) -> None:
     plain = retrieve(model, basemap, flight, overlap=OFFERED_OVERLAP, centre=False)
     shutil.rmtree(out, ignore_errors=True)
     frames = np.concatenate([described for described in plain.frames_described if described is not None])
-    windows = window_rows(plain.windows, plain.pixels)
-    write_descriptors(out, WINDOWS, model, "satellite", windows, plain.windows_described, "int8")
-    rows = frame_rows(flight, plain.headings, plain.cut_shares)
+    windows = window_rows(plain.gallery.windows, plain.pixels)
+    write_descriptors(out, WINDOWS, model, "satellite", windows, plain.gallery.described, "int8")
+    rows = frame_rows(flight, plain.views)
     write_descriptors(out, FRAMES, model, "drone", rows, frames, "int8")
     write_record(out, FORMAT, model, basemap, flight)
     located = locate(basemap, flight, model, options, shipped=out)
@@ -67,7 +67,7 @@ def pack(map_path: Path, flight_path: Path, out: Path, cache: Path) -> None:
     answers = [msgspec.json.decode(line, type=tuple[str, StageRecord])[1] for line in lines]
     named = {frame.name: answer for frame, answer in zip(flight.frames, answers, strict=True)}
     sequence = {frame.frame.name: frame.stages["sequence"] for frame in located.frames}
-    write_record(out, FORMAT, model, basemap, flight, named, sequence, sequence_notes(located))
+    write_record(out, FORMAT, model, basemap, flight, named, sequence)
     size = sum(file.stat().st_size for file in out.rglob("*"))
     print(f"{out}: {len(windows)} windows, {len(rows)} squares of {len(flight.frames)} frames, {size:,} bytes.")
 
@@ -101,7 +101,6 @@ def write_record(
     flight: Flight,
     registration: Mapping[str, StageRecord] | None = None,
     sequence: Mapping[str, StageRecord] | None = None,
-    notes: Sequence[str] = (),
 ) -> None:
     """Write which model, map, and photos the answers are of, and the answers of the stages, see `ShippedAnswers`.
 
@@ -122,7 +121,6 @@ def write_record(
         *files,
         dict(registration or {}),
         dict(sequence or {}),
-        list(notes),
     )
     write_atomic(folder / shipped.NAME, msgspec.json.encode(_short(msgspec.to_builtins(record))) + b"\n")
 
@@ -137,11 +135,6 @@ def _short(value: object) -> object:
         case list() | tuple():
             return [_short(item) for item in value]
     return value
-
-
-def sequence_notes(located: LocatedFlight) -> list[str]:
-    """Return the sentences of a located flight that are about its sequence."""
-    return [note for note in located.notes if note.startswith("The scores are more probable")]
 
 
 if __name__ == "__main__":

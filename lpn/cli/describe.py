@@ -108,8 +108,7 @@ class DescribeCommand(ModelOptions):
         return 0
 
     def _windows(self, where: Path) -> int:
-        from lpn.flight.locate.map_windows import describe_windows
-        from lpn.flight.locate.retrieval import pyramid_sizes
+        from lpn.flight.locate.retrieval import describe_windows, pyramid_sizes
         from lpn.flight.maps import NamedWindow, open_map
 
         if self.images is not None:

@@ -1,6 +1,6 @@
 """Windows of a map into an index, block by block, so that memory never holds all windows or descriptors of a whole county.
 
-A store of descriptors (`lpn.flight.locate.map_windows`) lists all windows in its manifest. Here, only the index knows a
+A store of descriptors (`lpn.flight.locate.retrieval`) lists all windows in its manifest. Here, only the index knows a
 window, by its name. So 10^7 windows need no more memory than 10^4.
 """
 
@@ -31,7 +31,7 @@ def windows_record(basemap: Map, sizes: Sequence[float], overlap: float = 0.5, t
     Args:
         sizes, overlap: see `Map.pyramid`.
         turns: headings at which each window is described, evenly spaced from north on. With 8, a photo of unknown heading
-            needs one description instead of eight, see `lpn.flight.locate.index_windows`.
+            needs one description instead of eight, see `lpn.flight.locate.retrieval`.
     """
     ascending = tuple(sorted(float(size) for size in sizes))
     return WindowsRecord(basemap.identity(), ascending, overlap, turns, basemap.count_pyramid(ascending, overlap))

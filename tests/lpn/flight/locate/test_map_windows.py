@@ -11,7 +11,7 @@ import lpn
 from lpn.cli.main import main
 from lpn.core.arrays import Float32Array
 from lpn.descriptors import Store, open_store
-from lpn.flight.locate.map_windows import describe_windows
+from lpn.flight.locate.retrieval import describe_windows
 from lpn.flight.maps import Map, NamedWindow, open_map
 from lpn.flight.maps.named_window import WindowCut
 from lpn.index import open_index
