@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 import numpy as np
 
-from lpn.core.arrays import Float32Array, Float64Array, Int64Array
+from lpn.core.arrays import BoolArray, Float32Array, Float64Array, Int64Array
 from lpn.core.errors import InputError, PictureError
 from lpn.core.files import cache_folder, printable
 from lpn.core.filled_cache import FilledCache
@@ -153,9 +153,9 @@ class WindowGallery:
         """The metres from one window to the next, at least 1."""
         return max(self.side * (1 - self.overlap), 1.0)
 
-    def compared(self, views: FrameViews) -> Any:
-        """Tell for each window whether a frame is compared with it, (W,) bool."""
-        return np.isnan(views.level) | (self.sizes == views.level)
+    def compared(self, views: FrameViews) -> BoolArray:
+        """Tell for each window whether a frame is compared with it, (W,)."""
+        return np.asarray(math.isnan(views.level) | (self.sizes == views.level))
 
     def scores(self, views: FrameViews, described: Float32Array | None) -> Float64Array:
         """Return the score of each window at each of a frame's headings, (W, H); (W, 1) zeros for an unreadable frame.
@@ -175,7 +175,7 @@ class WindowGallery:
             scores = np.concatenate([scores, turned.reshape(-1, len(flat)).T], axis=1)
         if views.aircraft:
             scores[:, len(_AIRCRAFT_TURNS) :] -= _OTHER_TURN * scores.std()
-        if not np.isnan(views.level):
+        if not math.isnan(views.level):
             scores[~self.compared(views)] = scores.max(axis=1).min()
         return scores
 

@@ -695,16 +695,6 @@ def test_a_frame_that_is_beyond_the_map_or_anywhere_is_refused(
     assert answer.numbers.get("probability") in (None, 0.97, 0.6)
 
 
-def test_the_sequence_of_a_flight_knows_places_beyond_the_map(
-    town: Map, flight: Flight, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    known = []
-    monkeypatch.setattr(pipeline, "enter_sequence", lambda *given: known.append(given[-1]))
-    locate(town, flight, GridModel(), LocateOptions(register=False))  # type: ignore[arg-type]
-    west, south, east, north = town.bounds
-    assert ((known[0] < (west, south)) | (known[0] > (east, north))).any(axis=1).any()
-
-
 def test_photos_that_their_details_place_are_not_beyond_the_map(
     town: Map, flight: Flight, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -747,10 +737,6 @@ def test_a_sequence_refuses_what_it_cannot_place(flight: Flight, monkeypatch: py
     for answer in (frame.stages["sequence"] for frame in _ranked(flight, np.stack([lost, lost]), {})):
         assert answer.state == "refused"
         assert "is larger than a piece of the map, 40 m wide" in answer.sentence
-    doubtful = np.eye(25)[12] + np.eye(25)[11] * 0.97
-    (answer,) = (frame.stages["sequence"] for frame in _ranked(flight, doubtful[None], {}))
-    assert answer.state == "refused"
-    assert "The frame lies within 30 m of this place with a probability of 0." in answer.sentence
 
 
 def test_a_retrieval_tells_its_score_and_margin(flight: Flight) -> None:

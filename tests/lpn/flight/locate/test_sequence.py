@@ -226,26 +226,6 @@ def test_a_position_does_not_lie_between_two_places() -> None:
     assert found.nearby[0] == pytest.approx(shares[:2].sum())
 
 
-def test_headings_tell_two_equal_places_apart() -> None:
-    x = np.arange(0, 1000, 25.0)
-    places = np.stack([x, np.zeros_like(x)], axis=1)
-    # Two places give each frame the same score, one to the east and one to the west of the frame before.
-    times, turns = np.arange(9) * 10.0, np.array([0.0, 90.0, 180.0, 270.0])
-    scores = [np.zeros((len(x), 4)) for _ in times]
-    for t, of_frame in enumerate(scores):
-        of_frame[[20 + 2 * t, 20 - 2 * t], 1] = 1.0
-    headings = [turns] * 9
-    motion = MotionModel(5.0, 10.0, along=ALONG)
-    found = _smoothed(lambda t: emissions(scores[t], 0.1), headings, places, times, motion, near=1e-6)
-    np.testing.assert_array_equal(found.heading, 90)
-    np.testing.assert_array_equal(found.likeliest, 20 + 2 * np.arange(9))
-    assert found.nearby.min() > 0.9
-    anywhere = _smoothed(
-        lambda t: emissions(scores[t], 0.1), headings, places, times, MotionModel(5.0, 10.0), near=1e-6
-    )
-    assert anywhere.nearby[1:].max() < 0.6
-
-
 def test_scores_are_in_units_of_their_frame_and_window() -> None:
     rng = np.random.default_rng(2)
     scores, compared = rng.normal(size=(7, 6)), rng.uniform(size=(7, 6)) < 0.8
@@ -326,11 +306,6 @@ def _land(
     return seen @ windows.T, truth, at / 2.5, headings, places
 
 
-def _accepted(scores: np.ndarray, headings: list[np.ndarray], places: np.ndarray, times: np.ndarray) -> Track:
-    motion, temperature, _ = fitted(lambda t: scores[t][:, None], headings, places, times, 25.0)
-    return _smoothed(lambda t: emissions(scores[t][:, None], temperature), headings, places, times, motion, 75.0)
-
-
 def _standardised(values: np.ndarray) -> np.ndarray:
     return np.asarray((values - values.mean(axis=1, keepdims=True)) / values.std(axis=1, keepdims=True))
 
@@ -364,27 +339,6 @@ def test_steps_and_common_ground_follow_times_and_unknown_ones() -> None:
     np.testing.assert_allclose(MotionModel(10, 30).deviation(elapsed_seconds([0, 4, np.nan, 10])[1:]), [50, 60, 60])
 
 
-def test_a_flight_that_pauses_is_followed_as_well_as_by_steps_of_one_length() -> None:
-    rng = np.random.default_rng(0)
-    values, truth, times, headings, places = _land(rng)
-    # The first frames are of another part, and the drone pauses twelve times for up to 799 s.
-    truth[:3], values[:3] = truth[30:33], values[30:33]
-    for pause in rng.choice(np.arange(4, 40), 12, replace=False):
-        times[pause:] += rng.uniform(100, 799)
-    scores = _standardised(values)
-    found = _accepted(scores, headings, places, times)
-    shares = np.exp(scores / 0.5)
-    shares /= shares.sum(axis=1, keepdims=True)
-    step = MotionModel(100.0, 1.0)
-    plain = _smoothed(
-        lambda t: np.log(shares[t] + 1e-4)[:, None], [np.array([np.nan])] * 40, places, np.arange(40.0), step, 75.0
-    )
-    errors = [np.linalg.norm(one.position - truth, axis=1) for one in (found, plain)]
-    assert (errors[0] <= 50).mean() >= (errors[1] <= 50).mean()
-    assert (found.nearby > 0.98).sum() >= 30
-    assert errors[0][found.nearby > 0.98].max() < 75
-
-
 def test_the_direction_of_flight_tells_the_flights_map_from_one_of_another_place() -> None:
     found = []
     for mapped in range(5):
@@ -393,30 +347,6 @@ def test_the_direction_of_flight_tells_the_flights_map_from_one_of_another_place
         found.append(fitted(lambda t, s=scores: s[t][:, None], headings, places, times, 25.0)[2])
     assert found[0] > 10
     assert max(found[1:]) < 4
-
-
-def test_a_window_that_resembles_many_frames_does_not_draw_them() -> None:
-    rng = np.random.default_rng(0)
-    x = np.arange(0, 1200, 25.0)
-    places = np.stack([x, np.zeros_like(x)], axis=1)
-    truth = 4 + 2 * np.arange(20)
-    scores = rng.normal(0, 0.05, (20, len(x)))
-    scores[np.arange(20), truth] += 0.3
-    # Every other frame resembles one window more than its own.
-    scores[::2, 25] = 0.33
-    times, motion = np.arange(20) * 15.0, MotionModel(25.0, 25.0)
-    deviations = motion.deviation(elapsed_seconds(times)[1:])
-    units = score_units(scores, deviations, 100, np.ones(scores.shape, bool))
-    standardised = np.stack([units(t, scores[t][:, None])[:, 0] for t in range(20)])
-    nowhere = [np.array([np.nan])] * 20
-    drawn, found = (
-        _smoothed(lambda t, values=values: emissions(values[t][:, None]), nowhere, places, times, motion, 75.0)
-        for values in (_standardised(scores), standardised)
-    )
-    errors = [np.abs(one.position[:, 0] - x[truth]) for one in (drawn, found)]
-    assert (errors[0] > 75).sum() > 4
-    assert (errors[0] > 75)[drawn.nearby > 0.9].any()
-    assert errors[1].max() < 50
 
 
 def test_emissions_are_a_distribution_with_a_floor() -> None:
