@@ -25,7 +25,7 @@ from lpn.core.views import View
 from lpn.descriptors import DescriptorKind, PartialStore, Precision, Row, write_store
 from lpn.flight.files import Flight, open_flight
 from lpn.flight.locate import shipped
-from lpn.flight.locate.located import LocatedFlight, StageRecord
+from lpn.flight.locate.located import StageRecord
 from lpn.flight.locate.options import LocateOptions
 from lpn.flight.locate.pipeline import locate
 from lpn.flight.locate.retrieval import retrieve
@@ -52,9 +52,9 @@ def pack(map_path: Path, flight_path: Path, out: Path, cache: Path) -> None:
     plain = retrieve(model, basemap, flight, overlap=OFFERED_OVERLAP, centre=False)
     shutil.rmtree(out, ignore_errors=True)
     frames = np.concatenate([described for described in plain.frames_described if described is not None])
-    windows = window_rows(plain.windows, plain.pixels)
-    write_descriptors(out, WINDOWS, model, "satellite", windows, plain.windows_described, "int8")
-    rows = frame_rows(flight, plain.headings, plain.cut_shares)
+    windows = window_rows(plain.gallery.windows, plain.pixels)
+    write_descriptors(out, WINDOWS, model, "satellite", windows, plain.gallery.described, "int8")
+    rows = frame_rows(flight, plain.views)
     write_descriptors(out, FRAMES, model, "drone", rows, frames, "int8")
     write_record(out, model, basemap, flight)
     located = locate(basemap, flight, model, options, shipped=out)
@@ -63,7 +63,7 @@ def pack(map_path: Path, flight_path: Path, out: Path, cache: Path) -> None:
     answers = [msgspec.json.decode(line, type=tuple[str, StageRecord])[1] for line in lines]
     named = {frame.name: answer for frame, answer in zip(flight.frames, answers, strict=True)}
     sequence = {frame.frame.name: frame.stages["sequence"] for frame in located.frames}
-    write_record(out, model, basemap, flight, named, sequence, sequence_notes(located))
+    write_record(out, model, basemap, flight, named, sequence)
     size = sum(file.stat().st_size for file in out.rglob("*"))
     print(f"{out}: {len(windows)} windows, {len(rows)} squares of {len(flight.frames)} frames, {size:,} bytes.")
 
@@ -96,7 +96,6 @@ def write_record(
     flight: Flight,
     registration: Mapping[str, StageRecord] | None = None,
     sequence: Mapping[str, StageRecord] | None = None,
-    notes: Sequence[str] = (),
 ) -> None:
     """Write which model, map, and photos the answers are of, and the answers of the stages, see `ShippedAnswers`.
 
@@ -110,7 +109,7 @@ def write_record(
         made = identity(model, basemap, flight)
     except OSError as error:
         raise DataError(f"A file of the flight cannot be read ({error.strerror or error}); check it.") from error
-    record = ShippedRecord(*made, dict(registration or {}), dict(sequence or {}), list(notes))
+    record = ShippedRecord(*made, dict(registration or {}), dict(sequence or {}))
     write_atomic(folder / shipped.NAME, msgspec.json.encode(_short(msgspec.to_builtins(record))) + b"\n")
 
 
@@ -124,11 +123,6 @@ def _short(value: object) -> object:
         case list() | tuple():
             return [_short(item) for item in value]
     return value
-
-
-def sequence_notes(located: LocatedFlight) -> list[str]:
-    """Return the sentences of a located flight that are about its sequence."""
-    return [note for note in located.notes if note.startswith("The scores are more probable")]
 
 
 if __name__ == "__main__":

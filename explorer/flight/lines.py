@@ -30,7 +30,7 @@ def scene_lines(workspace: Workspace, query: int) -> list[SceneLines]:
     flight = workspace.flight
     if flight is None or flight.retrieval is None:
         return []
-    places = flight.retrieval.places
+    places = flight.retrieval.gallery.places
     middle = np.array([*(places.min(axis=0) + places.max(axis=0)) / 2, 0.0])
     stops = []
     others: list[Float64Array] = []

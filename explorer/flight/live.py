@@ -27,7 +27,7 @@ from explorer.server.page_server import close_server, open_server
 from explorer.server.picture_route import PictureRoute
 from lpn.core import images
 from lpn.flight.files import Flight
-from lpn.flight.live.outputs import LiveFix
+from lpn.flight.live.run import LiveFix
 from lpn.flight.locate.located import LocatedFlight, LocatedFrame
 from lpn.flight.maps import Map
 

@@ -176,9 +176,9 @@ def pins(laid: Float64Array, located: LocatedFrame) -> list[list[float]]:
 def answer_window(seen: FlightSnapshot, tile: int) -> list[float] | None:
     """Return centre and side, in metres, of a window of the retrieval."""
     retrieval = seen.flight.retrieval
-    if retrieval is None or tile >= len(retrieval.windows):
+    if retrieval is None or tile >= len(retrieval.gallery.windows):
         return None
-    return [float(retrieval.places[tile, 0]), float(retrieval.places[tile, 1]), float(retrieval.sizes[tile])]
+    return [*retrieval.gallery.places[tile].tolist(), float(retrieval.gallery.sizes[tile])]
 
 
 def painting(seen: FlightSnapshot, ranking: Ranking, painted: str, part_names: Sequence[str]) -> dict[str, Any] | None:
@@ -191,8 +191,8 @@ def painting(seen: FlightSnapshot, ranking: Ranking, painted: str, part_names: S
     if painted == "off" or retrieval is None:
         return None
     values: FloatingArray = ranking.scores if painted == "all" else ranking.cosines[:, int(painted)]
-    ranked = ranking.order  # the retrieval does not rank windows of other sizes
-    drawn = score_map.score_map(retrieval.places[ranked], retrieval.sizes[ranked], values[ranked].astype(np.float64))
+    gallery, ranked = retrieval.gallery, ranking.order  # the retrieval does not rank windows of other sizes
+    drawn = score_map.score_map(gallery.places[ranked], gallery.sizes[ranked], values[ranked].astype(np.float64))
     if drawn is None:
         return None
     label = "score" if painted == "all" else f"cosine of {part_names[int(painted)]}"

@@ -31,7 +31,7 @@ def windows_kind(
     Args:
         sizes, overlap: see `Map.pyramid`.
         turns: headings at which each window is described, evenly spaced from north on. With 8, a photo of unknown heading
-            needs one description instead of eight, see `lpn.flight.locate.index_windows`.
+            needs one description instead of eight, see `lpn.flight.locate.retrieval`.
     """
     ascending = tuple(sorted(float(size) for size in sizes))
     count = basemap.count_pyramid(ascending, overlap)

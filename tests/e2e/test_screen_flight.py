@@ -19,8 +19,7 @@ from explorer.flight.live import LiveApp, LiveRecord
 from explorer.server.auth import make_authenticator
 from explorer.workspace import Workspace
 from lpn.flight.files import Flight, Frame
-from lpn.flight.live.outputs import LiveFix
-from lpn.flight.live.run import live_answer
+from lpn.flight.live.run import LiveFix, live_answer
 from lpn.flight.locate.audit import TagAudit
 from lpn.flight.locate.corrections import NAME, read_corrections
 from lpn.flight.locate.located import LocatedFlight, LocatedFrame, StageRecord

@@ -108,7 +108,7 @@ def test_a_flight_is_searched_for_among_windows(
     assert task.known is not None
     assert np.flatnonzero(~task.known).tolist() == [0, 2]  # one has no position, one cannot be read
     (bad,) = (frame for frame in task.queries if frame.note == "cannot be read")
-    told = [record.getMessage() for record in caplog.records if record.name == "lpn.flight.locate.index_queries"]
+    told = [record.getMessage() for record in caplog.records if record.name == "lpn.flight.locate.task"]
     assert [bad.path.name in line for line in told] == [True]
     result = answered(workspace, query=5, heat="evidence")
     assert result.evidence

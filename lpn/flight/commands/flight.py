@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -11,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 if TYPE_CHECKING:
-    from lpn.flight.files import Flight, Frame
+    from lpn.flight.files import Flight
 
 
 @dataclass
@@ -58,43 +57,37 @@ def summary(flight: Flight) -> str:
     from lpn.flight.files import ground_width
 
     frames = flight.frames
-    rows = [
-        ("GPS tag", _known(frames, lambda frame: frame.latitude), ""),
-        ("height above ground", *_range(frames, lambda frame: frame.height_above_ground, " m")),
-        ("height above take-off", *_range(frames, lambda frame: frame.height_above_takeoff, " m")),
-        ("altitude", *_range(frames, lambda frame: frame.altitude, " m")),
-        ("heading", _known(frames, lambda frame: frame.heading), _sources(frames)),
-        ("pitch", *_range(frames, lambda frame: frame.pitch, "°")),
-        ("field of view", *_range(frames, lambda frame: frame.fov, "°")),
-        ("width on the ground", *_range(frames, ground_width, " m")),
-        ("time", _known(frames, lambda frame: frame.time), _span(flight)),
+    sources = [frame.heading_source for frame in frames if frame.heading_source is not None]
+    told = ", ".join(f"{sources.count(source)} {source}" for source in dict.fromkeys(sources))
+    lens = "its distortion is taken out before photos are matched"
+    columns: list[tuple[str, list[float | None], str]] = [
+        ("GPS tag", [frame.latitude for frame in frames], ""),
+        ("height above ground", [frame.height_above_ground for frame in frames], " m"),
+        ("height above take-off", [frame.height_above_takeoff for frame in frames], " m"),
+        ("altitude", [frame.altitude for frame in frames], " m"),
+        ("heading", [frame.heading for frame in frames], told),
+        ("pitch", [frame.pitch for frame in frames], "°"),
+        ("field of view", [frame.fov for frame in frames], "°"),
+        ("lens", [None if frame.lens is None else frame.lens.fov for frame in frames], lens),
+        ("width on the ground", [ground_width(frame) for frame in frames], " m"),
+        ("time", [frame.time for frame in frames], _span(flight)),
     ]
-    if lenses := _known(frames, lambda frame: None if frame.lens is None else frame.lens.fov):
-        rows.insert(-2, ("lens", lenses, "its distortion is taken out before photos are matched"))
     lines = [f"{flight.name}: {len(frames)} photos"]
-    lines += [f"  {name:22}{known:>6} of {len(frames)}  {values}".rstrip() for name, known, values in rows]
+    for name, values, about in columns:
+        known = sorted(value for value in values if value is not None)
+        if known or name != "lens":
+            text = _range(known, about) if about in (" m", "°") else about if known else ""
+            lines.append(f"  {name:22}{len(known):>6} of {len(frames)}  {text}".rstrip())
     return "\n".join([*lines, *(f"- {note}" for note in flight.notes)])
 
 
-def _known(frames: tuple[Frame, ...], value: Callable[[Frame], float | None]) -> int:
-    return sum(value(frame) is not None for frame in frames)
-
-
-def _range(frames: tuple[Frame, ...], value: Callable[[Frame], float | None], unit: str) -> tuple[int, str]:
-    """Return the number of known values, and their least, median, and largest."""
-    known = sorted(number for frame in frames if (number := value(frame)) is not None)
+def _range(known: list[float], unit: str) -> str:
+    """Return the least, median, and largest of sorted values."""
     if not known:
-        return 0, ""
+        return ""
     least, median, most = known[0], known[len(known) // 2], known[-1]
-    text = (
-        f"{median:.1f}{unit}" if most - least < 0.05 else f"{least:.1f} to {most:.1f}{unit}, median {median:.1f}{unit}"
-    )
-    return len(known), text
-
-
-def _sources(frames: tuple[Frame, ...]) -> str:
-    sources = [frame.heading_source for frame in frames if frame.heading_source is not None]
-    return ", ".join(f"{sources.count(source)} {source}" for source in dict.fromkeys(sources))
+    text = f"{median:.1f}{unit}"
+    return text if most - least < 0.05 else f"{least:.1f} to {most:.1f}{unit}, median {text}"
 
 
 def _span(flight: Flight) -> str:

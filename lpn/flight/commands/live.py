@@ -17,14 +17,12 @@ from lpn.sources import Advanced, ModelOptions
 from lpn.sources.options import ADVANCED
 
 if TYPE_CHECKING:
-    from lpn.core.progress import CountProgress, Listener
+    from lpn.core.progress import CountProgress
     from lpn.flight.live.frames import Say
-    from lpn.flight.live.locator import LiveOptions
     from lpn.flight.live.run import FixOutput, LiveRun
 
 # Seconds between two sentences about the progress of describing windows.
 _SAID = 5.0
-
 
 MapError = Annotated[
     float | None,
@@ -63,48 +61,48 @@ class LiveInput(ModelOptions):
     idle: Advanced[float | None] = None
     """Seconds without a frame after which the flight counts as ended; by default it is waited for."""
 
-    def options(self) -> LiveOptions:
-        """Return the options of the locator."""
-        from lpn.flight.live.locator import LiveOptions
-
-        return LiveOptions(self.register, self.matcher, self.size, speed=self.speed, map_error=self.map_error)
-
     def open_run(
-        self,
-        say: Say,
-        outputs: Sequence[FixOutput],
-        stack: ExitStack,
-        on_windows: Sequence[CountProgress] = (),
+        self, say: Say, outputs: Sequence[FixOutput], stack: ExitStack, on_windows: Sequence[CountProgress] = ()
     ) -> LiveRun:
         """Open map, model, pictures, and telemetry.
 
         Args:
             outputs: receivers of each fix.
-            on_windows: called while the map's windows are described.
             stack: closes the opened sources if a later step fails.
+            on_windows: called while the map's windows are described, beside what is printed.
 
         Raises:
             InputError: if an option is out of range, or a source cannot be opened.
         """
+        from lpn.core.progress import at_intervals
         from lpn.core.resources import one_thread_a_library
         from lpn.flight.live.frames import open_source
         from lpn.flight.live.locator import LiveLocator
         from lpn.flight.live.run import LiveRun
         from lpn.flight.live.telemetry import open_telemetry
+        from lpn.flight.locate.options import LocateOptions
         from lpn.flight.maps import open_map
 
         for name, low, high in (("fov", 0.1, 170.0), ("idle", 0.1, 1e6)):
             value = getattr(self, name)
             if value is not None and not low <= value <= high:
                 raise InputError(f"--{name} is {value:g}; expected a number from {low:g} to {high:g}.")
-        options = self.options()
+        options = LocateOptions(
+            register=self.register, matcher=self.matcher, map_error=self.map_error, sizes=self.size, speed=self.speed
+        )
         network = self.load()
         basemap = stack.enter_context(closing(open_map(self.map)))
         telemetry = open_telemetry(self.telemetry, say)
         stack.callback(telemetry.close)
         source = open_source(self.live, say, self.fov)
         stack.callback(source.close)
-        locator = LiveLocator(basemap, network, options, _progress([_windows_said(), *on_windows]))
+        print_windows = at_intervals(_SAID, _print_windows, at_once=True)
+
+        def described(_stage: str, done: int, total: int) -> None:
+            for receive in (print_windows, *on_windows) if done < total else on_windows:
+                receive(done, total)
+
+        locator = LiveLocator(basemap, network, options, described, say)
         if options.sizes is not None:
             locator.prepare(options.sizes)
         if not stack.enter_context(one_thread_a_library()):
@@ -127,46 +125,18 @@ class LocateLive(LiveInput):
 
     def run(self) -> None:
         with ExitStack() as stack:
-            if self.out is None:
-                lines: IO[str] = sys.stdout
-            else:
+            lines: IO[str] = sys.stdout
+            if self.out is not None:
                 check_outputs((self.out, ".jsonl", ".geojsonl", ".ndjson"))
                 lines = stack.enter_context(self.out.open("a", encoding="utf-8"))
-            from lpn.flight.live.outputs import LineOutput
-
-            run = self.open_run(_say, [LineOutput(lines)], stack)
+            run = self.open_run(_say, [lambda fix: print(fix.line(), file=lines, flush=True)], stack)
             count = run.run()
         _say(f"{count} frames were located.")
 
 
-def _progress(receivers: Sequence[CountProgress]) -> Listener:
-    """Return a listener that passes the number of described windows on."""
-
-    def report(_stage: str, done: int, total: int) -> None:
-        for receiver in receivers:
-            receiver(done, total)
-
-    return report
-
-
-def _windows_said() -> CountProgress:
-    """Return a receiver that prints the number of described windows every five seconds."""
-    from lpn.core.progress import at_intervals
-
-    once = " This is done once for a map, a model, and a size; --size does it before the flight."
-
-    def say(done: int, total: int) -> None:
-        nonlocal once
-        _say(f"{done:,} of {total:,} windows of the map are described.{once}")
-        once = ""
-
-    now_and_then = at_intervals(_SAID, say, at_once=True)
-
-    def report(done: int, total: int) -> None:
-        if done < total:
-            now_and_then(done, total)
-
-    return report
+def _print_windows(done: int, total: int) -> None:
+    once = "" if done else " This is done once for a map, a model, and a size; --size does it before the flight."
+    _say(f"{done:,} of {total:,} windows of the map are described.{once}")
 
 
 def _say(sentence: str) -> None:

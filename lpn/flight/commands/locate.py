@@ -21,9 +21,7 @@ if TYPE_CHECKING:
     from lpn.flight.files import Flight
     from lpn.flight.locate.errors import Errors
     from lpn.flight.locate.located import LocatedFlight
-    from lpn.flight.locate.options import LocateOptions
     from lpn.flight.locate.surveyed import MatchedSurvey, SurveyedPoint
-    from lpn.flight.locate.tracks import TrackRow
     from lpn.flight.maps import Map
 
 # Names of errors along axes, and their keys in `Errors.figures`.
@@ -113,8 +111,11 @@ class LocateCommand(ModelOptions):
             # A stage without an answer has no median, which JSON cannot express as a number.
             write_json(self.json, _measures(located, errors))
         if self.out is not None:
-            written = f"The track is in {printable(str(self.out))}. {unverified_sentence(track)}"
-            console.print(written.rstrip(), soft_wrap=True, markup=False)
+            written = f"The track is in {printable(str(self.out))}."
+            if guesses := sum(row["state"] == "not verified" and row.get("latitude") is not None for row in track):
+                of_track = f"{guesses} of its {len(track)} points, state 'not verified'"
+                written += f" Best guesses that nothing has verified: {of_track}."
+            console.print(written, soft_wrap=True, markup=False)
 
     def resume_hint(self) -> str:
         """Return a sentence about resuming after a stop."""
@@ -128,7 +129,7 @@ class LocateCommand(ModelOptions):
         """
         from lpn.flight.files import open_flight
         from lpn.flight.locate import corrections
-        from lpn.flight.locate.index_windows import WindowIndex
+        from lpn.flight.locate.options import LocateOptions
         from lpn.flight.locate.pipeline import locate
         from lpn.flight.maps import open_map
 
@@ -142,13 +143,13 @@ class LocateCommand(ModelOptions):
                 "An index has the windows that the retrieval ranks, and their sizes; give --index with --model and without "
                 "--size."
             )
-        options, basemap, flight = self._options(), open_map(self.map), open_flight(self.flight)
+        options = LocateOptions(self.sequence, self.register, self.matcher, self.prior, self.map_error, self.size)
+        basemap, flight = open_map(self.map), open_flight(self.flight)
         flight = replace(flight, frames=flight.frames[: self.limit])
         survey = self._survey(basemap, flight, console)  # what is wrong with it is told before the flight is located
         kept = corrections.read_corrections(own_file(self.flight, corrections.NAME)) if self.corrections else {}
         network = None if self.model is None else self.load()
-        indexed = None if self.index is None or network is None else WindowIndex(self.index, network, basemap)
-        return survey, locate(basemap, flight, network, options, kept, indexed)
+        return survey, locate(basemap, flight, network, options, kept, self.index)
 
     def _survey(self, basemap: Map, flight: Flight, console: Console) -> MatchedSurvey | None:
         from lpn.flight.locate.surveyed import match_surveyed, read_surveyed
@@ -163,35 +164,22 @@ class LocateCommand(ModelOptions):
 
     def _check_files_differ(self) -> None:
         seen: dict[Path, str] = {}
-        for option, file in (
-            ("--positions", self.positions),
-            ("--residuals", self.residuals),
-            ("--json", self.json),
-            ("--out", self.out),
-        ):
+        for name in ("positions", "residuals", "json", "out"):
+            file, option = getattr(self, name), f"--{name}"
             if file is not None and (other := seen.setdefault(file.resolve(), option)) != option:
                 raise InputError(
                     f"{other} and {option} both name {printable(str(file))}; give {option} a file of its own."
                 )
-
-    def _options(self) -> LocateOptions:
-        from lpn.flight.locate.options import LocateOptions
-
-        return LocateOptions(
-            self.sequence,
-            self.register,
-            self.matcher,
-            self.prior,
-            self.map_error,
-            self.size,
-        )
 
 
 def _measures(located: LocatedFlight, surveyed: Mapping[str, Mapping[SurveyedPoint, Errors]] | None) -> dict[str, Any]:
     def of_stages(flight: LocatedFlight) -> dict[str, Any]:
         return {stage: one.figures for stage, one in flight.errors().items()}
 
-    result: dict[str, Any] = {
+    of_survey = {
+        stage: {point: one.figures for point, one in points.items()} for stage, points in (surveyed or {}).items()
+    }
+    return {
         "frames": len(located.frames),
         "corrected": sum(frame.by_hand is not None for frame in located.frames),
         "stages": of_stages(located),
@@ -199,20 +187,7 @@ def _measures(located: LocatedFlight, surveyed: Mapping[str, Mapping[SurveyedPoi
         "retrieval": located.field_measures(),
         "tags": None if located.audit is None else located.audit.sentence,
         "notes": located.notes,
-    }
-    if surveyed is not None:
-        result["surveyed"] = {
-            stage: {point: one.figures for point, one in points.items()} for stage, points in surveyed.items()
-        }
-    return result
-
-
-def unverified_sentence(track: Sequence[TrackRow]) -> str:
-    """Count the points of a track with an unverified coordinate in a sentence; "" if none."""
-    guesses = sum(row["state"] == "not verified" and row.get("latitude") is not None for row in track)
-    if not guesses:
-        return ""
-    return f"Best guesses that nothing has verified: {guesses} of its {len(track)} points, state 'not verified'."
+    } | ({} if surveyed is None else {"surveyed": of_survey})
 
 
 def print_summary(located: LocatedFlight, console: Console) -> None:

@@ -3,8 +3,7 @@
     frames        pictures of a folder that fills, a video, or a stream; one waits, and a newer one replaces it
     telemetry     heading, height, and position by MAVLink, or from a log
     locator       the forward half of the sequence, and registration near its prediction
-    outputs       GeoJSON lines
-    run           all of these together until the flight ends
+    run           all of these together until the flight ends; its answers are lines of GeoJSON
 
 It imports `locate`, `flights`, `maps`, and `models`; `cli` and `explorer` import it. docs/locate-a-flight.md shows its use.
 """

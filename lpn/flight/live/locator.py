@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -21,29 +21,30 @@ from lpn.core.files import printable
 from lpn.core.progress import Listener, listening
 from lpn.core.views import View
 from lpn.flight.files.base import Frame
-from lpn.flight.files.cut import CUT, cut_size, cut_square
-from lpn.flight.locate.beyond import places_beyond
+from lpn.flight.files.cut import cut_square
 from lpn.flight.locate.continuity import NEW_HEADING, other_turn
 from lpn.flight.locate.ground import MapFeatures
 from lpn.flight.locate.located import LocatedFrame, StageRecord
 from lpn.flight.locate.map_evidence import ENOUGH, MapEvidence
-from lpn.flight.locate.matchers import MatcherName, open_matchers
+from lpn.flight.locate.matchers import open_matchers
 from lpn.flight.locate.options import LocateOptions
-from lpn.flight.locate.ranked_stages import OVERLAP, best_windows, sequence_answer
+from lpn.flight.locate.ranked_stages import OVERLAP, places_beyond, sequence_answer
 from lpn.flight.locate.registered_stage import FlightPrior, PhotoSearch, register_photo, with_map_error
 from lpn.flight.locate.retrieval import (
     ALIKE,
     MIN_DISTINCT,
-    MapRetrieval,
+    FrameViews,
+    WindowGallery,
     described_windows,
     heading_is_certain,
     pyramid_sizes,
-    tried_headings,
+    size_notes,
     whitening_of,
+    windows_of,
 )
-from lpn.flight.locate.sequence import ForwardFilter, MotionModel, emissions, score_units
+from lpn.flight.locate.sequence import ForwardFilter, MotionModel, SequencePoint, emissions, score_units
 from lpn.flight.locate.verdict import map_misfit
-from lpn.flight.maps import Map, Window
+from lpn.flight.maps import Map
 from lpn.models.base import Model, normalise, whitened
 
 # Most windows that are compared, unless the user sets their sides: a frame taken on the ground would make millions.
@@ -58,61 +59,8 @@ _FALSE = 0.2
 _GRID = 1.15
 # A longer step in seconds is a jump of the clock.
 _LONGEST_STEP = 3600.0
-_STANDARD_SPEED = 10.0
-_AGREE = "The frames so far agree on this place."
 # The headings of a filter without any.
 _NO_HEADING = np.array([math.nan])
-
-
-@dataclass(frozen=True)
-class LiveOptions:
-    """Options of locating a flight while it flies.
-
-    Attributes:
-        register: whether frames are laid over the map.
-        matcher: of the registration; "auto" is XFeat where it is installed.
-        sizes: sides of windows in metres; None takes the ground of the first frame of known height and field of view.
-        overlap: of neighbouring windows, 0 to below 1.
-        speed: of the motion model, metres a second, one standard deviation.
-        centre: whether descriptors are centred by view and whitened, once there are enough frames.
-        map_error: 1-sigma error of the map's places in metres; None takes `Map.default_error`.
-    """
-
-    register: bool = True
-    matcher: MatcherName = "auto"
-    sizes: tuple[float, ...] | None = None
-    overlap: float = 0.75
-    speed: float = _STANDARD_SPEED
-    centre: bool = True
-    map_error: float | None = None
-
-    def __post_init__(self) -> None:
-        LocateOptions(map_error=self.map_error, speed=self.speed)  # refuses what is out of range
-        if not 0 <= self.overlap < 1:
-            raise InputError(f"Windows overlap by {self.overlap:g}; expected 0 or more and below 1.")
-        if self.sizes is not None and not all(0 < size < math.inf for size in self.sizes):
-            raise InputError("Sides of windows must be metres above 0.")
-
-
-@dataclass(frozen=True, eq=False)
-class _Ground:
-    """The windows of the map, their descriptors, (N, n, D), and the filters over them and over places beyond the map, (B, 2).
-
-    Attributes:
-        filter: by all evidence.
-        flown: by registrations and motion alone.
-    """
-
-    windows: list[Window]
-    raw: Float32Array
-    places: Float64Array
-    sizes: Float64Array
-    beyond: Float64Array
-    side: float
-    step: float
-    motion: MotionModel
-    filter: ForwardFilter
-    flown: ForwardFilter
 
 
 class LiveLocator:
@@ -121,45 +69,42 @@ class LiveLocator:
     Args:
         basemap: the map.
         model: ranks its windows.
-        options: see `LiveOptions`.
+        options: of locating; `LocateOptions.prior` is not used.
         on_progress: called while the map's windows are described, see `lpn.core.progress.listening`.
+        say: receives sentences about the flight.
     """
 
     def __init__(
-        self, basemap: Map, model: Model, options: LiveOptions | None = None, on_progress: Listener = lambda *_: None
+        self,
+        basemap: Map,
+        model: Model,
+        options: LocateOptions | None = None,
+        on_progress: Listener = lambda *_: None,
+        say: Callable[[str], None] = lambda _: None,
     ) -> None:
         # A frame takes milliseconds; further threads would then spin for longer than they save.
         self.basemap, self.model = basemap, model.for_parallel_inference()
-        self.options = options or LiveOptions()
+        self.options = options or LocateOptions()
         model.check_view("satellite")
         self._view: View = "drone" if "drone" in model.views else "satellite"
-        self._pixels = max(model.input_size)
-        self._on_progress = on_progress
-        first = open_matchers(self.options.matcher)[0]
-        self._features = [MapFeatures(basemap, first)] if self.options.register else []
-        self._ground: _Ground | None = None
-        self._tiles = np.zeros((0, 0, 0), np.float32)
+        self._on_progress, self._say = on_progress, say
+        self._features = [MapFeatures(basemap, open_matchers(self.options.matcher)[0])] if self.options.register else []
+        # The windows as they are compared, and their descriptors before centring, (N, n, D).
+        self._gallery: WindowGallery | None = None
+        self._raw = np.zeros((0, 0, 0), np.float32)
         self._kept: deque[Float32Array] = deque(maxlen=_KEPT)
         self._distinct, self._centred_at = 0, 0
         self._mean: Float32Array | None = None
         self._whitening: Float32Array | None = None
         # Frames of other places: time, best score of each window, and whether the score counts.
         self._scored: deque[tuple[float, Float64Array, BoolArray]] = deque(maxlen=_SCORED)
-        self._time: float | None = None
-        self._evidence = MapEvidence(basemap.bounds)
+        self._time = math.nan
         self._prior = FlightPrior()
-        # Turns of the last registrations with whether they stand; then time and place of the last one.
+        # Turns of the last registrations with whether they stand, and the time of the last one.
         self._turns: deque[tuple[float, bool]] = deque(maxlen=_TURNED)
-        self._registered_at: float | None = None
-        self._place: Float64Array | None = None
+        self._registered_at = math.nan
         # Flags: the last frame was registered; the user was told of frames of other ground.
         self._fresh = self._unfit_said = False
-        self._notes: list[str] = []
-
-    def take_notes(self) -> list[str]:
-        """Return the sentences since the last call."""
-        notes, self._notes = self._notes, []
-        return notes
 
     def prepare(self, sizes: Sequence[float]) -> None:
         """Describe the map's windows of these sides in metres; the user's cache has those of earlier runs.
@@ -167,57 +112,25 @@ class LiveLocator:
         Raises:
             InputError: if no window has data.
         """
-        overlap = self.options.overlap
-        windows = self.basemap.pyramid(sorted(sizes), overlap)
-        if not windows:
-            raise InputError(
-                f"No window of {min(sizes):.0f} m fits on the map {self.basemap.name}; give smaller ones with --size."
-            )
+        windows = windows_of(self.basemap, sizes, self.options.overlap)
         with listening(self._on_progress):
-            raw = described_windows(self.model, self.basemap, windows)
-        places = np.array([(window.x, window.y) for window in windows])
-        extents = np.array([window.size for window in windows])
-        side = float(np.median(extents))
-        step = max(side * (1 - overlap), 1.0)
-        motion = MotionModel(self.options.speed, step / 2)
-        beyond = places_beyond(self.basemap, places, extents, overlap)
-        everywhere = np.concatenate([places, beyond])
-        whole, flown = ForwardFilter(everywhere, motion, len(beyond)), ForwardFilter(places, motion)
-        self._ground = _Ground(windows, raw, places, extents, beyond, side, step, motion, whole, flown)
-        self._evidence = MapEvidence(self.basemap.bounds, side=side, kept=_PROVING)
-        self._centre()
+            self._raw = described_windows(self.model, self.basemap, windows)
+        self._gallery = gallery = WindowGallery(windows, self.options.overlap, self._raw)
+        self._motion = MotionModel(self.options.speed, gallery.step / 2)
+        beyond = places_beyond(self.basemap, gallery)
+        self._places, self._beyond = np.concatenate([gallery.places, beyond]), len(beyond)
+        # The place by all evidence, and by registrations and motion alone.
+        self._filter = ForwardFilter(self._places, self._motion, self._beyond)
+        self._flown = ForwardFilter(gallery.places, self._motion)
+        self._evidence = MapEvidence(self.basemap.bounds, side=gallery.side, kept=_PROVING)
+        self._centre(gallery)
         noise = np.random.default_rng(0).integers(0, 255, (256, 256, 3), np.uint8)
         for kind in self._features:  # load a matcher's network, which takes seconds, before the first frame
             kind.matcher.features(noise, None, 16)
 
-    def locate(self, frame: Frame, photo: UInt8Array) -> LocatedFrame:
-        """Locate the next frame.
-
-        Args:
-            frame: with heading, height, and time where known.
-            photo: its picture, RGB (H, W, 3).
-        """
-        ground = self._windows_for(frame)
-        tag = None
-        if frame.latitude is not None and frame.longitude is not None:
-            place = self.basemap.frame.xy([frame.latitude], [frame.longitude])[0]
-            tag = place if np.isfinite(place).all() else None
-        located = LocatedFrame(frame, tag)
-        ranked = self._ranked(ground, frame, photo)
-        self._weigh(ground, ranked, frame)
-        located.stages["sequence"] = answer = self._sequence(ground)
-        if not answer.accepted:  # otherwise the registration searches there alone
-            located.windows = best_windows(ranked, 0, 2)
-        if self.options.register:
-            self._register(located, ground, photo)
-            located.stages["sequence"] = self._sequence(ground)
-        if frame.time is not None:
-            self._time = frame.time
-        return located
-
     def begin(self, frame: Frame) -> bool:
         """Describe the map's windows in the size of a first frame's ground; return False if this was done before."""
-        if self._ground is not None:
+        if self._gallery is not None:
             return False
         # Sizes are rounded, so that the cache often has the windows of the next flight.
         sizes = [_GRID ** round(math.log(size, _GRID)) for size in pyramid_sizes(self.basemap, [frame])]
@@ -232,124 +145,109 @@ class LiveLocator:
         self.prepare(self.options.sizes or sizes)
         return True
 
-    def _windows_for(self, frame: Frame) -> _Ground:
-        """Return the windows; tell the user once if frames show ground of another size."""
+    def locate(self, frame: Frame, photo: UInt8Array) -> LocatedFrame:
+        """Locate the next frame.
+
+        Args:
+            frame: with heading, height, and time where known.
+            photo: its picture, RGB (H, W, 3).
+        """
         self.begin(frame)
-        assert self._ground is not None
-        cut = cut_size(frame)
-        if cut is not None and not self._unfit_said:
-            nearest = self._ground.sizes[np.abs(np.log(self._ground.sizes / cut)).argmin()]
-            if abs(math.log(nearest / cut)) > math.log(1.5):
-                self._unfit_said = True
-                self._notes.append(
-                    f"Frames show squares of {cut:.0f} m now and are compared with windows of {nearest:.0f} m, so their answers "
-                    "are poor; give the sides that the flight shows with --size."
-                )
-        return self._ground
-
-    def _elapsed(self, frame: Frame) -> float:
-        """Return the seconds since the last frame; NaN if unknown, or if the clock has jumped."""
-        if frame.time is None or self._time is None:
-            return math.nan
-        elapsed = frame.time - self._time
-        if 0 <= elapsed <= _LONGEST_STEP:
-            return elapsed
-        self._notes.append(
-            f"The clock of the pictures has jumped by {elapsed:.1f} s at {printable(frame.name)}; the time of this step counts "
-            "as unknown."
-        )
-        return math.nan
-
-    def _headings(self, frame: Frame) -> list[float]:
-        """Return the headings in degrees to try: one if it is certain or registrations tell the turn, else several."""
+        gallery = self._gallery
+        assert gallery is not None
+        tag = None
+        if frame.latitude is not None and frame.longitude is not None:
+            place = self.basemap.frame.xy([frame.latitude], [frame.longitude])[0]
+            tag = place if np.isfinite(place).all() else None
+        located = LocatedFrame(frame, tag)
         turns = self._told_turns()
         if frame.heading is not None and not heading_is_certain(frame) and len(turns) >= _TURNS:
-            return [(frame.heading + float(np.median(turns))) % 360.0]
-        return tried_headings(frame)
+            told = replace(frame, heading=(frame.heading + float(np.median(turns))) % 360.0, heading_source=None)
+        else:
+            told = frame
+        views = FrameViews.of(told, gallery.levels)
+        if not self._unfit_said and (notes := size_notes([frame], [views])):
+            self._unfit_said = True
+            self._say(notes[0])
+        described = self._described(gallery, views, photo)
+        gallery = self._gallery  # centred again, perhaps
+        assert gallery is not None
+        scores = gallery.scores(views, described)
+        self._weigh(gallery, views, scores, frame)
+        located.stages["sequence"] = answer = self._sequence(gallery)
+        if not answer.accepted:  # otherwise the registration searches there alone
+            located.windows = gallery.best(views, described, scores, 2)
+        if self.options.register:
+            self._register(located, gallery, photo)
+            located.stages["sequence"] = self._sequence(gallery)
+        self._time = self._time if frame.time is None else frame.time
+        return located
 
-    def _ranked(self, ground: _Ground, frame: Frame, photo: UInt8Array) -> MapRetrieval:
-        """Describe a frame, and return its scores of the windows."""
-        share, level = CUT * min(1.0, frame.height / frame.width), math.nan
-        if (cut := cut_size(frame)) is not None:
-            level = float(ground.sizes[np.abs(np.log(ground.sizes / cut)).argmin()])
-            share *= level / cut
-        headings = self._headings(frame)
-        squares = [cut_square(photo, heading, share, self._pixels) for heading in headings]
+    def _described(self, gallery: WindowGallery, views: FrameViews, photo: UInt8Array) -> Float32Array:
+        """Describe a frame at its headings, (H, n, D).
+
+        A frame unlike the last kept one is kept, and whenever their number has doubled, descriptors are centred again.
+        """
+        pixels = max(self.model.input_size)
+        squares = [cut_square(photo, heading, views.share, pixels) for heading in views.headings]
         prepared = np.stack([self.model.prepare(square, self._view) for square in squares])
         described = self.model.descriptors(prepared, self._view)
-        self._keep(described[0])
+        if not self._kept or float(described[0].ravel() @ self._kept[-1].ravel()) < ALIKE:
+            self._kept.append(described[0])
+            self._distinct += 1
+            if self._distinct >= max(MIN_DISTINCT, 2 * self._centred_at):
+                self._centre(gallery)
         if self._mean is not None:
             described = normalise(whitened(described - self._mean, self._whitening))
-        return MapRetrieval(
-            ground.windows,
-            ground.places,
-            ground.sizes,
-            self._tiles,
-            [described],
-            [headings],
-            np.array([level]),
-            np.array([share]),
-            self._pixels,
-            {},
-            {},
-            by_aircraft=frozenset({0} if frame.heading_source == "aircraft" else ()),
-            overlap=self.options.overlap,
-        )
+        return described
 
-    def _keep(self, described: Float32Array) -> None:
-        """Keep the descriptor of a frame unlike the last kept one; centre again whenever their number has doubled."""
-        last = self._kept[-1] if self._kept else None
-        if last is not None and float(described.ravel() @ last.ravel()) >= ALIKE:
-            return
-        self._kept.append(described)
-        self._distinct += 1
-        if self.options.centre and self._distinct >= max(MIN_DISTINCT, 2 * self._centred_at):
-            self._centre()
-
-    def _centre(self) -> None:
+    def _centre(self, gallery: WindowGallery) -> None:
         """Subtract the means of windows and frames, and whiten, if there are enough frames."""
-        assert self._ground is not None
-        self._tiles = self._ground.raw
-        if not self.options.centre or self._distinct < MIN_DISTINCT:
+        if self._distinct < MIN_DISTINCT:
             return
         self._centred_at = self._distinct
-        frames = np.stack(self._kept)
+        frames, of_tiles = np.stack(self._kept), self._raw.mean(axis=0)
         self._mean = frames.mean(axis=0)
-        of_tiles = self._tiles.mean(axis=0)
-        self._whitening = whitening_of(self._tiles - of_tiles, frames - self._mean)
-        self._tiles = normalise(whitened(self._tiles - of_tiles, self._whitening))
+        self._whitening = whitening_of(self._raw - of_tiles, frames - self._mean)
+        described = normalise(whitened(self._raw - of_tiles, self._whitening))
+        self._gallery = replace(gallery, described=described)
         self._scored.clear()  # earlier scores are of other descriptors
 
-    def _weigh(self, ground: _Ground, ranked: MapRetrieval, frame: Frame) -> None:
+    def _weigh(self, gallery: WindowGallery, views: FrameViews, scores: Float64Array, frame: Frame) -> None:
         """Move the belief to the frame, and weigh it with the frame's scores."""
-        elapsed, time = self._elapsed(frame), math.nan if frame.time is None else frame.time
-        best, level = ranked.scores(0), float(ranked.levels[0])
-        compared = np.ones(len(best), bool) if math.isnan(level) else ground.sizes == level
-        scored = [*self._scored, (time, best, compared)]
-        steps = ground.motion.steps([one for one, *_ in scored])
-        units = score_units(
-            np.stack([one for _, one, _ in scored]), steps, ground.side, np.stack([one for *_, one in scored])
-        )
-        if not len(steps) or steps[-1] >= ground.step:
+        elapsed = (math.nan if frame.time is None else frame.time) - self._time
+        if not math.isnan(elapsed) and not 0 <= elapsed <= _LONGEST_STEP:
+            self._say(
+                f"The clock of the pictures has jumped by {elapsed:.1f} s at {printable(frame.name)}; the time of this step "
+                "counts as unknown."
+            )
+            elapsed = math.nan
+        best = scores.max(axis=1)
+        scored = [*self._scored, (math.nan if frame.time is None else frame.time, best, gallery.compared(views))]
+        times, of_frames, compared = map(np.array, zip(*scored, strict=True))
+        steps = self._motion.deviation(np.abs(np.diff(times)))
+        units = score_units(of_frames, steps, gallery.side, compared)
+        if not len(steps) or steps[-1] >= gallery.step:
             self._scored.append(scored[-1])
         known = frame.heading is not None
-        values = units.standardised(len(scored) - 1, best[:, None] if known else ranked.scores_by_heading(0))
-        headings = np.array([frame.heading] if known else ranked.headings[0], np.float64)
-        ground.filter.predict(elapsed, headings)
-        moved = self.options.speed * elapsed / ground.step
+        values = units(len(scored) - 1, best[:, None] if known else scores)
+        self._filter.predict(elapsed, np.array([frame.heading] if known else views.headings, np.float64))
+        moved = self.options.speed * elapsed / gallery.step
         weight = 1.0 if math.isnan(moved) else min(1.0, moved)
         if weight > 0:
-            alike = float(ground.motion.alike([0.0, elapsed], ground.side)[1])
-            ground.filter.weigh(weight * emissions(values, beyond=len(ground.beyond), alike=alike))
+            alike = float(self._motion.alike(elapsed, gallery.side))
+            self._filter.weigh(weight * emissions(values, beyond=self._beyond, alike=alike))
 
-    def _sequence(self, ground: _Ground) -> StageRecord:
-        point = ground.filter.point(OVERLAP * ground.side)
-        return sequence_answer(point, ground.side, ground.step, self._evidence.log_odds >= ENOUGH, _AGREE)
+    def _sequence(self, gallery: WindowGallery) -> StageRecord:
+        forward, near = self._filter, OVERLAP * gallery.side
+        assert forward.belief is not None
+        point = SequencePoint.of(forward.belief, self._places, forward.headings, near, self._beyond)
+        return sequence_answer(point, gallery, self._evidence.log_odds >= ENOUGH)
 
-    def _register(self, located: LocatedFrame, ground: _Ground, photo: UInt8Array) -> None:
+    def _register(self, located: LocatedFrame, gallery: WindowGallery, photo: UInt8Array) -> None:
         """Register the photo near the prediction, and weigh the belief with its place."""
         frame, sure = located.frame, located.stages["sequence"].accepted
-        side = 2 * self.options.speed if sure and self._fresh else ground.side
+        side = 2 * self.options.speed if sure and self._fresh else gallery.side
         search = PhotoSearch(
             self.basemap,
             self._features,
@@ -366,7 +264,7 @@ class LiveLocator:
         )
         # A place that the map contradicts may be an equal building, and proves nothing.
         if counts := answer.accepted and map_misfit(answer) is None:
-            answer = self._continuous(ground, located, answer)
+            answer = self._continuous(gallery, located, answer)
         else:
             # Photos that fit nowhere show ground beyond the map; there, an equal building fits at the same turn again and again.
             self._turns = deque((one for one in self._turns if one[1]), _TURNED)
@@ -374,32 +272,33 @@ class LiveLocator:
         self._fresh = counts and answer.accepted
         self._evidence.add(located, side)
         if self._fresh:
-            ground.filter.weigh(self._likely(ground, located, answer, len(ground.beyond)))
+            self._filter.weigh(self._likely(gallery, located, answer, self._beyond))
             self._prior.add(frame, answer)
-            self._place = located.middle(answer)
 
-    def _continuous(self, ground: _Ground, located: LocatedFrame, answer: StageRecord) -> StageRecord:
+    def _continuous(self, gallery: WindowGallery, located: LocatedFrame, answer: StageRecord) -> StageRecord:
         """Refuse a registration at another turn than earlier ones, or at a place that the drone can hardly have reached."""
         if (degrees := self._other_turn(located.frame, answer)) is not None:
             return answer.refused("turned", degrees=degrees)
-        time, before = located.frame.time, self._registered_at
-        ground.flown.predict(math.nan if time is None or before is None else time - before, _NO_HEADING)
+        time = math.nan if located.frame.time is None else located.frame.time
+        self._flown.predict(abs(time - self._registered_at), _NO_HEADING)
         self._registered_at = time
-        likely = self._likely(ground, located, answer)
-        belief = ground.flown.belief
+        likely = self._likely(gallery, located, answer)
+        belief = self._flown.belief
         assert belief is not None
         is_false = _FALSE / len(belief) > 0.5 * float((belief * np.exp(likely)).sum())
         # A false registration counts by half, so that several that agree elsewhere still move the belief.
-        ground.flown.weigh(likely / 2 if is_false else likely)
+        self._flown.weigh(likely / 2 if is_false else likely)
         return answer.refused("unreachable") if is_false else answer
 
-    def _likely(self, ground: _Ground, located: LocatedFrame, answer: StageRecord, beyond: int = 0) -> Float64Array:
+    def _likely(
+        self, gallery: WindowGallery, located: LocatedFrame, answer: StageRecord, beyond: int = 0
+    ) -> Float64Array:
         """Return the log probability of a registration for each place of the drone, window or beyond the map, (N + B, 1)."""
         place = located.middle(answer)
-        deviation = math.hypot(answer.radius or 0.0, ground.step)
-        near = np.exp(-((ground.places - place) ** 2).sum(axis=1) / (2 * deviation**2))
+        deviation = math.hypot(answer.radius or 0.0, gallery.step)
+        near = np.exp(-((gallery.places - place) ** 2).sum(axis=1) / (2 * deviation**2))
         near = np.pad(near / max(float(near.sum()), 1e-300), (0, beyond))
-        return np.asarray(np.log((1 - _FALSE) * near + _FALSE / len(ground.places))[:, None])
+        return np.asarray(np.log((1 - _FALSE) * near + _FALSE / len(gallery.places))[:, None])
 
     def _other_turn(self, frame: Frame, answer: StageRecord) -> float | None:
         """Return the degrees between a registration's turn and earlier ones if these show that it is another place."""
@@ -421,12 +320,3 @@ class LiveLocator:
 
     def _told_turns(self) -> list[float]:
         return [turn for turn, stands in self._turns if stands][-_RECENT:]
-
-    @property
-    def near_border(self) -> bool:
-        """True if the last registered place lies within a window's side of the map's border."""
-        if self._ground is None or self._place is None:
-            return False
-        west, south, east, north = self.basemap.bounds
-        x, y = self._place.tolist()
-        return bool(min(x - west, east - x, y - south, north - y) <= self._ground.side)

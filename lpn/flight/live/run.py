@@ -1,37 +1,85 @@
-"""A run over a flight in progress: pictures and telemetry come in and answers go out until the flight ends."""
+"""A run over a flight in progress: pictures and telemetry come in and fixes go out until the flight ends."""
 
 from __future__ import annotations
 
-import threading
+import json
+import math
 import time
-from collections import Counter
-from collections.abc import Iterator, Sequence
-from dataclasses import replace
-from typing import Protocol
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
 
+from lpn.core.arrays import UInt8Array
 from lpn.core.errors import LPNError
+from lpn.core.files import printable
+from lpn.core.numbers import heading_figure
 from lpn.flight.live.frames import ArrivedPicture, LiveSource, Say
 from lpn.flight.live.locator import LiveLocator
-from lpn.flight.live.outputs import LiveFix
 from lpn.flight.live.telemetry import LiveTelemetry
 from lpn.flight.locate.camera_place import below_camera
 from lpn.flight.locate.located import LocatedFrame
 from lpn.flight.locate.verdict import FrameVerdict, judge
-from lpn.flight.locate.words import AGAINST
 
 # Seconds without a frame after which the source counts as stalled.
 _STALLED = 5.0
-# Frames in a row without a usable place, or with one against their tags, after which the user is told.
+# Frames in a row without a usable place, after which the user is told.
 _REFUSED = 10
 # Seconds for which one read of the queue waits.
 _LOOK = 0.2
 
 
-class FixOutput(Protocol):
-    """A receiver of the fixes of a flight."""
+@dataclass(frozen=True, eq=False)
+class LiveFix:
+    """The answer for one frame of a flight in progress.
 
-    def send(self, fix: LiveFix) -> None:
-        """Take a fix."""
+    Attributes:
+        located: the frame with the answers of its stages.
+        best: the verdict with the answer of the registration or the sequence, moved below the camera where the tilt is known.
+        latitude, longitude: WGS 84 degrees; None without a place.
+        clock: time of the frame in seconds since 1970 in UTC.
+        age: seconds from the frame's arrival to the answer.
+        dropped: number of earlier frames that newer ones replaced.
+        telemetry_age: seconds between frame and telemetry; None without telemetry.
+        pixels: of the frame, RGB (H, W, 3).
+    """
+
+    located: LocatedFrame
+    best: FrameVerdict
+    latitude: float | None
+    longitude: float | None
+    clock: float
+    age: float
+    dropped: int
+    telemetry_age: float | None = None
+    pixels: UInt8Array | None = None
+
+    def line(self) -> str:
+        """Return the fix as a feature of GeoJSON (RFC 7946) in one line, see docs/locate-a-flight.md."""
+        answer, best, geometry = self.best.answer, self.best, None
+        if self.latitude is not None and self.longitude is not None:
+            geometry = {"type": "Point", "coordinates": [round(self.longitude, 8), round(self.latitude, 8)]}
+        properties: dict[str, Any] = {
+            "frame": printable(self.located.frame.name),
+            **best.columns,
+            "time": round(self.clock, 3),
+            "camera": answer.camera,
+            "radius": _rounded(answer.radius, 2),
+            "heading": heading_figure(answer.heading),
+            "error": _rounded(self.located.error(answer), 2),
+            "age": round(self.age, 3),
+            "dropped": self.dropped,
+            "telemetry_age": _rounded(self.telemetry_age, 3),
+        }
+        feature = {"type": "Feature", "geometry": geometry, "properties": properties}
+        return json.dumps(feature, ensure_ascii=False, allow_nan=False)
+
+
+def _rounded(value: float | None, digits: int) -> float | None:
+    return None if value is None or not math.isfinite(value) else round(value, digits)
+
+
+# Receives each fix of a flight.
+FixOutput = Callable[[LiveFix], object]
 
 
 class LiveRun:
@@ -44,7 +92,6 @@ class LiveRun:
         outputs: receivers of each fix.
         say: receives sentences about oddities.
         idle: seconds without a frame after which the run ends; None waits until the source ends.
-        stop: ends the run once it is set.
     """
 
     def __init__(
@@ -55,24 +102,16 @@ class LiveRun:
         outputs: Sequence[FixOutput],
         say: Say,
         idle: float | None = None,
-        stop: threading.Event | None = None,
     ) -> None:
-        self._source, self._telemetry, self._locator, self._outputs = source, telemetry, locator, outputs
-        self._say, self._idle = say, idle
-        self._stop = stop or threading.Event()
+        self._source, self._telemetry, self._locator = source, telemetry, locator
+        self._outputs, self._say, self._idle = outputs, say, idle
         # The wall clock may jump during the flight, so it is read once.
         self._clock_lead = time.time() - time.monotonic()
-        # Frames in a row without a usable place, by state, and frames that only their tags contradict.
-        self._unplaced, self._apart = Counter[str](), 0
-        self._failed: set[int] = set()
-        self._problem = ""
+        # The number of the last frames in a row without a usable place, the last error, and whether an output has failed.
+        self._unplaced, self._problem, self._failed = 0, "", False
 
     def run(self) -> int:
-        """Locate frames until the source ends, nothing has come for `idle` seconds, or the run is stopped.
-
-        Returns:
-            The number of frames.
-        """
+        """Locate frames until the source ends, or nothing has come for `idle` seconds; return the number of frames."""
         count = 0
         try:
             self._source.start()
@@ -89,8 +128,8 @@ class LiveRun:
     def _pictures(self) -> Iterator[ArrivedPicture]:
         """Yield the newest picture repeatedly, and tell the user when none arrives."""
         came, stalled = time.monotonic(), False
-        while not self._stop.is_set() and not self._source.newest.ended:
-            picture = self._source.newest.take(_LOOK)
+        while not self._source.ended:
+            picture = self._source.take(_LOOK)
             waited = time.monotonic() - came
             if picture is not None:
                 if stalled:
@@ -113,7 +152,7 @@ class LiveRun:
         try:
             pixels = picture.pixels()
             # Describing the map takes long, so the first frame may be old by then.
-            if self._locator.begin(frame) and self._source.newest.replaced():
+            if self._locator.begin(frame) and self._source.replaced():
                 return None
             located = self._locator.locate(frame, pixels)
         except LPNError as error:
@@ -121,52 +160,31 @@ class LiveRun:
                 self._say(f"{error} The flight goes on without it.")
             self._problem = str(error)
             return None
-        for note in self._locator.take_notes():
-            self._say(note)
         best = live_answer(located)
-        answer, latitude, longitude = best.answer, None, None
-        if answer.x is not None and answer.y is not None:
-            latitude, longitude = self._locator.basemap.frame.degrees([(answer.x, answer.y)])[0].tolist()
-        clock = (
-            picture.frame.time
-            if picture.utc and picture.frame.time is not None
-            else picture.received + self._clock_lead
-        )
+        latitude, longitude = None, None
+        if best.answer.x is not None and best.answer.y is not None:
+            place = best.answer.x, best.answer.y
+            latitude, longitude = self._locator.basemap.frame.degrees([place])[0].tolist()
+        clock = picture.frame.time if picture.utc else None
+        clock = picture.received + self._clock_lead if clock is None else clock
         age = time.monotonic() - picture.received
-        return LiveFix(
-            located, best, latitude, longitude, clock, age, self._source.newest.dropped, telemetry_age, pixels
-        )
+        return LiveFix(located, best, latitude, longitude, clock, age, self._source.dropped, telemetry_age, pixels)
 
     def _send(self, fix: LiveFix) -> None:
-        for i, output in enumerate(self._outputs):
+        for output in self._outputs:
             try:
-                output.send(fix)
+                output(fix)
             except (LPNError, OSError, ValueError) as error:
-                if i not in self._failed:
+                if not self._failed:
                     self._say(f"An output failed ({error}); the flight goes on.")
-                self._failed.add(i)
+                self._failed = True
 
     def _watch(self, fix: LiveFix) -> None:
-        """Tell the user when many frames in a row have no usable place, or another one than their tags."""
-        self._apart = self._apart + 1 if fix.may_correct and not fix.best.usable else 0
-        if self._apart == _REFUSED:
-            self._say(
-                f"{_REFUSED} frames in a row are placed, and their GPS tags alone disagree. Tags may have drifted, so that holds "
-                "none of these places back."
-            )
-        if fix.may_correct:
-            self._unplaced.clear()
-            return
-        self._unplaced[fix.best.state] += 1
-        if self._unplaced.total() != _REFUSED:
-            return
-        were = f"{_REFUSED} frames in a row were {' or '.join(sorted(self._unplaced, reverse=True))}"
-        if fix.best.state != "refused":
-            self._say(f"{were}; the last one is placed, but {' and '.join(AGAINST[one] for one in fix.best.doubt)}.")
-        elif fix.located.stages["sequence"].code == "beyond" or self._locator.near_border:
-            self._say(f"{were} near the border of the map; the flight may have left it.")
-        else:
-            self._say(f"{were}; the last says: {fix.best.reason}")
+        """Tell the user when many frames in a row have no usable place."""
+        self._unplaced = 0 if fix.best.usable else self._unplaced + 1
+        if self._unplaced == _REFUSED:
+            last = f"{fix.best.summary}. {fix.best.reason}"
+            self._say(f"{_REFUSED} frames in a row have no certain place; the last one says: {last}")
 
 
 def live_answer(located: LocatedFrame) -> FrameVerdict:

@@ -20,7 +20,7 @@ from lpn.flight.locate.audit import UNKNOWN, TagAudit, audit_tags, corrected_tag
 from lpn.flight.locate.camera_pose import CameraPose
 from lpn.flight.locate.errors import CONFIRMED_SHARE, Errors
 from lpn.flight.locate.options import TOP
-from lpn.flight.locate.retrieval import MapRetrieval
+from lpn.flight.locate.retrieval import APART, MapRetrieval, WindowRecord
 from lpn.flight.locate.words import Code, Reason
 from lpn.flight.maps import Map
 from lpn.retrieval import field_metrics
@@ -34,20 +34,6 @@ State = Literal["accepted", "refused", "not verified"]
 TrackState = State | Literal["contradicted"]
 # The truth by which a photo's ranking is graded.
 Judge = Literal["its GPS tag", "its GPS tag without its lag", "its details"]
-# Least distance between the centres of a frame's best windows, as a share of their side: overlapping windows show one place.
-APART = 0.5
-
-
-class WindowRecord(msgspec.Struct, frozen=True):
-    """A ranked window of a frame: its place and side in metres, score, heading, part cosines, and part contributions."""
-
-    x: float
-    y: float
-    size: float
-    score: float
-    heading: float
-    cosines: list[float]
-    contributions: list[float]
 
 
 class StageRecord(msgspec.Struct, frozen=True, omit_defaults=True):
@@ -178,8 +164,7 @@ class LocatedFrame:
         tag: its tag in metres of the map's frame, (2,); None without one.
         stages: answers by stage.
         windows: best windows of the retrieval.
-        likely: windows of the sequence's greatest posterior with centres at least half a side apart: x, y, and side in metres;
-            empty unless the sequence ran over the whole flight.
+        likely: windows of the sequence's greatest posterior, half a side apart; empty unless it ran over the whole flight.
         by_hand: the photo's place by a person's correction; None without one.
     """
 
@@ -187,7 +172,7 @@ class LocatedFrame:
     tag: Float64Array | None
     stages: dict[str, StageRecord] = field(default_factory=dict)
     windows: list[WindowRecord] = field(default_factory=list)
-    likely: list[tuple[float, float, float]] = field(default_factory=list)
+    likely: list[WindowRecord] = field(default_factory=list)
     by_hand: StageRecord | None = None
 
     def truth(self, camera: bool) -> Float64Array | None:
@@ -378,7 +363,8 @@ class LocatedFlight:
         """
         if self.retrieval is None:
             return {}
-        depth = min(10, len(self.retrieval.windows))
+        gallery = self.retrieval.gallery
+        depth = min(10, len(gallery.windows))
         rows: list[Float64Array] = []
         hits: list[BoolArray] = []
         apart: list[bool] = []
@@ -387,12 +373,12 @@ class LocatedFlight:
             if (truth := located.truth(False)) is None:
                 continue
             if located.likely:
-                near = np.array(located.likely)
+                near = np.array([(one.x, one.y, one.size) for one in located.likely])
                 likely.append(np.all(np.abs(near[:, :2] - truth) <= near[:, 2:] / 2, axis=1))
-            off = np.full(self.retrieval.places.shape, np.inf)
+            off = np.full(gallery.places.shape, np.inf)
             if i not in self.retrieval.broken:
-                off = self.retrieval.places - truth
-            holds = np.all(np.abs(off) <= self.retrieval.sizes[:, None] / 2, axis=1)
+                off = gallery.places - truth
+            holds = np.all(np.abs(off) <= gallery.sizes[:, None] / 2, axis=1)
             order = self.retrieval.first(i, depth)
             rows.append(np.linalg.norm(off[order], axis=1))
             hits.append(holds[order])

@@ -23,7 +23,7 @@ class LocateOptions:
         map_error: 1-sigma error of the map's places in metres, along each axis; None takes `Map.default_error`.
         sizes: sides of windows in metres; None chooses them from the flight.
         overlap: of neighbouring windows, 0 to below 1.
-        speed: of the motion model, metres a second; None takes the speed at which the flight's scores are most probable.
+        speed: of a live flight, metres a second, one standard deviation; a whole flight's is the most probable one.
     """
 
     sequence: bool = True
@@ -33,12 +33,14 @@ class LocateOptions:
     map_error: float | None = None
     sizes: tuple[float, ...] | None = None
     overlap: float = 0.75
-    speed: float | None = None
+    speed: float = 10.0
 
     def __post_init__(self) -> None:
         if self.prior is not None and not 0 < self.prior < math.inf:
             raise InputError(f"The prior is {self.prior:g} m; expected metres above 0.")
         if self.map_error is not None and not 0 <= self.map_error < math.inf:
             raise InputError(f"The map's error is {self.map_error:g} m; expected 0 or more metres.")
-        if self.speed is not None and not 0 < self.speed < math.inf:
+        if not 0 < self.speed < math.inf:
             raise InputError(f"The speed is {self.speed:g} m/s; expected metres a second above 0.")
+        if not all(0 < size < math.inf for size in self.sizes or ()):
+            raise InputError("Sides of windows must be metres above 0.")

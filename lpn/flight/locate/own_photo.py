@@ -12,9 +12,10 @@ from lpn.core.arrays import UInt8Array
 from lpn.core.progress import CountProgress
 from lpn.flight.files import Frame, ground_width
 from lpn.flight.locate.ground import MapFeatures
-from lpn.flight.locate.located import LocatedFrame, StageRecord, WindowRecord
+from lpn.flight.locate.located import LocatedFrame, StageRecord
 from lpn.flight.locate.options import LocateOptions
 from lpn.flight.locate.registered_stage import PhotoSearch, register_photo, tried_widths, with_map_error
+from lpn.flight.locate.retrieval import WindowRecord
 from lpn.flight.maps import Map, Window
 
 
@@ -71,7 +72,7 @@ def register_own_photo(
     whole_map = all(kind.holds_map(smallest) for kind in features)
     side = None
     if not whole_map and windows:
-        located.windows = [WindowRecord(one.x, one.y, one.size, 0.0, 0.0, [], []) for one in windows]
+        located.windows = [WindowRecord(one.x, one.y, one.size) for one in windows]
         side = float(np.median([one.size for one in windows]))
     plain = frame.undistorted(photo)
     search = PhotoSearch(

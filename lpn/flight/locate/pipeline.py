@@ -9,22 +9,19 @@ from pathlib import Path
 
 import numpy as np
 
-from lpn.core.arrays import Float64Array
 from lpn.core.errors import DataError, InputError
 from lpn.core.numbers import error_figure
 from lpn.flight.files import Flight
 from lpn.flight.locate.audit import audit_tags, corrected_tags
-from lpn.flight.locate.beyond import places_beyond
 from lpn.flight.locate.continuity import refuse_contradicted
 from lpn.flight.locate.corrections import Correction
-from lpn.flight.locate.index_windows import WindowIndex
 from lpn.flight.locate.located import LocatedFlight, LocatedFrame, tag_positions
 from lpn.flight.locate.map_evidence import MapEvidence, judge_map
 from lpn.flight.locate.options import TOP, LocateOptions
-from lpn.flight.locate.ranked_stages import OVERLAP, enter_retrieval, enter_sequence
+from lpn.flight.locate.ranked_stages import OVERLAP, enter_retrieval, enter_sequence, places_beyond
 from lpn.flight.locate.registered_stage import register_frames
 from lpn.flight.locate.registration import is_turned_over
-from lpn.flight.locate.retrieval import MapRetrieval, retrieve
+from lpn.flight.locate.retrieval import retrieve
 from lpn.flight.locate.shipped import ShippedAnswers
 from lpn.flight.locate.tags import enter_corrections, tags_on_map
 from lpn.flight.maps import Map
@@ -42,7 +39,7 @@ def locate(
     model: Model | None = None,
     options: LocateOptions | None = None,
     corrections: Mapping[str, Correction] | None = None,
-    indexed: WindowIndex | None = None,
+    index: str | None = None,
     shipped: Path | None = None,
 ) -> LocatedFlight:
     """Locate the frames of a flight.
@@ -53,7 +50,7 @@ def locate(
         model: for the retrieval; without one, registration searches the whole map, or around the tags with a prior.
         corrections: a person's, by the frame's name. They change no stage's answer, but are the truth of errors and audit, and
             replace registrations in the track.
-        indexed: an index of the map's windows by the model; without it, the windows of the options are described.
+        index: an index of the map's windows by the model, see `retrieve`; without it, windows are described.
         shipped: a folder of answers that ship with the flight, used if they fit, see `lpn.flight.locate.shipped`.
 
     Raises:
@@ -86,7 +83,7 @@ def locate(
     if model is not None:
         if shipped is not None:
             answers = ShippedAnswers.open(shipped, model, basemap, flight)
-        retrieval = retrieve(model, basemap, flight, options.sizes, options.overlap, True, indexed, answers)
+        retrieval = retrieve(model, basemap, flight, options.sizes, options.overlap, index=index, shipped=answers)
         notes += retrieval.notes
         if retrieval.broken:
             notes.append(
@@ -97,9 +94,8 @@ def locate(
         if options.sequence and answers is not None and len(answers.record.sequence) == len(frames):
             for frame in frames:
                 frame.stages["sequence"] = answers.record.sequence[frame.frame.name]
-            notes += answers.record.notes
         elif options.sequence:
-            notes += enter_sequence(retrieval, flight, frames, options, _beyond(retrieval, basemap))
+            enter_sequence(retrieval, flight, frames, places_beyond(basemap, retrieval.gallery))
     registrations = {} if answers is None else answers.record.registration
     located = LocatedFlight(
         flight, basemap, frames, None, notes, retrieval, registrations, tags_away=tags_away, prior=options.prior
@@ -136,9 +132,9 @@ def registered(
     notes = register_frames(
         located.basemap, located.flight, frames, options, model, located.retrieval, publish, located.shipped
     )
-    side = None if located.retrieval is None else float(np.median(located.retrieval.sizes))
+    side = None if located.retrieval is None else located.retrieval.gallery.side
     if not located.shipped:  # a shipped sequence has used these frames
-        _know_frames_on_map(located, frames, options)
+        _know_frames_on_map(located, frames)
     notes += judge_map(frames, MapEvidence(located.basemap.bounds, options.prior, side))
     answers = [frame.by_hand or frame.stages["registration"] for frame in frames]
     places = np.array(
@@ -165,26 +161,22 @@ def registered(
     )
 
 
-def _beyond(retrieval: MapRetrieval, basemap: Map) -> Float64Array:
-    return places_beyond(basemap, retrieval.places, retrieval.sizes, retrieval.overlap)
-
-
-def _know_frames_on_map(located: LocatedFlight, frames: list[LocatedFrame], options: LocateOptions) -> None:
+def _know_frames_on_map(located: LocatedFlight, frames: list[LocatedFrame]) -> None:
     """Repeat the sequence if it refuses frames, with frames that details or a person place on the map.
 
     A single photo from beyond the edge may fit an equal building, so details need a neighbour near by, see `_NEIGHBOURS`.
     """
     if located.retrieval is None:
         return
-    near = OVERLAP * float(np.median(located.retrieval.sizes))
+    near = OVERLAP * located.retrieval.gallery.side
     refused = any("sequence" in one.stages and not one.stages["sequence"].accepted for one in frames)
     answers = [one.stages["registration"] for one in frames]
     placed = {i: np.array([one.x, one.y]) for i, one in enumerate(answers) if one.accepted and one.x is not None}
     on_map = {i for i, one in enumerate(frames) if one.by_hand is not None}
     on_map |= {i for i in placed for j in _NEIGHBOURS if i + j in placed and answers[i].distance(placed[i + j]) <= near}
     if refused and on_map:
-        beyond = _beyond(located.retrieval, located.basemap)
-        enter_sequence(located.retrieval, located.flight, frames, options, beyond, on_map)
+        beyond = places_beyond(located.basemap, located.retrieval.gallery)
+        enter_sequence(located.retrieval, located.flight, frames, beyond, on_map)
 
 
 def _turn_notes(frames: list[LocatedFrame]) -> Iterator[str]:

@@ -5,200 +5,162 @@ from __future__ import annotations
 import math
 from collections.abc import Collection
 
+import cv2
 import msgspec
 import numpy as np
 
 from lpn.core.arrays import Float64Array
 from lpn.flight.files import Flight
-from lpn.flight.locate.located import APART, LocatedFrame, StageRecord, WindowRecord
-from lpn.flight.locate.options import TOP, LocateOptions
-from lpn.flight.locate.retrieval import MapRetrieval
+from lpn.flight.locate.located import LocatedFrame, StageRecord
+from lpn.flight.locate.options import TOP
+from lpn.flight.locate.retrieval import MapRetrieval, WindowGallery
 from lpn.flight.locate.sequence import (
     MotionModel,
     SequencePoint,
-    SequenceResult,
+    elapsed_seconds,
     emissions,
     fitted,
-    fitted_frames,
-    heading_evidence,
+    posteriors,
     score_units,
-    smooth,
 )
+from lpn.flight.maps import Map
 
 # A place is accepted if windows within this share of a side of it have this probability together.
 OVERLAP = 0.75
 CONFIDENCE = 0.98
 # Log odds of steps along the headings from which the map counts as of the flight's place.
 EVIDENCE = 4.0
-# Fewest steps of known time between readable frames for a note on the flight's motion.
-_LEAST_STEPS = 10
-# Least standard deviation of a step that has a direction, as a share of the distance between windows.
-_LEAST_STEP = 0.3
-
-
 # Probability of places beyond the map from which a frame counts as there.
 _LEFT = 0.5
+# A place within the map's bounds counts as beyond the map if the map shows less than this share of its window.
+_SHOWN = 0.5
 _UNREAD = "The photo cannot be read; the position is a guess of its neighbours."
-# No places beyond the map, (0, 2).
-_NOWHERE = np.zeros((0, 2))
-
-
-def best_windows(retrieval: MapRetrieval, frame: int, k: int) -> list[WindowRecord]:
-    """Return the k best windows of a frame, whose centres lie half a side apart."""
-    top = retrieval.top(frame, k, APART)
-    return [
-        WindowRecord(
-            float(retrieval.places[w, 0]),
-            float(retrieval.places[w, 1]),
-            float(retrieval.sizes[w]),
-            float(top.scores[j]),
-            float(top.headings[j]),
-            [float(value) for value in top.cosines[j]],
-            [float(value) for value in top.contributions[j]],
-        )
-        for j, w in enumerate(top.indices)
-    ]
 
 
 def enter_retrieval(retrieval: MapRetrieval, frames: list[LocatedFrame], k: int) -> None:
-    """Enter the answers of the retrieval."""
+    """Enter the answers of the retrieval, and the k best windows."""
+    gallery = retrieval.gallery
     for i, located in enumerate(frames):
         if i in retrieval.broken:
             located.stages["retrieval"] = StageRecord("refused", retrieval.broken[i])
             continue
-        located.windows = best_windows(retrieval, i, k)
-        best = located.windows[0]
-        turned = "" if len(retrieval.headings[i]) == 1 else f", turned to {best.heading:.0f} degrees"
-        margin = _margin(retrieval, i)
-        others = (
-            "no window lies apart from it"
-            if margin is None
-            else f"the margin to windows apart from it is {margin:.3f} d²"
-        )
+        located.windows = retrieval.best(i, k)
+        best, scores = located.windows[0], retrieval.scores(i)
+        turned = "" if len(retrieval.views[i].headings) == 1 else f", turned to {best.heading:.0f} degrees"
+        off = np.abs(gallery.places - (best.x, best.y)).max(axis=1)
+        apart = off >= (gallery.sizes + best.size) / 2
+        margin = f"the margin to windows apart from it is {2 * (best.score - scores[apart].max(initial=-2)):.3f} d²"
         located.stages["retrieval"] = StageRecord(
             "not verified",
-            f"The best of {len(retrieval.windows)} windows has the score {best.score:.3f}{turned}; {others}; not verified.",
+            f"The best of {len(gallery.windows)} windows has the score {best.score:.3f}{turned}; "
+            f"{margin if apart.any() else 'no window lies apart from it'}; not verified.",
             best.x,
             best.y,
             heading=best.heading,
         )
 
 
-def _margin(retrieval: MapRetrieval, frame: int) -> float | None:
-    """Return the margin in d² of the best window over the best one that does not overlap it; None without one."""
-    scores = retrieval.scores(frame)
-    best = int(scores.argmax())
-    apart = (
-        np.abs(retrieval.places - retrieval.places[best]).max(axis=1) >= (retrieval.sizes + retrieval.sizes[best]) / 2
-    )
-    return float(2 * (scores[best] - scores[apart].max())) if apart.any() else None
+def enter_sequence(
+    retrieval: MapRetrieval,
+    flight: Flight,
+    frames: list[LocatedFrame],
+    beyond: Float64Array,
+    on_map: Collection[int] = (),
+) -> None:
+    """Enter the answers of the sequence.
 
+    A frame with a heading has only this state, and each window has its best score over the tried turns. Other frames have all
+    tried headings as states. If the direction of flight does not prove that the map is of its place, answers are refused until
+    `judge_map`.
 
-def smoothed(
-    retrieval: MapRetrieval, flight: Flight, speed: float | None, beyond: Float64Array, on_map: Collection[int]
-) -> tuple[SequenceResult, MotionModel, float]:
-    """Run the sequence over windows, places `beyond` the map, (B, 2), and headings; return it, its motion, `heading_evidence`.
-
-    Frames `on_map` have no place beyond. A frame with a heading has only this state, and each window has its best score over the
-    tried turns. Other frames have all tried headings as states.
+    Args:
+        beyond: places beyond the map in metres, (B, 2), see `places_beyond`.
+        on_map: frames known to lie on the map, which have no place beyond it. With any, the places of the registration's search
+            are kept.
     """
-    best = np.stack([retrieval.scores(i) for i in range(len(flight.frames))])
-    flown = [frame.heading for frame in flight.frames]
+    gallery, times = retrieval.gallery, flight.times
+    best = np.stack([retrieval.scores(i) for i in range(len(frames))])
+    compared = np.stack([gallery.compared(views) for views in retrieval.views])
     headings = [
-        np.array([heading] if heading is not None else [math.nan] if i in retrieval.broken else retrieval.headings[i])
-        for i, heading in enumerate(flown)
+        np.array(
+            [heading]
+            if (heading := located.frame.heading) is not None
+            else [math.nan]
+            if i in retrieval.broken
+            else retrieval.views[i].headings
+        )
+        for i, located in enumerate(frames)
     ]
-    side = float(np.median(retrieval.sizes))
-    step = max(side * (1 - retrieval.overlap), 1.0)
-    compared = np.isnan(retrieval.levels)[:, None] | (retrieval.sizes == retrieval.levels[:, None])
-    units = score_units(best, MotionModel(speed or MotionModel.speed, step).steps(flight.times), side, compared)
+    elapsed = elapsed_seconds(times)
+    units = score_units(best, MotionModel(spacing=gallery.step).deviation(elapsed[1:]), gallery.side, compared)
 
     def scores(i: int) -> Float64Array:
-        return units.standardised(i, best[i][:, None] if len(headings[i]) == 1 else retrieval.scores_by_heading(i))
+        return units(i, best[i][:, None] if len(headings[i]) == 1 else retrieval.scores_by_heading(i))
 
-    motion, temperature = fitted(scores, headings, retrieval.places, flight.times, step, speed)
-    evidence = heading_evidence(scores, headings, retrieval.places, flight.times, motion, temperature)
-    near, alike = OVERLAP * side, motion.alike(flight.times, side)
+    motion, temperature, evidence = fitted(scores, headings, gallery.places, times, gallery.step)
+    # The first frame counts as alike its neighbour as the second does.
+    alike = motion.alike(np.concatenate([elapsed[1:2], elapsed[1:]]), gallery.side) if len(frames) > 1 else [0.0]
 
     def log_emissions(i: int) -> Float64Array:
-        logs = emissions(scores(i), temperature, beyond=len(beyond), alike=alike[i])
+        logs = emissions(scores(i), temperature, len(beyond), alike[i])
         if i in on_map:
-            logs[len(retrieval.places) :] = -np.inf
+            logs[len(gallery.places) :] = -np.inf
         return logs
 
-    track = smooth(
-        log_emissions,
-        headings,
-        np.concatenate([retrieval.places, beyond]),
-        flight.times,
-        motion,
-        near,
-        lambda shares: retrieval.best_apart(shares, TOP, APART),
-        len(beyond),
-    )
-    return track, motion, evidence
+    places = np.concatenate([gallery.places, beyond])
+    for i, joint in posteriors(log_emissions, headings, places, times, motion, len(beyond)):
+        point = SequencePoint.of(joint, places, headings[i], OVERLAP * gallery.side, len(beyond))
+        answer = sequence_answer(point, gallery, evidence >= EVIDENCE)
+        if i in retrieval.broken:
+            answer = msgspec.structs.replace(answer.refused("unread"), finding=_UNREAD)
+        if not on_map:
+            likely = gallery.best_apart(joint[: len(gallery.places)].sum(axis=1), TOP).tolist()
+            frames[i].likely = [gallery.record(w) for w in likely]
+        frames[i].stages["sequence"] = answer
 
 
-def sequence_answer(point: SequencePoint, side: float, spacing: float, proven: bool, finding: str = "") -> StageRecord:
+def places_beyond(basemap: Map, gallery: WindowGallery) -> Float64Array:
+    """Return places beyond the windows of a map in metres, (B, 2), on the windows' grids.
+
+    They lie up to one side away from a window, where a further window would leave the map's bounds or show less than half of its
+    ground. A drone farther away stays at the outermost places. Windows that an index has not returned are not replaced by places.
+    """
+    found = []
+    for size in gallery.levels:
+        places, step = gallery.places[gallery.sizes == size], size * (1 - gallery.overlap)
+        reach = int(size / step + 0.01)
+        cells = np.rint((places - places.min(axis=0)) / step).astype(np.int64) + reach
+        own = np.zeros(cells.max(axis=0) + reach + 1, np.uint8)
+        own[tuple(cells.T)] = 1
+        near = cv2.dilate(own, np.ones((2 * reach + 1, 2 * reach + 1), np.uint8))
+        free = (np.argwhere((near > own).T)[:, ::-1] - reach) * step + places.min(axis=0)
+        low, high = np.array(basemap.bounds[:2]) + size / 2, np.array(basemap.bounds[2:]) - size / 2
+        out = ((free < low - step / 2) | (free > high + step / 2)).any(axis=1)
+        found.append(free[out | (basemap.valid_shares(free, size) < _SHOWN)])
+    return np.concatenate(found)
+
+
+def sequence_answer(point: SequencePoint, gallery: WindowGallery, proven: bool) -> StageRecord:
     """Return the answer of the sequence for a frame.
 
     Args:
-        point: of the sequence.
-        side, spacing: of the windows, and between them, in metres.
         proven: whether the map is known to be of the flight's place; if not, the answer is refused until `judge_map`.
-        finding: about the frame.
     """
-    radius = math.hypot(point.radius, spacing / 2)
+    radius = math.hypot(point.radius, gallery.side * (1 - gallery.overlap) / 2)
     heading = None if math.isnan(point.heading) else point.heading
     x, y = point.position.tolist()
-    answer = StageRecord("accepted", finding, x, y, radius=radius, heading=heading)
+    answer = StageRecord("accepted", "", x, y, radius=radius, heading=heading)
     if point.beyond > _LEFT:
         return answer.refused("beyond", probability=_floored(point.beyond))
-    if radius > side:
-        return answer.refused("wide", radius=radius, side=side)
+    if radius > gallery.side:
+        return answer.refused("wide", radius=radius, side=gallery.side)
     if point.nearby < CONFIDENCE:
-        return answer.refused("unsure", metres=OVERLAP * side, probability=_floored(point.nearby), needed=CONFIDENCE)
+        metres, probability = OVERLAP * gallery.side, _floored(point.nearby)
+        return answer.refused("unsure", metres=metres, probability=probability, needed=CONFIDENCE)
+    answer = msgspec.structs.replace(answer, finding="The frames about it agree on this place.")
     return answer if proven else answer.refused("unproven")
 
 
 def _floored(probability: float) -> float:
     """Round a probability down to two digits, so that it never seems to reach a limit that it misses."""
     return math.floor(100 * probability) / 100
-
-
-def enter_sequence(
-    retrieval: MapRetrieval,
-    flight: Flight,
-    frames: list[LocatedFrame],
-    options: LocateOptions,
-    beyond: Float64Array = _NOWHERE,
-    on_map: Collection[int] = (),
-) -> list[str]:
-    """Enter the answers of the sequence; return sentences about it.
-
-    If the direction of flight does not prove that the map is of its place, answers are refused until `judge_map`.
-
-    Args:
-        beyond: places beyond the map in metres, (B, 2), see `places_beyond`.
-        on_map: frames known to lie on the map. With any, the places of the registration's search are kept.
-    """
-    side = float(np.median(retrieval.sizes))
-    spacing = side * (1 - retrieval.overlap)
-    track, motion, evidence = smoothed(retrieval, flight, options.speed, beyond, on_map)
-    for i, located in enumerate(frames):
-        answer = sequence_answer(track.point(i), side, spacing, evidence >= EVIDENCE, track.sentence(i))
-        if i in retrieval.broken:
-            answer = msgspec.structs.replace(answer.refused("unread"), finding=_UNREAD)
-        if not on_map:
-            located.likely = [(*retrieval.places[w].tolist(), float(retrieval.sizes[w])) for w in track.first[i]]
-        located.stages["sequence"] = answer
-    start, stop = fitted_frames(len(frames))
-    read = np.array([i not in retrieval.broken for i in range(start, stop)])
-    seconds = np.diff(flight.times[start:stop])
-    seconds = seconds[np.isfinite(seconds) & read[1:] & read[:-1]]
-    if motion.along or len(seconds) < _LEAST_STEPS or motion.speed * np.median(seconds) < _LEAST_STEP * spacing:
-        return []
-    return [
-        "The scores are more probable where the drone moves in any direction than where it flies along its headings: it flew "
-        "sideways, its headings are wrong, or the map is of another place."
-    ]

@@ -114,7 +114,7 @@ def register_frames(
     # The limit of frames is not part of the key: a frame's answer depends only on earlier frames.
     names = [one.matcher.name for one in features]
     searched = asdict(replace(options, map_error=None))
-    side = None if retrieval is None else float(np.median(retrieval.sizes))
+    side = None if retrieval is None else retrieval.gallery.side
     heights = None if basemap.elevation is None else basemap.elevation.digest()
     key = [FORMAT, _POSES, basemap.digest(), heights, names, searched, model and model.fingerprint, side]
     file = cache_folder() / "locate" / "registration" / f"{_digest([*key, flight.name])}.jsonl"

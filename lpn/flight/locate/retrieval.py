@@ -1,8 +1,9 @@
 """Retrieval over a map: windows and frames described by an LPN, and windows ranked for each frame.
 
 A frame is turned north-up, cut to a square with the ground of a window of the pyramid, and described as a drone picture; windows
-are described as satellite tiles. A frame of unknown width on the ground is compared with windows of all sizes. A frame of unknown
-or uncertain heading is described at several turns.
+are described as satellite tiles, or read from an index (`lpn index --map`). A frame of unknown width on the ground is compared
+with windows of all sizes. A frame of unknown or uncertain heading is described at several turns, unless an index holds turned
+windows.
 """
 
 from __future__ import annotations
@@ -10,25 +11,27 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import msgspec
 import numpy as np
 
-from lpn.core.arrays import Float32Array, Float64Array, Int64Array
+from lpn.core.arrays import BoolArray, Float32Array, Float64Array, Int64Array
 from lpn.core.errors import InputError, PictureError
-from lpn.core.files import cache_folder
+from lpn.core.files import cache_folder, printable
 from lpn.core.filled_cache import FilledCache
 from lpn.core.views import View
 from lpn.descriptors.cache import in_cache
-from lpn.descriptors.store import DescriptorKind, Row
+from lpn.descriptors.store import DescriptorKind, Row, Store, WindowsRecord
 from lpn.descriptors.writer import PartialStore, fill_store, write_store
 from lpn.flight.files import Flight, Frame
 from lpn.flight.files.cut import CUT, FrameReader, cut_size
-from lpn.flight.locate.index_windows import WindowIndex
-from lpn.flight.locate.map_windows import describe_windows
-from lpn.flight.maps import Map, Window
+from lpn.flight.maps import Map, NamedWindow, Window
+from lpn.flight.maps.named_window import WindowCut
+from lpn.index import Index, open_index
 from lpn.models.base import Model, normalise, whitened
 from lpn.retrieval import scoring
 
@@ -40,6 +43,8 @@ _PYRAMID = 1.4
 _SIZES = 5
 # Number of tried headings if none is certain.
 _TURNS = 8
+# Least distance between the centres of a frame's best windows, as a share of their side: overlapping windows show one place.
+APART = 0.5
 # Fewest distinct frames for centring: the mean of fewer holds their own differences. Frames of a greater cosine are alike.
 MIN_DISTINCT = 20
 ALIKE = 0.99
@@ -51,112 +56,129 @@ _OTHER_TURN = 1.5
 _SHRINKAGE = 1.0
 # Most bytes of frames' scores in memory: a sequence uses each frame's a dozen times.
 _HELD_SCORES = 1 << 26
+# Most windows of an index that are all compared with each frame: 400 MB with 4 parts of 512 numbers.
+MOST = 50_000
+# For a larger index: most compared windows for each description of a frame, and fewest for a flight of many frames.
+NEAREST, _FEWEST = 500, 20
 
 
-@dataclass(frozen=True, eq=False)
-class RankedWindows:
-    """The best windows of a map for one frame.
+class WindowRecord(msgspec.Struct, frozen=True):
+    """A ranked window of a frame: its place and side in metres, score, heading, part cosines, and part contributions."""
+
+    x: float
+    y: float
+    size: float
+    score: float = 0.0
+    heading: float = 0.0
+    cosines: list[float] = []
+    contributions: list[float] = []
+
+
+@dataclass(frozen=True)
+class FrameViews:
+    """The squares of a frame to describe.
 
     Attributes:
-        indices: windows, best first, (K,) int64.
-        scores: weighted mean cosines, (K,) float64.
-        headings: heading in degrees of each best score, (K,) float64.
-        cosines: of each part, (K, n) float32.
-        contributions: of each part to the squared distance 2 - 2 score, (K, n) float32.
+        level: the size of window that the frame is cut for; NaN if its width on the ground is unknown, so that windows of all
+            sizes are compared.
+        share: of its width that the squares show, see `lpn.flight.files.cut.cut_square`.
+        headings: of the comparison in degrees.
+        described: number of the first headings that are described; turned windows replace the others.
+        aircraft: whether the first five headings are within 20 degrees of an aircraft's.
     """
 
-    indices: Int64Array
-    scores: Float64Array
-    headings: Float64Array
-    cosines: Float32Array
-    contributions: Float32Array
+    level: float
+    share: float
+    headings: list[float]
+    described: int = 1
+    aircraft: bool = False
+
+    @classmethod
+    def of(cls, frame: Frame, sizes: Sequence[float], turns: Sequence[float] = (0.0,)) -> FrameViews:
+        """Return the squares of a frame for windows of these sizes in metres, and of these turns in degrees, from 0 on."""
+        level, share, cut = math.nan, CUT * min(1.0, frame.height / frame.width), cut_size(frame)
+        if cut is not None:
+            level = float(min(sizes, key=lambda size: abs(math.log(size / cut))))
+            share *= level / cut
+        aircraft, replaced = frame.heading_source == "aircraft", len(turns) - 1
+        others = turns[1:] if replaced else [360 / _TURNS * k for k in range(1, _TURNS)]
+        tried = [*(_AIRCRAFT_TURNS if aircraft else (0.0,)), *others]
+        if heading_is_certain(frame):
+            tried, replaced = [0.0], 0
+        headings = [((frame.heading or 0.0) + turn) % 360 for turn in tried]
+        return cls(level, share, headings, len(headings) - replaced, aircraft)
 
 
 @dataclass(frozen=True, eq=False)
-class MapRetrieval:
-    """Scores of all windows for all frames.
+class WindowGallery:
+    """The described windows of a map.
 
     Attributes:
         windows: of the map.
-        places: their centres in metres, (W, 2) float64.
-        sizes: their sides in metres, (W,) float64.
-        windows_described: (W, n, D) float32.
-        frames_described: descriptors of each frame at its headings, (headings, n, D) float32, without the last T - 1 if turned
-            windows replace these; None for an unreadable frame.
-        headings: of each frame in degrees.
-        levels: the size of window that each frame was cut for; NaN if all sizes are compared.
-        cut_shares: share of each frame's width that its square shows, see `lpn.flight.files.cut.cut_square`, (N,).
-        pixels: side of the described pictures.
-        means: the mean descriptor that was subtracted, by view, (n, D); empty without centring.
-        broken: the error of each unreadable frame.
-        notes: sentences about the description.
-        whitening: the matrix that multiplied each centred part, (n, D, D); None without whitening.
-        by_aircraft: frames whose first five headings are within 20 degrees of an aircraft's.
         overlap: share of a window's side that its neighbour also covers.
-        turned_windows: descriptors of windows at further headings, evenly turned, (T - 1, W, n, D); None unless an index has
-            them. They are compared with a frame's first description, and stand for the last T - 1 of its headings.
+        described: (W, n, D) float32.
+        turned: descriptors at further headings, evenly turned, (T - 1, W, n, D); None unless an index has them. They are
+            compared with a frame's first description, and stand for the last T - 1 of its headings.
     """
 
     windows: list[Window]
-    places: Float64Array
-    sizes: Float64Array
-    windows_described: Float32Array
-    frames_described: list[Float32Array | None]
-    headings: list[list[float]]
-    levels: Float64Array
-    cut_shares: Float64Array
-    pixels: int
-    means: dict[View, Float32Array]
-    broken: dict[int, str]
-    notes: list[str] = field(default_factory=list)
-    whitening: Float32Array | None = None
-    by_aircraft: frozenset[int] = frozenset()
-    overlap: float = 0.75
-    turned_windows: Float32Array | None = None
-    _scores: FilledCache[Float64Array] = field(
-        default_factory=lambda: FilledCache(_HELD_SCORES, lambda scores: scores.nbytes), init=False, repr=False
-    )
+    overlap: float
+    described: Float32Array
+    turned: Float32Array | None = None
 
-    def scores(self, frame: int) -> Float64Array:
-        """Return the score of each window at its best heading, (W,)."""
-        best: Float64Array = self.scores_by_heading(frame).max(axis=1)
-        return best
+    @cached_property
+    def places(self) -> Float64Array:
+        """The centres in metres, (W, 2)."""
+        return np.array([(window.x, window.y) for window in self.windows])
 
-    def scores_by_heading(self, frame: int) -> Float64Array:
-        """Return the score of each window at each of the frame's headings, (W, H); (W, 1) zeros for an unreadable frame.
+    @cached_property
+    def sizes(self) -> Float64Array:
+        """The sides in metres, (W,)."""
+        return np.array([window.size for window in self.windows])
 
-        Headings more than 20 degrees from an aircraft's lose 1.5 standard deviations of the frame's scores. Windows of other
-        sizes get the lowest best score of a window.
+    @cached_property
+    def levels(self) -> list[float]:
+        """The sides that occur, ascending."""
+        return [float(size) for size in np.unique(self.sizes)]
+
+    @cached_property
+    def side(self) -> float:
+        """The median side in metres."""
+        return float(np.median(self.sizes))
+
+    @property
+    def step(self) -> float:
+        """The metres from one window to the next, at least 1."""
+        return max(self.side * (1 - self.overlap), 1.0)
+
+    def compared(self, views: FrameViews) -> BoolArray:
+        """Tell for each window whether a frame is compared with it, (W,)."""
+        return np.asarray(math.isnan(views.level) | (self.sizes == views.level))
+
+    def scores(self, views: FrameViews, described: Float32Array | None) -> Float64Array:
+        """Return the score of each window at each of a frame's headings, (W, H); (W, 1) zeros for an unreadable frame.
+
+        Headings more than 20 degrees from an aircraft's lose 1.5 standard deviations of the frame's scores. Windows that are not
+        compared get the lowest best score of a window.
+
+        Args:
+            described: the frame at its described headings, (H, n, D); None if it is unreadable.
         """
-        return self._scores.get(frame, lambda: self._scored(frame))
-
-    def _scored(self, frame: int) -> Float64Array:
-        described = self.frames_described[frame]
         if described is None:
             return np.zeros((len(self.windows), 1))
-        flat = self.windows_described.reshape(len(self.windows), -1)
+        flat = self.described.reshape(len(self.windows), -1)
         scores = (flat @ described.reshape(len(described), -1).T).astype(np.float64)
-        if self.turned_windows is not None and len(self.headings[frame]) > len(described):
-            turned = self.turned_windows.reshape(-1, flat.shape[1]) @ described[0].reshape(-1)
+        if self.turned is not None and len(views.headings) > len(described):
+            turned = self.turned.reshape(-1, flat.shape[1]) @ described[0].reshape(-1)
             scores = np.concatenate([scores, turned.reshape(-1, len(flat)).T], axis=1)
-        if frame in self.by_aircraft:
+        if views.aircraft:
             scores[:, len(_AIRCRAFT_TURNS) :] -= _OTHER_TURN * scores.std()
-        if not np.isnan(self.levels[frame]):
-            scores[self.sizes != self.levels[frame]] = scores.max(axis=1).min()
-        scores.flags.writeable = False  # it is cached
+        if not math.isnan(views.level):
+            scores[~self.compared(views)] = scores.max(axis=1).min()
         return scores
 
-    def best_turn(self, frame: int) -> int:
-        """Return the index of the heading at which a frame's best window has its score."""
-        scores = self.scores_by_heading(frame)
-        return int(scores[scores.max(axis=1).argmax()].argmax())
-
-    def first(self, frame: int, k: int, apart: float = 0.0) -> Int64Array:
-        """Return the k best windows of a frame, best first; overlaps with better ones are at most 1 - `apart` of a side."""
-        return self.best_apart(self.scores(frame), k, apart)
-
-    def best_apart(self, values: Float64Array, k: int, apart: float = 0.0) -> Int64Array:
-        """Return the k windows of the greatest values (W,), with the overlaps of `first`."""
+    def best_apart(self, values: Float64Array, k: int, apart: float = APART) -> Int64Array:
+        """Return the k windows of the greatest values (W,), best first, whose centres lie `apart` sides from better ones."""
         order = np.argsort(-values, kind="stable")
         kept: list[int] = []
         for i in order.tolist():
@@ -167,46 +189,89 @@ class MapRetrieval:
                 break
         return np.array(kept, np.int64)
 
-    def top(self, frame: int, k: int, apart: float = 0.0) -> RankedWindows:
-        """Return the windows of `first` with the contributions of their parts."""
-        scores = self.scores_by_heading(frame)
-        values, best = scores.max(axis=1), scores.argmax(axis=1)
-        order = self.first(frame, k, apart)
-        described = self.frames_described[frame]
-        n = self.windows_described.shape[1]
-        if described is None:
-            none = np.zeros((0, n), np.float32)
-            return RankedWindows(order[:0], values[:0], values[:0], none, none)
-        cosines = np.stack([scoring.part_cosines(*self._compared(frame, best[i], i))[0] for i in order])
-        headings = np.array([self.headings[frame][best[i]] for i in order])
-        return RankedWindows(
-            order, values[order], headings, cosines, scoring.contributions(cosines, scoring.part_weights(n))
-        )
+    def best(self, views: FrameViews, described: Float32Array, scores: Float64Array, k: int) -> list[WindowRecord]:
+        """Return the k best windows of a frame by its `scores` whose centres lie half a side apart, best first."""
+        values, headings = scores.max(axis=1), scores.argmax(axis=1)
+        found = []
+        for i in self.best_apart(values, k).tolist():
+            turn = int(headings[i])
+            if turn < len(described):
+                cosines = scoring.part_cosines(described[turn], self.described[i : i + 1])[0]
+            else:
+                assert self.turned is not None
+                cosines = scoring.part_cosines(described[0], self.turned[turn - len(described), i : i + 1])[0]
+            parts = scoring.contributions(cosines[None], scoring.part_weights(len(cosines)))[0]
+            told = float(values[i]), views.headings[turn], cosines.tolist(), parts.tolist()
+            found.append(self.record(i, *told))
+        return found
 
-    def _compared(self, frame: int, heading: int, window: int) -> tuple[Float32Array, Float32Array]:
-        """Return the descriptors to compare at a frame's heading: the frame's (n, D), and the window's (1, n, D)."""
+    def record(self, window: int, *told: Any) -> WindowRecord:
+        """Return the record of a window; `told` are its fields from the score on."""
+        place = self.windows[window]
+        return WindowRecord(place.x, place.y, place.size, *told)
+
+
+@dataclass(frozen=True, eq=False)
+class MapRetrieval:
+    """Scores of all windows of a map for all frames of a flight.
+
+    Attributes:
+        gallery: the windows.
+        views: of each frame.
+        frames_described: descriptors of each frame at its described headings, (H, n, D); None for an unreadable frame.
+        pixels: side of the described pictures.
+        broken: the error of each unreadable frame.
+        means: the mean descriptor that was subtracted, by view, (n, D); empty without centring.
+        whitening: the matrix that multiplied each centred part, (n, D, D); None without whitening.
+        notes: sentences about the description.
+    """
+
+    gallery: WindowGallery
+    views: list[FrameViews]
+    frames_described: list[Float32Array | None]
+    pixels: int
+    broken: dict[int, str]
+    means: dict[View, Float32Array] = field(default_factory=dict)
+    whitening: Float32Array | None = None
+    notes: list[str] = field(default_factory=list)
+    _scores: FilledCache[Float64Array] = field(
+        default_factory=lambda: FilledCache(_HELD_SCORES, lambda scores: scores.nbytes), init=False, repr=False
+    )
+
+    def scores(self, frame: int) -> Float64Array:
+        """Return the score of each window at its best heading, (W,)."""
+        best: Float64Array = self.scores_by_heading(frame).max(axis=1)
+        return best
+
+    def scores_by_heading(self, frame: int) -> Float64Array:
+        """Return the read-only scores of a frame, (W, H), see `WindowGallery.scores`."""
+
+        def scored() -> Float64Array:
+            scores = self.gallery.scores(self.views[frame], self.frames_described[frame])
+            scores.flags.writeable = False  # it is cached
+            return scores
+
+        return self._scores.get(frame, scored)
+
+    def best_turn(self, frame: int) -> int:
+        """Return the index of the heading at which a frame's best window has its score."""
+        scores = self.scores_by_heading(frame)
+        return int(scores[scores.max(axis=1).argmax()].argmax())
+
+    def first(self, frame: int, k: int, apart: float = 0.0) -> Int64Array:
+        """Return the k best windows of a frame, see `WindowGallery.best_apart`."""
+        return self.gallery.best_apart(self.scores(frame), k, apart)
+
+    def best(self, frame: int, k: int) -> list[WindowRecord]:
+        """Return the k best windows of a readable frame, see `WindowGallery.best`."""
         described = self.frames_described[frame]
         assert described is not None
-        if heading < len(described):
-            return described[heading], self.windows_described[window : window + 1]
-        assert self.turned_windows is not None
-        return described[0], self.turned_windows[heading - len(described), window : window + 1]
+        return self.gallery.best(self.views[frame], described, self.scores_by_heading(frame), k)
 
 
 def heading_is_certain(frame: Frame) -> bool:
     """Tell whether a frame's heading is its picture's, not a course or an aircraft's."""
     return frame.heading is not None and frame.heading_source not in ("course", "aircraft")
-
-
-def tried_headings(frame: Frame, turns: Sequence[float] | None = None) -> list[float]:
-    """Return the headings of a frame in degrees: its own if certain, else 8, or 12 for an aircraft's.
-
-    Args:
-        turns: headings of turned windows, from 0 on; None if windows are north up and the frame is turned.
-    """
-    about = _AIRCRAFT_TURNS if frame.heading_source == "aircraft" else (0.0,)
-    others = tuple(360 / _TURNS * k for k in range(1, _TURNS)) if turns is None else tuple(turns[1:])
-    return [((frame.heading or 0.0) + turn) % 360 for turn in (*about, *(() if heading_is_certain(frame) else others))]
 
 
 def pyramid_sizes(basemap: Map, frames: Sequence[Frame]) -> list[float]:
@@ -221,6 +286,16 @@ def pyramid_sizes(basemap: Map, frames: Sequence[Frame]) -> list[float]:
     return [largest / _PYRAMID**i for i in reversed(range(_SIZES))]
 
 
+def windows_of(basemap: Map, sizes: Sequence[float], overlap: float) -> list[Window]:
+    """Return the windows of a map of these sides in metres, smaller ones first; InputError if none has data."""
+    windows = basemap.pyramid(sorted(sizes), overlap)
+    if not windows:
+        raise InputError(
+            f"No window of {min(sizes):.0f} m or more fits on the map {basemap.name}; give a smaller size of windows with --size."
+        )
+    return windows
+
+
 def retrieve(
     model: Model,
     basemap: Map,
@@ -228,7 +303,7 @@ def retrieve(
     sizes: Sequence[float] | None = None,
     overlap: float = 0.75,
     centre: bool = True,
-    indexed: WindowIndex | None = None,
+    index: str | None = None,
     shipped: ShippedAnswers | None = None,
 ) -> MapRetrieval:
     """Describe windows and frames, or read earlier descriptions from the user's cache.
@@ -239,38 +314,35 @@ def retrieve(
         centre: whether to subtract the mean descriptors of windows and of frames, part by part, against differences of the views
             that are new to the model, and to whiten the parts, see `whitening_of`. With fewer than 20 distinct frames neither is
             done, with a note.
-        indexed: an index of described windows, which replaces `sizes` and `overlap`.
+        index: an index of described windows, a folder or milvus://host:port/collection, which replaces `sizes` and `overlap`.
         shipped: descriptors that ship with the flight, used if they fit the windows and frames.
 
     Raises:
-        InputError: if the model lacks a view, or no window of the map has data.
+        InputError: if the model lacks a view, no window of the map has data, or the index holds none of this map.
+        StoreError: if there is no index, or it holds descriptors of another model.
     """
     query: View = "drone" if "drone" in model.views else "satellite"
     model.check_view("satellite")
-    chosen = sorted((indexed and indexed.sizes) or sizes or pyramid_sizes(basemap, flight.frames))
-    windows = [] if indexed is not None else basemap.pyramid(chosen, overlap)
-    if indexed is None and not windows:
-        raise InputError(
-            f"No window of {chosen[0]:.0f} m or more fits on the map {basemap.name}; give a smaller size of windows with --size."
-        )
-    turns = [0.0] if indexed is None else indexed.turns
-    side = max(model.input_size)
-    views = [frame_views(frame, chosen, turns) for frame in flight.frames]
-    levels, cut_shares = np.array([one.level for one in views]), np.array([one.share for one in views])
-    headings = [one.headings for one in views]
-    notes = _size_notes(flight.frames, levels)
-    tiles = None if shipped is None or indexed is not None else shipped.windows(windows, side)
-    if indexed is None and tiles is None:
+    side, record, turns = max(model.input_size), None, [0.0]
+    if index is not None:
+        with open_index(index, model.fingerprint) as opened:
+            record, held = recorded_windows(opened, basemap), opened.count()
+        if not held:
+            raise InputError("The index holds no window; fill it with lpn index --map, or leave --index out.")
+        sizes, turns = record.sizes, turns_of(record)
+    chosen = sorted(sizes or pyramid_sizes(basemap, flight.frames))
+    views = [FrameViews.of(frame, chosen, turns) for frame in flight.frames]
+    windows = [] if record is not None else windows_of(basemap, chosen, overlap)
+    notes = size_notes(flight.frames, views)
+    tiles = None if shipped is None or record is not None else shipped.windows(windows, side)
+    if record is None and tiles is None:
         tiles = described_windows(model, basemap, windows)
-    broken: dict[int, PictureError] = {}
-    if shipped is not None and (ready := shipped.frames(flight, headings, cut_shares)) is not None:
-        queries = ready
-    else:
+    queries, broken = None if shipped is None else shipped.frames(flight, views), dict[int, PictureError]()
+    if queries is None:
         queries, broken = describe_frames(model, flight.frames, views, query)
-    if indexed is not None:
-        windows, vectors, told = indexed.near(queries)
-        tiles, overlap = vectors.reshape(-1, *vectors.shape[2:]), indexed.overlap
-        notes += told
+    if record is not None and index is not None:
+        windows, tiles, told = _indexed(index, record, model, basemap, queries)
+        overlap, notes = record.overlap, notes + told
     assert tiles is not None
     owner = owners_of(views)
     bad = {int(owner[j]): str(error) for j, error in broken.items()}
@@ -291,59 +363,16 @@ def retrieve(
                 f"Descriptors were not centred by view: that needs {MIN_DISTINCT} distinct photos, and the flight has "
                 f"{distinct}."
             )
-    described_frames = [None if i in bad else queries[owner == i] for i in range(len(flight.frames))]
-    places = np.array([(window.x, window.y) for window in windows])
-    window_sizes = np.array([window.size for window in windows])
-    by_aircraft = frozenset(i for i, frame in enumerate(flight.frames) if frame.heading_source == "aircraft")
     upright, turned = tiles[: len(windows)], tiles[len(windows) :]
-    return MapRetrieval(
-        windows,
-        places,
-        window_sizes,
-        upright,
-        described_frames,
-        headings,
-        levels,
-        cut_shares,
-        side,
-        means,
-        bad,
-        notes,
-        whitening,
-        by_aircraft,
-        overlap,
-        turned.reshape(len(turns) - 1, *upright.shape) if len(turns) > 1 else None,
+    gallery = WindowGallery(
+        windows, overlap, upright, turned.reshape(len(turns) - 1, *upright.shape) if len(turns) > 1 else None
     )
-
-
-@dataclass(frozen=True)
-class FrameViews:
-    """The squares of a frame to describe.
-
-    Attributes:
-        level: the size of window that the frame is cut for; NaN if its width on the ground is unknown.
-        share: of its width that the squares show, see `lpn.flight.files.cut.cut_square`.
-        headings: of the comparison in degrees.
-        described: number of the first headings that are described; turned windows replace the others.
-    """
-
-    level: float
-    share: float
-    headings: list[float]
-    described: int
-
-
-def frame_views(frame: Frame, sizes: Sequence[float], turns: Sequence[float]) -> FrameViews:
-    """Return the squares of a frame for the comparison with windows of these sizes and turns."""
-    level, share, cut = math.nan, CUT * min(1.0, frame.height / frame.width), cut_size(frame)
-    if cut is not None:
-        level = min(sizes, key=lambda size: abs(math.log(size / cut)))
-        share *= level / cut
-    headings = tried_headings(frame, turns if len(turns) > 1 else None)
-    return FrameViews(level, share, headings, len(headings) - (0 if heading_is_certain(frame) else len(turns) - 1))
+    described = [None if i in bad else queries[owner == i] for i in range(len(views))]
+    return MapRetrieval(gallery, views, described, side, bad, means, whitening, notes)
 
 
 def owners_of(views: Sequence[FrameViews]) -> Int64Array:
+    """Return the index of the frame of each described square."""
     return np.repeat(np.arange(len(views)), [one.described for one in views])
 
 
@@ -353,7 +382,7 @@ def describe_frames(
     """Describe frames, or read earlier descriptions from the user's cache.
 
     Returns:
-        Descriptors, (J, n, D), of each frame at its described headings, and the errors of unreadable frames by their index.
+        Descriptors, (J, n, D), of each frame at its described headings, and the errors of unreadable squares by their index.
     """
     side = max(model.input_size)
     jobs = [(frames[i], one.share, heading) for i, one in enumerate(views) for heading in one.headings[: one.described]]
@@ -363,8 +392,11 @@ def describe_frames(
         frame, share, heading = jobs[job]
         return model.prepare(reader(frame.file, heading, share), view)
 
-    rows = [_frame_row(frame, heading, share) for frame, share, heading in jobs]
-    kind = DescriptorKind.of_model(model, view)
+    def row(frame: Frame, share: float, heading: float) -> Row:
+        file, size, time = frame_identity(frame)
+        return Row(f"{file} {heading!r} {share!r}", size or 0, time or 0)
+
+    kind, rows = DescriptorKind.of_model(model, view), [row(*job) for job in jobs]
     broken: dict[int, PictureError] = {}
 
     def fill(partial: PartialStore) -> None:
@@ -381,9 +413,117 @@ def described_windows(model: Model, basemap: Map, windows: list[Window]) -> Floa
         return np.array(describe_windows(model, basemap, windows, ground).float32)
 
 
-def _size_notes(frames: Sequence[Frame], levels: Float64Array) -> list[str]:
-    """Return a sentence about frames whose windows, of sides `levels` (N,), differ much from their ground."""
-    sides = [(cut, level) for frame, level in zip(frames, levels, strict=True) if (cut := cut_size(frame)) is not None]
+def describe_windows(
+    model: Model,
+    basemap: Map,
+    windows: Sequence[Window],
+    out: str | Path,
+) -> Store:
+    """Describe windows of a map, mirror included, into a store.
+
+    A window is cut when it is described, so memory holds only the batches in progress. After a kill, the next call resumes. Rows
+    of an existing store are reused while the map's files are unchanged.
+
+    Args:
+        windows: the windows, in the order of the rows.
+        out: the store's folder.
+
+    Raises:
+        PictureError: if a file of the map is damaged where a window lies.
+        InputError: if the model has no satellite view.
+        StoreError: if `out` cannot be written, or holds other descriptors.
+    """
+    model.check_view("satellite")
+    side = max(model.input_size)
+    # A row identifies its picture by name, size, and time: here the side in pixels stands for the size, and a digest of the map
+    # for the time.
+    version = int(basemap.digest()[:15], 16)
+    rows = [Row(f"{one.x!r},{one.y!r},{one.size!r},{one.heading!r}", side, version) for one in windows]
+
+    def prepare(row: int) -> Float32Array:
+        return model.prepare(WindowCut(basemap, windows[row], side)(), "satellite")
+
+    def fill(partial: PartialStore) -> None:
+        fill_store(model, partial, prepare, "satellite", "Describing windows")
+
+    return write_store(Path(out), DescriptorKind.of_model(model, "satellite"), rows, fill)
+
+
+def recorded_windows(index: Index, basemap: Map) -> WindowsRecord:
+    """Return the record of an index's windows; InputError if it was made for other tiles, or for another map."""
+    record = index.kind.windows
+    if record is None:
+        raise InputError("The index does not say which windows of which map it holds; make it with lpn index --map.")
+    if record.map != basemap.identity():
+        raise InputError(
+            f"The index holds windows of another map than {printable(basemap.name)}, or the map changed; make the index again."
+        )
+    return record
+
+
+def turns_of(record: WindowsRecord) -> list[float]:
+    """Return the headings in degrees at which an index holds each window, from 0 on."""
+    return [360 / record.turns * k for k in range(record.turns)]
+
+
+def _indexed(
+    where: str, record: WindowsRecord, model: Model, basemap: Map, described: Float32Array
+) -> tuple[list[Window], Float32Array, list[str]]:
+    """Read the windows of an index that are compared with frames.
+
+    Up to 50,000 windows are all compared. Of more, the 500 nearest to each description of a frame are, so that 10^7 windows need
+    one search for each description and bounded memory.
+
+    Args:
+        described: descriptions of frames, (Q, n, D); zeros are ignored.
+
+    Returns:
+        The windows, north up; their descriptors at each of `turns_of`, (T W, n, D) float32; and sentences about the choice.
+    """
+    notes, turns, whole = [], turns_of(record), record.count * record.turns
+    with open_index(where, model.fingerprint) as index:
+        held = index.count()
+        if whole <= MOST:
+            windows = basemap.pyramid(record.sizes, record.overlap)
+            named = NamedWindow.all_of(windows, basemap.frame)
+        else:
+            asked = described[np.abs(described).sum(axis=(1, 2)) > 0]
+            if not len(asked):
+                raise InputError(
+                    "No photo of the flight can be read, so no window of the index can be near one; check the photos."
+                )
+            wanted = min(NEAREST, max(_FEWEST, MOST // len(asked)), held, index.most or NEAREST)
+            found = dict.fromkeys(name for one in asked for name in index.search(one, None, wanted).ids)
+            parsed = [one for name in found if (one := NamedWindow.parse(name)) is not None]
+            named = list(dict.fromkeys(replace(one, heading=0.0) for one in parsed))
+            # Names round the sides, too.
+            windows = [
+                Window(one.x, one.y, min(record.sizes, key=lambda size, one=one: abs(size - one.size)))  # type: ignore[misc]
+                for one in NamedWindow.all_on(named, basemap.frame)
+            ]
+        names = [[replace(one, heading=round(turn, 2)).name for turn in turns] for one in named]
+        whole_ones = (
+            index.holds([name for of_window in names for name in of_window]).reshape(-1, len(turns)).all(axis=1)
+        )
+        chosen = np.flatnonzero(whole_ones).tolist()
+        if not chosen:
+            raise InputError("The index holds no window at all of its headings; let lpn index --map go on to its end.")
+        vectors = index.read([names[i][k] for k in range(len(turns)) for i in chosen])[0]
+    if whole > MOST:
+        notes.append(
+            f"The index holds {held:,} windows; photos were compared with the {len(vectors):,} of them that are nearest to one."
+        )
+    if held < whole:
+        notes.append(
+            f"The index holds {held:,} of {whole:,} windows of the map, and no photo is found where it holds none; let "
+            "lpn index --map go on to its end."
+        )
+    return [windows[i] for i in chosen], vectors.astype(np.float32, copy=False), notes
+
+
+def size_notes(frames: Sequence[Frame], views: Sequence[FrameViews]) -> list[str]:
+    """Return a sentence about frames whose windows differ much from their ground."""
+    sides = [(cut, one.level) for frame, one in zip(frames, views, strict=True) if (cut := cut_size(frame)) is not None]
     unfit = np.array([pair for pair in sides if abs(np.log(pair[1] / pair[0])) > np.log(_PYRAMID)]).reshape(-1, 2)
     if not len(unfit):
         return []
@@ -423,11 +563,6 @@ def frame_identity(frame: Frame) -> list[Any]:
     except OSError:
         return [str(frame.file), None, None]
     return [str(frame.file.resolve()), stat.st_size, stat.st_mtime_ns]
-
-
-def _frame_row(frame: Frame, heading: float, share: float) -> Row:
-    file, size, time = frame_identity(frame)
-    return Row(f"{file} {heading!r} {share!r}", size or 0, time or 0)
 
 
 def _cached(*key: object) -> Path:

@@ -36,14 +36,18 @@ SPEEDS = (4.0, 6.0, 9.0, 13.0, 19.0, 28.0)
 TEMPERATURES = (0.25, 0.33, 0.4, 0.5, 0.67, 1.0)
 _FIRST_TEMPERATURE = 0.4
 _FITTED = 100
+# Share of a uniform distribution in the emissions.
+_FLOOR = 1e-4
 # Tried probability of steps along the headings, beside 0, and factor between the tried speeds along them.
 ALONG, FINER = 0.9, 1.2
+# Metres of a step of unknown time, one standard deviation.
+_UNKNOWN_STEP = 60.0
 # Deviation of a step along the headings as a share of its length, by wind and varying speed.
 _ALONG_DEVIATION = 0.3
 # Shares of a step's time along the heading before it; the rest is along the heading after it.
 _LEGS = (0.0, 0.25, 0.5, 0.75, 1.0)
-# Standard deviation in degrees between a picture's heading and the nearest tried one.
-_HEADING_DEVIATION = 20.0
+# Standard deviations in degrees between a picture's heading and the nearest tried one, and of the turns in a second.
+_HEADING_DEVIATION, _TURN_RATE = 20.0, 1.0
 # Probability that a heading is independent of the one before.
 _ANY_HEADING = 0.1
 # Multiple of the usual seconds above which a step may be a pause, and the probability of a pause.
@@ -57,7 +61,7 @@ _LEAVE, _BEGIN = 1e-3, 0.1
 _JUMP = 1e-3
 # Metres within which coordinates are equal: an index's names round them to about 1 cm.
 _ONE_COORDINATE = 0.02
-# Most bytes of steps in memory: each is used several times, and equal ones are shared.
+# Most bytes of steps in memory: a flight uses each several times, and equal ones are shared.
 _HELD_STEPS = 1 << 26
 
 
@@ -72,42 +76,25 @@ class MotionModel:
     Attributes:
         speed: metres a second of a step along the headings, or one standard deviation of a step in any direction.
         spacing: metres added to the deviation of a step, because windows lie on a grid and pictures tilt.
-        unknown: metres of a step whose time is unknown.
         along: probability that a step goes along the headings, 0 .. 1.
-        turn_rate: degrees a second by which the heading changes, one standard deviation.
         usual: seconds of a usual step; infinite if no step is a pause.
         aside: degrees clockwise from the heading to the direction of a step along it.
     """
 
     speed: float = 15.0
     spacing: float = 25.0
-    unknown: float = 60.0
     along: float = 0.0
-    turn_rate: float = 1.0
     usual: float = math.inf
     aside: float = 0.0
 
-    def steps(self, times: npt.ArrayLike) -> Float64Array:
-        """Return the standard deviation in metres of each step in any direction, (T - 1,).
+    def deviation(self, elapsed: npt.ArrayLike) -> Float64Array:
+        """Return the standard deviation in metres of a step in any direction, by its seconds, NaN if unknown."""
+        seconds = np.asarray(elapsed, np.float64)
+        return np.where(np.isnan(seconds), _UNKNOWN_STEP, np.hypot(self.speed * seconds, self.spacing))
 
-        Args:
-            times: seconds, (T,), NaN where unknown.
-        """
-        elapsed = np.abs(np.diff(np.asarray(times, np.float64)))
-        return np.where(np.isnan(elapsed), self.unknown, np.hypot(self.speed * elapsed, self.spacing))
-
-    def alike(self, times: npt.ArrayLike, side: float) -> Float64Array:
-        """Return the share of a window's side that each frame has in common with the last one, (T,); 0 where unknown.
-
-        The first frame has the share of the second.
-
-        Args:
-            times: seconds, (T,), NaN where unknown.
-            side: of a window in metres.
-        """
-        elapsed = np.abs(np.diff(np.asarray(times, np.float64)))
-        elapsed = np.concatenate([elapsed[:1] if len(elapsed) else [math.nan], elapsed])
-        return np.nan_to_num(np.clip(1 - self.speed * elapsed / side, 0, 1))
+    def alike(self, elapsed: npt.ArrayLike, side: float) -> Float64Array:
+        """Return the share of a window's side in metres that frames have in common after a step; 0 if its time is unknown."""
+        return np.nan_to_num(np.clip(1 - self.speed * np.asarray(elapsed, np.float64) / side, 0, 1))
 
     def turns(self, elapsed: float, before: Float64Array, after: Float64Array) -> Float64Array:
         """Return the probability of each heading after a step, (K, M), in rows of 1.
@@ -117,7 +104,7 @@ class MotionModel:
             before, after: headings in degrees, (K,) and (M,), NaN if unknown.
         """
         change = wrap_degrees(after - before[:, None])
-        deviation = np.hypot(_HEADING_DEVIATION, self.turn_rate * elapsed)
+        deviation = np.hypot(_HEADING_DEVIATION, _TURN_RATE * elapsed)
         if np.isnan(change).any() or np.isnan(deviation):
             return np.full(change.shape, 1 / len(after))
         likely = sum(np.exp(-((change + turn) ** 2) / (2 * deviation**2)) for turn in (-360, 0, 360))
@@ -127,112 +114,56 @@ class MotionModel:
         return cast(Float64Array, (1 - _ANY_HEADING) * shares + _ANY_HEADING / len(after))
 
 
-@dataclass(frozen=True, eq=False)
-class SequenceResult:
-    """A flight as a track over the windows.
-
-    Attributes:
-        positions: mean of each frame's posterior near its likeliest window in metres, (T, 2) float64.
-        radii: 1-sigma radius in metres of each posterior, all windows included, about that position, (T,) float64.
-        likeliest: window of the greatest posterior, all headings together, (T,) int64.
-        first: windows chosen by `keep` of `smooth` from each posterior, all headings together; of each frame (K,) int64.
-        headings: the likeliest heading in that window in degrees, (T,) float64; NaN where unknown.
-        nearby: posterior of all places near the position, (T,) float64.
-        beyond: posterior of all places beyond the map that are not near the position, (T,) float64.
-        own: window of each frame's best score, (T,) int64.
-        moved: metres from that window to `positions`, (T,) float64.
-    """
-
-    positions: Float64Array
-    radii: Float64Array
-    likeliest: Int64Array
-    first: list[Int64Array]
-    headings: Float64Array
-    nearby: Float64Array
-    beyond: Float64Array
-    own: Int64Array
-    moved: Float64Array
-
-    def point(self, frame: int) -> SequencePoint:
-        """Return the position of a frame."""
-        values = self.radii, self.headings, self.nearby, self.beyond
-        return SequencePoint(self.positions[frame], *(float(of_frames[frame]) for of_frames in values))
-
-    def sentence(self, frame: int) -> str:
-        """A sentence on the distance from the frame's own answer, for accepted and refused places alike."""
-        moved = self.moved[frame]
-        if self.likeliest[frame] == self.own[frame]:
-            return "The picture's own answer is the same place."
-        return f"It was moved by {moved:.0f} m from the picture's own answer, outvoted by its neighbours."
-
-
-@dataclass(frozen=True, eq=False)
-class ScoreUnits:
-    """The units of the scores of frames and windows; see `score_units`.
-
-    Attributes:
-        means: of each frame, (T,).
-        scales: factors of scores after the mean is subtracted, (T, N).
-        compared: scores that count, (T, N).
-        least: the value of the others, (T,).
-    """
-
-    means: Float64Array
-    scales: Float64Array
-    compared: BoolArray
-    least: Float64Array
-
-    def standardised(self, frame: int, scores: Float64Array) -> Float64Array:
-        """Return scores of one frame, (N, K), in these units."""
-        values = (scores - self.means[frame]) * self.scales[frame, :, None]
-        return cast(Float64Array, np.where(self.compared[frame, :, None], values, self.least[frame]))
+def elapsed_seconds(times: npt.ArrayLike) -> Float64Array:
+    """Return the seconds of each frame since the one before, (T,), by their times; NaN where unknown, and for the first."""
+    return np.abs(np.diff(np.asarray(times, np.float64), prepend=math.nan))
 
 
 def score_units(
-    scores: npt.ArrayLike, steps: Float64Array, side: float, compared: BoolArray | None = None
-) -> ScoreUnits:
-    """Return the units of scores, by the usual scores of each frame and window.
+    scores: npt.ArrayLike, deviations: Float64Array, side: float, compared: BoolArray
+) -> Callable[[int, Float64Array], Float64Array]:
+    """Return a function that converts scores of a frame, (N, K), to units of its usual scores, and of each window's.
 
     Each frame's scores get mean 0 and variance 1, or become 0 if they are all equal. Each score is then divided by the root mean
     square of its window's scores from frames of other places and from 30 more frames of unit score.
 
     Args:
         scores: (T, N), at each window's best heading.
-        steps: standard deviation of each step in metres, (T - 1,). Frames are of other places if the standard deviation of the
-            motion between them exceeds `side`.
+        deviations: of the step to each frame but the first, in metres, (T - 1,). Frames are of other places if the standard
+            deviation of the motion between them exceeds `side`.
         side: of a window in metres.
-        compared: scores that count, (T, N); the others get their frame's least score. None for all.
+        compared: scores that count, (T, N); the others get their frame's least score.
     """
     values = np.array(scores, np.float64)
-    counted = np.ones(values.shape, bool) if compared is None else compared
-    number = np.maximum(counted.sum(axis=1, keepdims=True), 1)
-    means = values.sum(axis=1, keepdims=True, where=counted) / number
+    number = np.maximum(compared.sum(axis=1, keepdims=True), 1)
+    means = values.sum(axis=1, keepdims=True, where=compared) / number
     values -= means
-    deviation = np.sqrt((values**2).sum(axis=1, keepdims=True, where=counted) / number)
+    deviation = np.sqrt((values**2).sum(axis=1, keepdims=True, where=compared) / number)
     varied = deviation > 1e-9
     scales = np.where(varied, 1 / np.where(varied, deviation, 1), 0)
-    values = np.where(counted, values * scales, 0)
+    values = np.where(compared, values * scales, 0)
     squares, frames = (
         np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(of_frame, axis=0)])
-        for of_frame in (values**2, (counted & varied).astype(np.float64))
+        for of_frame in (values**2, (compared & varied).astype(np.float64))
     )
-    variance = np.concatenate([[0.0], np.cumsum(np.square(steps))])
+    variance = np.concatenate([[0.0], np.cumsum(np.square(deviations))])
     near = np.searchsorted(variance, [variance - side**2, np.nextafter(variance + side**2, np.inf)], "left")
     first, last = np.minimum(near[0], np.arange(len(values))), np.maximum(near[1], np.arange(len(values)) + 1)
     mean_square = (squares[-1] - squares[last] + squares[first] + PRIOR_FRAMES) / (
         frames[-1] - frames[last] + frames[first] + PRIOR_FRAMES
     )
     units = np.sqrt(mean_square)
-    least = np.min(values / units, axis=1, where=counted, initial=0.0)
-    return ScoreUnits(means[:, 0], scales / units, counted, least)
+    least, factors = np.min(values / units, axis=1, where=compared, initial=0.0), scales / units
+
+    def standardised(frame: int, scores: Float64Array) -> Float64Array:
+        in_units = (scores - means[frame]) * factors[frame, :, None]
+        return cast(Float64Array, np.where(compared[frame, :, None], in_units, least[frame]))
+
+    return standardised
 
 
 def emissions(
-    scores: Float64Array,
-    temperature: float = _FIRST_TEMPERATURE,
-    floor: float = 1e-4,
-    beyond: int = 0,
-    alike: float = 0.0,
+    scores: Float64Array, temperature: float = _FIRST_TEMPERATURE, beyond: int = 0, alike: float = 0.0
 ) -> Float64Array:
     """Return log emissions of one frame: log of (softmax of score / temperature + floor / (N K)), normalised.
 
@@ -242,7 +173,6 @@ def emissions(
     Args:
         scores: of windows at headings, (N, K).
         temperature: of the softmax, in units of the score, see `score_units`.
-        floor: share of a uniform distribution, 0 .. 1.
         beyond: number of places beyond the map, B.
         alike: share of the ground in common with the last frame, 0 .. 1, see `MotionModel.alike`.
 
@@ -252,73 +182,20 @@ def emissions(
     values = np.asarray(scores, np.float64)
     shares = np.exp((values - values.max()) / temperature)
     shares /= shares.sum()
-    with np.errstate(divide="ignore"):
-        logs = np.log((1 - floor) * shares + floor / values.size)
+    logs = np.log((1 - _FLOOR) * shares + _FLOOR / values.size)
     more = _ALIKE * alike if np.ptp(values) > 0 else 0.0
     return np.concatenate([logs, np.full((beyond, values.shape[1]), more - math.log(values.size))])
 
 
-def smooth(
-    log_emissions: OfFrame,
-    headings: Sequence[Float64Array],
-    places: Float64Array,
-    times: npt.ArrayLike,
-    motion: MotionModel,
-    near: float = math.inf,
-    keep: Callable[[Float64Array], Int64Array] = lambda shares: np.array([shares.argmax()]),
-    beyond: int = 0,
-) -> SequenceResult:
-    """Run forward-backward; memory is O(sqrt(T) N K).
-
-    Args:
-        log_emissions: of each frame, (N + B, K), see `emissions`.
-        headings: of each frame in degrees, (K,); a single NaN if unknown.
-        places: centres of the windows, then places beyond the map, in metres, (N + B, 2). Fewer distinct x and y take less time.
-        times: seconds, (T,), NaN where unknown.
-        near: metres around the likeliest window within which windows contribute to a frame's position, so that it does not lie
-            between two places; also the radius of `SequenceResult.nearby`.
-        keep: chooses the windows of `SequenceResult.first` by a posterior (N,); by default the likeliest one.
-        beyond: number of places beyond the map, B, which are never a frame's position.
-    """
-    chain = _Chain(log_emissions, _Steps(headings, places, times, motion, beyond))
-    frames, states = len(headings), len(places)
-    windows = states - beyond
-    positions, radii, nearby, outside, found_headings = (
-        np.empty((frames, 2)),
-        *(np.empty(frames) for _ in range(4)),
-    )
-    likeliest, own = np.empty(frames, np.int64), np.empty(frames, np.int64)
-    first: list[Int64Array] = []
-    behind = np.ones((states, len(headings[-1])))
-    for t, forward in _backwards(lambda t, before: chain.forward(t, before)[0], frames):
-        if t < frames - 1:
-            behind = chain.step(t).pull(behind * chain.emission(t + 1)[0])
-            behind /= behind.max()
-        joint = forward * behind
-        joint /= joint.sum()
-        shares = joint[:windows].sum(axis=1)
-        likeliest[t] = shares.argmax()
-        first.append(keep(shares))
-        point = _point(joint, places, headings[t], near, beyond)
-        positions[t], radii[t], found_headings[t], nearby[t], outside[t] = point
-        own[t] = log_emissions(t)[:windows].max(axis=1).argmax()
-    return SequenceResult(
-        positions,
-        radii,
-        likeliest,
-        first[::-1],
-        found_headings,
-        nearby,
-        outside,
-        own,
-        np.linalg.norm(positions - places[own], axis=1),
-    )
-
-
 class SequencePoint(NamedTuple):
-    """A frame's position in metres, (2,), its 1-sigma radius, heading, and the probabilities nearby and beyond the map.
+    """A frame's place by a distribution over windows, places beyond the map, and headings.
 
-    See `SequenceResult`.
+    Attributes:
+        position: mean of the distribution near the likeliest window in metres, (2,).
+        radius: 1-sigma radius in metres of the whole distribution about that position.
+        heading: the likeliest heading in that window in degrees; NaN if unknown.
+        nearby: probability of all places near the position.
+        beyond: probability of all places beyond the map that are not near the position.
     """
 
     position: Float64Array
@@ -327,239 +204,169 @@ class SequencePoint(NamedTuple):
     nearby: float
     beyond: float
 
+    @classmethod
+    def of(
+        cls, joint: Float64Array, places: Float64Array, headings: Float64Array, near: float, beyond: int = 0
+    ) -> SequencePoint:
+        """Return the place by a distribution, (N + B, K).
 
-def _point(
-    joint: Float64Array, places: Float64Array, headings: Float64Array, near: float, beyond: int
-) -> SequencePoint:
-    """Return the position of a distribution (N + B, K) over windows, B places beyond the map, and headings."""
-    shares, windows = joint.sum(axis=1), len(places) - beyond
-    best = shares[:windows].argmax()
-    kept = np.flatnonzero(((places[:windows] - places[best]) ** 2).sum(axis=1) <= near**2)
-    position = shares[kept] @ places[kept] / shares[kept].sum()
-    squared = ((places - position) ** 2).sum(axis=1)
-    is_near = squared <= near**2
-    return SequencePoint(
-        position,
-        float(np.sqrt(shares @ squared / 2)),
-        float(headings[joint[best].argmax()]),
-        float(shares[is_near].sum()),
-        float(shares[windows:][~is_near[windows:]].sum()),
-    )
+        Args:
+            places: centres of the windows, then B places beyond the map, in metres, (N + B, 2).
+            headings: in degrees, (K,).
+            near: metres around the likeliest window within which windows contribute to the position, so that it does not lie
+                between two places; also the radius of `nearby`.
+            beyond: number of places beyond the map, B, which are never the position.
+        """
+        shares, windows = joint.sum(axis=1), len(places) - beyond
+        best = shares[:windows].argmax()
+        kept = np.flatnonzero(((places[:windows] - places[best]) ** 2).sum(axis=1) <= near**2)
+        position = shares[kept] @ places[kept] / shares[kept].sum()
+        squared = ((places - position) ** 2).sum(axis=1)
+        is_near = squared <= near**2
+        return cls(
+            position,
+            float(np.sqrt(shares @ squared / 2)),
+            float(headings[joint[best].argmax()]),
+            float(shares[is_near].sum()),
+            float(shares[windows:][~is_near[windows:]].sum()),
+        )
 
 
 class ForwardFilter:
-    """The forward half of forward-backward, frame by frame, for a flight in progress.
+    """A belief over places and headings, which goes from frame to frame: the forward half of forward-backward.
 
     Args:
-        places: centres of the windows, then places beyond the map, in metres, (N + B, 2).
+        places: centres of the windows, then places beyond the map, in metres, (N + B, 2). Fewer distinct x and y take less time.
         motion: of the flight.
         beyond: number of places beyond the map, B.
+        held: most bytes of steps that are kept, because equal ones follow.
 
     Attributes:
         belief: probability of each place at each heading, (N + B, K), by all likelihoods so far; None before the first frame.
         headings: of the belief in degrees, (K,); a single NaN if unknown.
     """
 
-    def __init__(self, places: Float64Array, motion: MotionModel, beyond: int = 0) -> None:
-        self._places, self._motion, self._grid, self._beyond = places, motion, _Grid(places, beyond), beyond
+    def __init__(self, places: Float64Array, motion: MotionModel, beyond: int = 0, held: int = 0) -> None:
+        self._motion, self._grid = motion, _Grid(places, beyond)
+        self._held = FilledCache[_Step](held, lambda step: step.nbytes)
         self.belief: Float64Array | None = None
         self.headings = np.array([math.nan])
 
-    def predict(self, elapsed: float, headings: Float64Array) -> None:
-        """Move the belief to the next frame.
+    def step(self, elapsed: float, before: Float64Array, after: Float64Array) -> _Step:
+        """Return the step of some seconds, NaN if unknown, from headings before it to those after it."""
+        key = elapsed, before.tobytes(), after.tobytes()
+        return self._held.get(key, lambda: _Step(self._grid, self._motion, elapsed, before, after))
 
-        Args:
-            elapsed: seconds since the frame before, NaN if unknown.
-            headings: of the next frame, (K,); a single NaN if unknown.
-        """
+    def predict(self, elapsed: float, headings: Float64Array) -> None:
+        """Move the belief to the next frame, after some seconds, NaN if unknown, and at its headings, (K,)."""
         if self.belief is None:
             self.belief = self._grid.start(len(headings))
         else:
-            deviation = float(self._motion.steps([0.0, elapsed])[0])
-            step = _Step(self._grid, self._motion, abs(elapsed), deviation, self.headings, headings)
-            self.belief = step.push(self.belief)
+            self.belief = self.step(elapsed, self.headings, headings).push(self.belief)
         self.headings = headings
 
-    def weigh(self, log_likelihoods: Float64Array) -> None:
-        """Multiply the belief by likelihoods, whose logs are (N + B, K) or (N + B, 1), and normalise it."""
+    def weigh(self, log_likelihoods: Float64Array) -> float:
+        """Multiply the belief by likelihoods, whose logs are (N + B, K) or (N + B, 1); return the log of their mean."""
         assert self.belief is not None
-        joint = self.belief * np.exp(log_likelihoods - log_likelihoods.max())
-        self.belief = joint / joint.sum()
-
-    def point(self, near: float) -> SequencePoint:
-        """Return the drone's position; for `near` see `smooth`."""
-        assert self.belief is not None
-        return _point(self.belief, self._places, self.headings, near, self._beyond)
+        peak = float(log_likelihoods.max())
+        joint = self.belief * np.exp(log_likelihoods - peak)
+        mass = float(joint.sum())
+        self.belief = joint / mass
+        return math.log(mass) + peak
 
 
-def fitted_frames(count: int) -> tuple[int, int]:
-    """Return the range of frames that a flight's motion is fitted to: the first, and the one after the last."""
-    start = max(count - _FITTED, 0) // 2
-    return start, min(start + _FITTED, count)
-
-
-def fitted(
-    scores: OfFrame,
+def posteriors(
+    log_emissions: OfFrame,
     headings: Sequence[Float64Array],
     places: Float64Array,
     times: npt.ArrayLike,
-    spacing: float,
-    speed: float | None = None,
-) -> tuple[MotionModel, float]:
-    """Return the motion model and the temperature at which scores are most probable.
+    motion: MotionModel,
+    beyond: int = 0,
+) -> Iterator[tuple[int, Float64Array]]:
+    """Run forward-backward, and yield each frame and its posterior (N + B, K), from the last frame to the first.
+
+    Every sqrt(T)-th forward distribution is stored, and the others are computed again, so memory is O(sqrt(T) N K).
+
+    Args:
+        log_emissions: of each frame, (N + B, K), see `emissions`.
+        headings: of each frame in degrees, (K,); a single NaN if unknown.
+        places, motion, beyond: see `ForwardFilter`.
+        times: seconds, (T,), NaN where unknown.
+    """
+    forward, elapsed, frames = ForwardFilter(places, motion, beyond, _HELD_STEPS), elapsed_seconds(times), len(headings)
+
+    def advanced(t: int) -> Float64Array:
+        forward.predict(float(elapsed[t]), headings[t])
+        forward.weigh(log_emissions(t))
+        assert forward.belief is not None
+        return forward.belief
+
+    stride = math.isqrt(frames - 1) + 1
+    stored = [belief for t in range(frames) for belief in [advanced(t)] if t % stride == 0]
+    behind = np.ones((len(places), len(headings[-1])))
+    for start in reversed(range(0, frames, stride)):
+        forward.belief, forward.headings = stored[-1], headings[start]
+        block = [stored.pop(), *(advanced(t) for t in range(start + 1, min(start + stride, frames)))]
+        for t in reversed(range(start, start + len(block))):
+            if t < frames - 1:
+                logs = log_emissions(t + 1)
+                step = forward.step(float(elapsed[t + 1]), headings[t], headings[t + 1])
+                behind = step.pull(behind * np.exp(logs - logs.max()))
+                behind /= behind.max()
+            joint = block.pop() * behind
+            yield t, joint / joint.sum()
+
+
+def fitted(
+    scores: OfFrame, headings: Sequence[Float64Array], places: Float64Array, times: npt.ArrayLike, spacing: float
+) -> tuple[MotionModel, float, float]:
+    """Return the motion model and the temperature at which scores are most probable, and the evidence of the headings.
 
     The trials use the 100 frames in the middle of the flight. The first are speeds in any direction and along the headings, at
     the temperature 0.4. Then come half of the spacing, speeds beside the best one for a motion along the headings, and
     temperatures.
 
+    The evidence is the log odds of steps along the headings against the likeliest of steps backwards and at right angles; 0 if
+    steps go in any direction. Over a map of another place, scores do not depend on the direction of flight, so one direction is
+    seldom much more probable than the others.
+
     Args:
-        scores: of each frame, (N, K), see `ScoreUnits`.
-        headings, places, times: see `smooth`; without places beyond the map.
+        scores: of each frame, (N, K), see `score_units`.
+        headings, places, times: see `posteriors`; without places beyond the map.
         spacing: largest one of the motion model in metres.
-        speed: metres a second, if known.
     """
-    elapsed = np.abs(np.diff(np.asarray(times, np.float64)))
-    elapsed = elapsed[elapsed > 0]
-    usual = float(np.median(elapsed)) if len(elapsed) else math.inf
-    headed = any(not np.isnan(of_frame).any() for of_frame in headings[slice(*fitted_frames(len(headings)))])
-    likelihood = _likelihood(scores, headings, places, times)
-    speeds = SPEEDS if speed is None else (speed,)
-    motions = [
-        MotionModel(one, spacing, along=along, usual=usual)
-        for along in ((0.0, ALONG) if headed else (0.0,))
-        for one in speeds
-    ]
-    likelihoods = {motion: likelihood(motion, _FIRST_TEMPERATURE) for motion in motions}
-    motion = max(likelihoods, key=likelihoods.__getitem__)
-    factors = (1 / FINER, 1.0, FINER) if motion.along and speed is None else (1.0,)
-    finer = [
-        replace(motion, speed=motion.speed * by, spacing=each) for by in factors for each in (spacing, spacing / 2)
-    ]
-    likelihoods |= {one: likelihood(one, _FIRST_TEMPERATURE) for one in finer if one not in likelihoods}
-    motion = max(likelihoods, key=likelihoods.__getitem__)
-    return motion, max(TEMPERATURES, key=lambda one: likelihood(motion, one))
-
-
-def heading_evidence(
-    scores: OfFrame,
-    headings: Sequence[Float64Array],
-    places: Float64Array,
-    times: npt.ArrayLike,
-    motion: MotionModel,
-    temperature: float,
-) -> float:
-    """Return the log odds of steps along the headings against the likeliest of steps backwards and at right angles.
-
-    Over a map of another place, scores do not depend on the direction of flight, so one direction is seldom much more probable
-    than the others. The frames of `fitted_frames` are used.
-
-    Args:
-        scores, headings, places, times: see `fitted`.
-        motion, temperature: results of `fitted`. The log odds are 0 if steps go in any direction.
-    """
-    if not motion.along:
-        return 0.0
-    likelihood = _likelihood(scores, headings, places, times)
-    aside = max(likelihood(replace(motion, aside=turn), temperature) for turn in (90.0, 180.0, 270.0))
-    return likelihood(motion, temperature) - aside
-
-
-def _likelihood(
-    scores: OfFrame, headings: Sequence[Float64Array], places: Float64Array, times: npt.ArrayLike
-) -> Callable[[MotionModel, float], float]:
-    start, stop = fitted_frames(len(headings))
-    chosen = [scores(t) for t in range(start, stop)]
-    seconds = np.asarray(times, np.float64)[start:stop]
+    start = max(len(headings) - _FITTED, 0) // 2
+    chosen = range(start, min(start + _FITTED, len(headings)))
+    of_frames, elapsed = [scores(t) for t in chosen], elapsed_seconds(times)
 
     @lru_cache(1)  # the temperatures of one motion are compared in a row
-    def steps(motion: MotionModel) -> _Steps:
-        return _Steps(headings[start:stop], places, seconds, motion)
+    def forward(motion: MotionModel) -> ForwardFilter:
+        return ForwardFilter(places, motion, held=_HELD_STEPS)
 
     @cache
-    def likelihood(motion: MotionModel, temperature: float) -> float:
-        chain = _Chain(lambda t: emissions(chosen[t], temperature), steps(motion))
-        total, forward = 0.0, None
-        for t in range(stop - start):
-            forward, gained = chain.forward(t, forward)
-            total += gained
+    def likelihood(motion: MotionModel, temperature: float = _FIRST_TEMPERATURE) -> float:
+        belief, total = forward(motion), 0.0
+        belief.belief = None
+        for t, of_frame in zip(chosen, of_frames, strict=True):
+            belief.predict(float(elapsed[t]), headings[t])
+            total += belief.weigh(emissions(of_frame, temperature))
         return total
 
-    return likelihood
-
-
-class _Steps:
-    """The steps between the frames of a flight, equal ones computed once; `headings` are of each frame in degrees, (K,)."""
-
-    def __init__(
-        self,
-        headings: Sequence[Float64Array],
-        places: Float64Array,
-        times: npt.ArrayLike,
-        motion: MotionModel,
-        beyond: int = 0,
-    ) -> None:
-        seconds = np.asarray(times, np.float64)
-        self.headings, self._motion = headings, motion
-        self._elapsed, self._deviations = np.abs(np.diff(seconds)), motion.steps(seconds)
-        self._grid = _Grid(places, beyond)
-        self._held = FilledCache[_Step](_HELD_STEPS, lambda step: step.nbytes)
-
-    def start(self, headings: int) -> Float64Array:
-        return self._grid.start(headings)
-
-    def __getitem__(self, t: int) -> _Step:
-        before, after = self.headings[t : t + 2]
-        elapsed, deviation = float(self._elapsed[t]), float(self._deviations[t])
-        return self._held.get(
-            (elapsed, deviation, before.tobytes(), after.tobytes()),
-            lambda: _Step(self._grid, self._motion, elapsed, deviation, before, after),
-        )
-
-
-class _Chain:
-    """The hidden Markov model of a flight: its emissions, and the steps between its frames."""
-
-    def __init__(self, log_emissions: OfFrame, steps: _Steps) -> None:
-        self._log_emissions, self._steps = log_emissions, steps
-
-    def step(self, t: int) -> _Step:
-        return self._steps[t]
-
-    def emission(self, t: int) -> tuple[Float64Array, float]:
-        """Return a frame's emissions over the greatest one, (N, K), and the log of that."""
-        logs = self._log_emissions(t)
-        peak = float(logs.max())
-        return np.exp(logs - peak), peak
-
-    def forward(self, t: int, before: Float64Array | None) -> tuple[Float64Array, float]:
-        """Return a frame's distribution (N, K) given the scores up to it, from the one `before`, and its log likelihood."""
-        emitted, peak = self.emission(t)
-        prior = self._steps.start(emitted.shape[1]) if before is None else self.step(t - 1).push(before)
-        joint = prior * emitted
-        mass = float(joint.sum())
-        return joint / mass, math.log(mass) + peak
-
-
-def _backwards(
-    ahead: Callable[[int, Float64Array | None], Float64Array], frames: int
-) -> Iterator[tuple[int, Float64Array]]:
-    """Yield each frame and its value from the last to the first; `ahead` computes a value from the one before.
-
-    Only every sqrt(T)-th value is stored; the others are computed again.
-    """
-    stride = math.isqrt(frames - 1) + 1
-    kept: list[Float64Array] = []
-    value = None
-    for t in range(frames):
-        value = ahead(t, value)
-        if t % stride == 0:
-            kept.append(value)
-    for start in reversed(range(0, frames, stride)):
-        block = [kept.pop()]
-        for t in range(start + 1, min(start + stride, frames)):
-            block.append(ahead(t, block[-1]))
-        while block:
-            yield start + len(block) - 1, block.pop()
+    known = elapsed[elapsed > 0]
+    usual = float(np.median(known)) if len(known) else math.inf
+    headed = any(not np.isnan(headings[t]).any() for t in chosen)
+    tried = [MotionModel(one, spacing, along, usual) for along in (0.0, ALONG)[: 1 + headed] for one in SPEEDS]
+    motion = max(tried, key=likelihood)
+    factors = (1 / FINER, 1.0, FINER) if motion.along else (1.0,)
+    tried += [
+        replace(motion, speed=motion.speed * by, spacing=each) for by in factors for each in (spacing, spacing / 2)
+    ]
+    motion = max(tried, key=likelihood)
+    temperature = max(TEMPERATURES, key=lambda one: likelihood(motion, one))
+    if not motion.along:
+        return motion, temperature, 0.0
+    aside = max(likelihood(replace(motion, aside=turn), temperature) for turn in (90.0, 180.0, 270.0))
+    return motion, temperature, likelihood(motion, temperature) - aside
 
 
 def merged_coordinates(values: Float64Array) -> tuple[Float64Array, Int64Array]:
@@ -622,12 +429,11 @@ class _Step:
         grid: _Grid,
         motion: MotionModel,
         elapsed: float,
-        deviation: float,
         before: Float64Array,
         after: Float64Array,
     ) -> None:
         self._grid, self._turns = grid, motion.turns(elapsed, before, after)
-        self._count = len(after)
+        deviation = float(motion.deviation(elapsed))
         means, deviations, weights = np.zeros((1, 1, 2)), np.array([deviation]), np.ones(1)
         if motion.along and not np.isnan(elapsed) and not np.isnan(before).any():
             drifts = motion.speed * elapsed * _legs(before + motion.aside, after + motion.aside)

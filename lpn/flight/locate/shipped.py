@@ -17,12 +17,13 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from lpn.core.arrays import Float32Array, Float64Array
+from lpn.core.arrays import Float32Array
 from lpn.core.errors import StoreError
 from lpn.descriptors.store import Row, open_store
 from lpn.flight.files import Flight
 from lpn.flight.locate.located import StageRecord
 from lpn.flight.locate.registered_stage import FORMAT as REGISTERED
+from lpn.flight.locate.retrieval import FrameViews
 from lpn.flight.maps import Map, Window
 from lpn.models.base import Model
 
@@ -43,7 +44,6 @@ class ShippedRecord(msgspec.Struct, frozen=True):
         fingerprint: of the model.
         map, photos: their files.
         registration, sequence: answers by the frame's name; registrations exclude the map's own error.
-        notes: sentences about the sequence.
     """
 
     format: str
@@ -53,7 +53,6 @@ class ShippedRecord(msgspec.Struct, frozen=True):
     photos: Files
     registration: dict[str, StageRecord] = {}
     sequence: dict[str, StageRecord] = {}
-    notes: list[str] = []
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,11 +81,9 @@ class ShippedAnswers:
         """Return descriptors (N, n, D) of windows, see `window_rows`; None if shipped ones do not fit, or are damaged."""
         return self._descriptors(WINDOWS, window_rows(windows, side))
 
-    def frames(
-        self, flight: Flight, headings: Sequence[Sequence[float]], cut_shares: Float64Array
-    ) -> Float32Array | None:
+    def frames(self, flight: Flight, views: Sequence[FrameViews]) -> Float32Array | None:
         """Return descriptors (N, n, D) of frames, see `frame_rows`; None if shipped ones do not fit, or are damaged."""
-        return self._descriptors(FRAMES, frame_rows(flight, headings, cut_shares))
+        return self._descriptors(FRAMES, frame_rows(flight, views))
 
     def _descriptors(self, name: str, rows: Sequence[Row]) -> Float32Array | None:
         try:
@@ -110,12 +107,12 @@ def window_rows(windows: Sequence[Window], side: int) -> list[Row]:
     return [_row((window.x, window.y, window.size, window.heading), size=side) for window in windows]
 
 
-def frame_rows(flight: Flight, headings: Sequence[Sequence[float]], cut_shares: Float64Array) -> list[Row]:
+def frame_rows(flight: Flight, views: Sequence[FrameViews]) -> list[Row]:
     """Return the rows of frames at their headings in shipped answers, which identify photos by name and size."""
     return [
-        _row((heading, share), frame.name, frame.file.stat().st_size)
-        for frame, tried, share in zip(flight.frames, headings, cut_shares.tolist(), strict=True)
-        for heading in tried
+        _row((heading, one.share), frame.name, frame.file.stat().st_size)
+        for frame, one in zip(flight.frames, views, strict=True)
+        for heading in one.headings
     ]
 
 

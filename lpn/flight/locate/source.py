@@ -78,7 +78,7 @@ class WindowSource(IndexSource):
 
     def queries(self, model: Model, index: Index) -> IndexQueries:
         from lpn.flight.files import open_flight
-        from lpn.flight.locate.index_queries import flight_queries
+        from lpn.flight.locate.task import flight_queries
 
         if self.options.index is None:
             return super().queries(model, index)

@@ -1,34 +1,48 @@
-"""A flight over a map as a task: frames are the queries, windows of the map are the gallery.
+"""A flight over a map as a task, and its frames as queries over an index of windows.
 
-All views of a task then work for a flight: rankings, contributions, evidence, outcomes, reports. No picture is described again,
-and windows are cut from the map on demand.
+Frames are the queries, windows of the map are the gallery. All views of a task then work for a flight: rankings, contributions,
+evidence, outcomes, reports. No picture is described again, and windows are cut from the map on demand.
 """
 
 from __future__ import annotations
 
 import hashlib
+import logging
 import math
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
-from lpn.core.arrays import Float32Array, Float64Array, Int64Array
+from lpn.core.arrays import Float64Array, Int64Array
 from lpn.core.errors import InputError
 from lpn.core.files import printable
 from lpn.core.tables import Column, number_column, text_column
+from lpn.core.views import views_of
 from lpn.datasets import Picture, Truth
 from lpn.datasets.geo import Position
-from lpn.flight.files import Frame
+from lpn.flight.files import Flight
 from lpn.flight.files.cut import TurnedFrame
 from lpn.flight.locate.located import STAGES, LocatedFlight
-from lpn.flight.locate.retrieval import MapRetrieval, heading_is_certain
+from lpn.flight.locate.retrieval import (
+    FrameViews,
+    MapRetrieval,
+    describe_frames,
+    heading_is_certain,
+    owners_of,
+    recorded_windows,
+    turns_of,
+)
 from lpn.flight.locate.verdict import judge
 from lpn.flight.maps import Map
 from lpn.flight.maps.named_window import WindowCut, caption_of, describe_place
+from lpn.index import Index
+from lpn.index.queries import IndexQueries, fitting_tasks, view_pair
 from lpn.models.base import Model
 from lpn.tasks.gallery_geometry import GalleryGeometry
 from lpn.tasks.task import Task, descriptor_clauses
+
+log = logging.getLogger(__name__)
 
 TASK = "drone-to-satellite"
 _OFF_TAG = "Distance from the photo's GPS tag, or from its correction by hand; tags themselves may be metres off"
@@ -63,18 +77,24 @@ def flight_task(model: Model, model_name: str, located: LocatedFlight, root: Pat
     retrieval = located.retrieval
     if retrieval is None:
         raise InputError("The flight was located without a model, so there is no ranking to explore; give a model.")
-    if retrieval.turned_windows is not None:
+    gallery = retrieval.gallery
+    if gallery.turned is not None:
         raise InputError(
             "The index holds turned windows, in place of turned photos; give the flight as SOURCE with --index."
         )
     for view in ("satellite", "drone"):
         model.check_view(view)
-    turns = [0 if i in retrieval.broken else retrieval.best_turn(i) for i in range(len(located.frames))]
-    truth, geometry = _truth(located, retrieval), _geometry(located, retrieval)
-    queries = _descriptors(retrieval, turns)
-    digest = hashlib.sha256(queries.tobytes() + np.ascontiguousarray(retrieval.windows_described).tobytes()).hexdigest()
+    headings, queries = [], np.zeros((len(located.frames), *gallery.described.shape[1:]), np.float32)
+    for i, (views, described) in enumerate(zip(retrieval.views, retrieval.frames_described, strict=True)):
+        turn = 0 if described is None else retrieval.best_turn(i)
+        headings.append(views.headings[turn])
+        if described is not None:
+            queries[i] = described[turn]
+    digest = hashlib.sha256(queries.tobytes() + np.ascontiguousarray(gallery.described).tobytes()).hexdigest()
     if retrieval.means:
         model = model.centred(retrieval.means, retrieval.whitening)
+    first, several = len(queries), len(set(gallery.sizes.tolist())) > 1
+    tasks = zip(located.frames, retrieval.views, headings, strict=True)
     return Task(
         name=TASK,
         model=model,
@@ -85,113 +105,131 @@ def flight_task(model: Model, model_name: str, located: LocatedFlight, root: Pat
         clauses=descriptor_clauses(model.contract),
         map_sizes={view: model.map_size(view) for view in model.views},
         queries=[
-            _query(retrieval, i, located.frames[i].frame, retrieval.headings[i][turn], root)
-            for i, turn in enumerate(turns)
+            _query(TurnedFrame(one.frame, heading, views.share, retrieval.pixels), i, len(views.headings), root)
+            for i, (one, views, heading) in enumerate(tasks)
         ],
-        gallery=_gallery(located.basemap, retrieval, root),
-        query_labels=np.arange(len(turns), dtype=np.int64),
-        gallery_labels=np.arange(len(turns), len(turns) + len(retrieval.windows), dtype=np.int64),
+        # Windows are named by their centre in metres from the map's origin, and by their side if it varies.
+        gallery=[
+            Picture(
+                root / "windows" / str(j),
+                first + j,
+                describe_place(window, several),
+                cut=WindowCut(located.basemap, window, retrieval.pixels),
+                caption=caption_of(window),
+            )
+            for j, window in enumerate(gallery.windows)
+        ],
+        query_labels=np.arange(first, dtype=np.int64),
+        gallery_labels=np.arange(first, first + len(gallery.windows), dtype=np.int64),
         query_descriptors=queries,
-        gallery_descriptors=retrieval.windows_described,
-        truth=truth,
-        geometry=geometry,
+        gallery_descriptors=gallery.described,
+        truth=_truth(located, retrieval),
+        geometry=_geometry(located, retrieval),
         identity=digest,
-        columns=_columns(located, retrieval, turns),
+        columns=_columns(located, retrieval, headings),
     )
 
 
-def _query(retrieval: MapRetrieval, i: int, frame: Frame, heading: float, root: Path) -> Picture:
-    file = frame.file if frame.file.is_relative_to(root) else root / frame.name
-    tried = len(retrieval.headings[i])
-    note = f"heading {heading:.0f}°, best of {tried}" if tried > 1 else ""
-    cut = TurnedFrame(frame, heading, float(retrieval.cut_shares[i]), retrieval.pixels)
-    return Picture(file, i, frame.name, note=note, cut=cut)
+def flight_queries(model: Model, flight: Flight, basemap: Map, index: Index, root: Path) -> IndexQueries:
+    """Describe frames as they are compared with the windows of an index.
+
+    A frame is turned north-up by its heading. If that is uncertain, the tried heading with the nearest window is taken; turned
+    windows of the index replace turns of the frame. A frame of known width on the ground is cut to the nearest size of window in
+    the index. Windows that hold a frame's tag are its true ones. An unreadable frame is logged and noted, and its place is
+    unknown.
+
+    Args:
+        basemap: map of the windows.
+        root: folder of the flight, which holds a person's notes.
+
+    Raises:
+        InputError: if the model's branches have roles, and it has one view, or the index was made for other tiles than windows
+            of the map.
+        StoreError: if the index holds descriptors of another model.
+    """
+    name = fitting_tasks(model, [view_pair(model)], index)[0]
+    record, pixels = recorded_windows(index, basemap), max(model.input_size)
+    views = [FrameViews.of(frame, record.sizes, turns_of(record)) for frame in flight.frames]
+    described, broken = describe_frames(model.for_task(*views_of(name)), flight.frames, views, views_of(name)[0])
+    owners = owners_of(views)
+    pictures, chosen, places = [], [], []
+    spots = basemap.frame.xy(*flight.degrees.T)
+    for i, (frame, one) in enumerate(zip(flight.frames, views, strict=True)):
+        turns, best = np.flatnonzero(owners == i).tolist(), 0
+        if (error := broken.get(turns[0])) is not None:
+            log.warning("%s", error)
+            spots[i] = math.nan
+        elif len(turns) > 1:
+            best = int(np.argmax([index.search(described[turn], None, 1).scores[0] for turn in turns]))
+        cut = TurnedFrame(frame, one.headings[best], one.share, pixels)
+        pictures.append(_query(cut, i, one.described, root, "" if error is None else "cannot be read"))
+        chosen.append(turns[best])
+        known = frame.latitude is not None and frame.longitude is not None
+        places.append(_above(flight.degrees[i], frame.flying_height) if known else None)
+    data_name = printable(f"{flight.name} over {basemap.name}")
+    return IndexQueries(name, data_name, root, pictures, described[chosen], places, spots=spots)
 
 
-def _gallery(basemap: Map, retrieval: MapRetrieval, root: Path) -> list[Picture]:
-    """Return windows as pictures, named by their centre in metres from the map's origin, and by their side if it varies."""
-    first, several = len(retrieval.headings), len(set(retrieval.sizes.tolist())) > 1
-    return [
-        Picture(
-            root / "windows" / str(j),
-            first + j,
-            describe_place(window, several),
-            cut=WindowCut(basemap, window, retrieval.pixels),
-            caption=caption_of(window),
-        )
-        for j, window in enumerate(retrieval.windows)
-    ]
+def _query(cut: TurnedFrame, label: int, tried: int, root: Path, note: str = "") -> Picture:
+    file = cut.frame.file if cut.frame.file.is_relative_to(root) else root / cut.frame.name
+    if tried > 1 and not note:
+        note = f"heading {cut.heading:.0f}°, best of {tried}"
+    return Picture(file, label, cut.frame.name, note=note, cut=cut)
 
 
-def _descriptors(retrieval: MapRetrieval, turns: list[int]) -> Float32Array:
-    """Return the descriptor of each frame at its turn, (Q, n, D); 0 for an unreadable frame."""
-    descriptors = np.zeros((len(turns), *retrieval.windows_described.shape[1:]), np.float32)
-    for i, turn in enumerate(turns):
-        if (described := retrieval.frames_described[i]) is not None:
-            descriptors[i] = described[turn]
-    return descriptors
+def _above(degrees: Float64Array, height: float | None, width: float | None = None) -> Position:
+    """Return a position above a place, of a north-up picture that is `width` metres wide."""
+    latitude, longitude = degrees.tolist()
+    if height is None or height <= 0:
+        return Position(latitude, longitude)
+    fov = None if width is None else 2 * math.degrees(math.atan(width / 2 / height))
+    return Position(latitude, longitude, altitude=height, heading=0.0, fov=fov, width=width)
 
 
 def _truth(located: LocatedFlight, retrieval: MapRetrieval) -> list[Truth]:
-    none = np.zeros(0, np.int64)
+    none, gallery = np.zeros(0, np.int64), retrieval.gallery
     others: dict[float, Int64Array] = {}
     truth = []
-    for i, place in enumerate(located.photographed):
-        level = float(retrieval.levels[i])
-        if math.isnan(level):
-            eligible, junk = np.ones(len(retrieval.windows), bool), none
-        else:
-            eligible = retrieval.sizes == level
-            junk = others.setdefault(level, np.flatnonzero(~eligible))
+    for i, (place, views) in enumerate(zip(located.photographed, retrieval.views, strict=True)):
+        compared = gallery.compared(views)
+        junk = none if math.isnan(views.level) else others.setdefault(views.level, np.flatnonzero(~compared))
         if place is None or i in retrieval.broken:
             truth.append(Truth(none, junk, known=False))
             continue
-        holds = np.all(np.abs(retrieval.places - place) <= retrieval.sizes[:, None] / 2, axis=1)
-        truth.append(Truth(np.flatnonzero(eligible & holds), junk))
+        holds = np.all(np.abs(gallery.places - place) <= gallery.sizes[:, None] / 2, axis=1)
+        truth.append(Truth(np.flatnonzero(compared & holds), junk))
     return truth
 
 
 def _geometry(located: LocatedFlight, retrieval: MapRetrieval) -> GalleryGeometry:
-    degrees = located.basemap.frame.degrees
+    """Return the positions; a frame's is above the photographed place, for a picture as wide as the compared windows."""
+    degrees, gallery = located.basemap.frame.degrees, retrieval.gallery
     tiles = [
         Position(float(latitude), float(longitude), width=float(size))
-        for (latitude, longitude), size in zip(degrees(retrieval.places), retrieval.sizes, strict=True)
+        for (latitude, longitude), size in zip(degrees(gallery.places), gallery.sizes, strict=True)
     ]
-    middle = (retrieval.places.min(axis=0) + retrieval.places.max(axis=0)) / 2
-    latitude, longitude = (float(value) for value in degrees([middle])[0])
-    positions = [
-        _position(located, frame.frame, place, float(level))
-        for frame, place, level in zip(located.frames, located.photographed, retrieval.levels, strict=True)
-    ]
-    width = float(np.median(retrieval.sizes))
-    return GalleryGeometry(positions, tiles, Position(latitude, longitude), retrieval.places - middle, width)
+    middle = (gallery.places.min(axis=0) + gallery.places.max(axis=0)) / 2
+    positions: list[Position | None] = []
+    for one, place, views in zip(located.frames, located.photographed, retrieval.views, strict=True):
+        level = None if math.isnan(views.level) else views.level
+        height = None if level is None else one.frame.flying_height
+        positions.append(None if place is None else _above(degrees([place])[0], height, level))
+    return GalleryGeometry(positions, tiles, _above(degrees([middle])[0], None), gallery.places - middle, gallery.side)
 
 
-def _position(located: LocatedFlight, frame: Frame, place: Float64Array | None, level: float) -> Position | None:
-    """Return a position above the photographed place, for a north-up picture as wide as the compared windows."""
-    if place is None:
-        return None
-    latitude, longitude = (float(value) for value in located.basemap.frame.degrees([place])[0])
-    height = frame.flying_height
-    if height is None or height <= 0 or math.isnan(level):
-        return Position(latitude, longitude)
-    fov = 2 * math.degrees(math.atan(level / 2 / height))
-    return Position(latitude, longitude, altitude=height, heading=0.0, fov=fov, width=level)
-
-
-def _columns(located: LocatedFlight, retrieval: MapRetrieval, turns: list[int]) -> list[Column]:
+def _columns(located: LocatedFlight, retrieval: MapRetrieval, headings: list[float]) -> list[Column]:
     frames = [one.frame for one in located.frames]
     times = located.flight.times
     since = times - np.nanmin(times) if np.isfinite(times).any() else times
     columns = [
         _numbers("seconds", since.tolist(), "s"),
         _numbers("altitude", [frame.flying_height for frame in frames], "m"),
-        _numbers("heading", [retrieval.headings[i][turn] for i, turn in enumerate(turns)], "°"),
+        _numbers("heading", headings, "°"),
         _numbers("pitch", [frame.pitch for frame in frames], "°"),
         _numbers("roll", [frame.roll for frame in frames], "°"),
     ]
     sources = [
-        str(frame.heading_source) if heading_is_certain(frame) else f"best of {len(retrieval.headings[i])}"
+        str(frame.heading_source) if heading_is_certain(frame) else f"best of {len(retrieval.views[i].headings)}"
         for i, frame in enumerate(frames)
     ]
     columns.append(text_column("heading from", sources))

@@ -12,8 +12,8 @@ import pytest
 from explorer.flight.service import SharedFlight
 from lpn.flight.files import Flight, Frame
 from lpn.flight.locate.audit import TagAudit
-from lpn.flight.locate.located import LocatedFlight, LocatedFrame, StageRecord, WindowRecord
-from lpn.flight.locate.retrieval import MapRetrieval
+from lpn.flight.locate.located import LocatedFlight, LocatedFrame, StageRecord
+from lpn.flight.locate.retrieval import FrameViews, MapRetrieval, WindowGallery, WindowRecord
 from lpn.flight.maps import Window, open_map
 from tests.lpn.flight.maps.small_maps import smooth, write_geotiff
 
@@ -70,20 +70,11 @@ def flight(tmp_path_factory: pytest.TempPathFactory) -> LocatedFlight:
     frames[0].stages["registration"] = registered(-STEP, 1.0)
     frames[1].stages["registration"] = registered(45.0, 0.0)
     frames[2].stages["registration"] = StageRecord("refused", "Only <i>4</i> matches agree.")
-    count = len(places)
-    retrieval = MapRetrieval(
-        [Window(x, y, 60.0) for x, y in places.tolist()],
-        places,
-        np.full(count, 60.0),
-        np.zeros((count, 2, 4), np.float32),
-        [np.zeros((1, 2, 4), np.float32)] * 3,
-        [[0.0]] * 3,
-        np.full(3, 60.0),
-        np.ones(3),
-        32,
-        {},
-        {},
+    gallery = WindowGallery(
+        [Window(x, y, 60.0) for x, y in places.tolist()], 0.75, np.zeros((len(places), 2, 4), np.float32)
     )
+    described = [np.zeros((1, 2, 4), np.float32)] * 3
+    retrieval = MapRetrieval(gallery, [FrameViews(60.0, 1.0, [0.0])] * 3, list(described), 32, {})
     audit = TagAudit(2, 22.0, 45.0)
     return LocatedFlight(
         Flight("monday", tuple(f.frame for f in frames), ("A note.",)), town, frames, audit, ["Said."], retrieval

@@ -13,8 +13,7 @@ import pytest
 from explorer.flight import live
 from explorer.flight.live import LiveRecord
 from explorer.server.picture_route import PREFIX
-from lpn.flight.live.outputs import LiveFix
-from lpn.flight.live.run import live_answer
+from lpn.flight.live.run import LiveFix, live_answer
 from lpn.flight.locate.located import LocatedFlight, LocatedFrame
 from tools.fixtures.waiting import wait_until
 

@@ -12,7 +12,7 @@ import lpn
 from lpn.cli.main import main
 from lpn.core.arrays import Float32Array
 from lpn.core.progress import listening
-from lpn.flight.locate.map_windows import describe_windows
+from lpn.flight.locate.retrieval import describe_windows
 from lpn.flight.maps import Map, NamedWindow, Window, open_map
 from lpn.index import DescriptorKind, WindowsRecord, create_index, open_index
 from lpn.index.from_map import index_windows, windows_kind

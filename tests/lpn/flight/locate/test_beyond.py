@@ -9,10 +9,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lpn.flight.locate.beyond import places_beyond
+from lpn.flight.locate.ranked_stages import places_beyond
+from lpn.flight.locate.retrieval import WindowGallery
 from lpn.flight.locate.sequence import _Grid
-from lpn.flight.maps import open_map
+from lpn.flight.maps import Window, open_map
 from tests.lpn.flight.maps.small_maps import smooth, write_geotiff
+
+
+def _gallery(places: np.ndarray, size: float, overlap: float) -> WindowGallery:
+    windows = [Window(x, y, size) for x, y in places.tolist()]
+    return WindowGallery(windows, overlap, np.zeros((len(windows), 1, 1), np.float32))
 
 
 def test_places_beyond_lie_on_the_windows_grid_outside_the_map_and_over_its_holes(tmp_path: Path) -> None:
@@ -21,7 +27,7 @@ def test_places_beyond_lie_on_the_windows_grid_outside_the_map_and_over_its_hole
     town = open_map(write_geotiff(tmp_path / "town.tif", picture, alpha="YES"))
     side = (town.bounds[2] - town.bounds[0]) / 6
     windows = np.array([(one.x, one.y) for one in town.pyramid([side], 0.5)])
-    beyond = places_beyond(town, windows, np.full(len(windows), side), 0.5)
+    beyond = places_beyond(town, _gallery(windows, side, 0.5))
     cells = np.rint((np.concatenate([windows, beyond]) - windows.min(axis=0)) / (side / 2)).astype(int)
     # 11 by 7 windows, and two steps more on each side, which is one side of a window.
     expected = {(x, y) for x in range(-2, 13) for y in range(-2, 9)}
@@ -30,7 +36,7 @@ def test_places_beyond_lie_on_the_windows_grid_outside_the_map_and_over_its_hole
     # Windows that are left out, as by an index, are on the map; beyond the edge nothing changes.
     few = windows[np.linalg.norm(windows - windows[0], axis=1) > side]
     assert len(few) < len(windows)
-    again = places_beyond(town, few, np.full(len(few), side), 0.5)
+    again = places_beyond(town, _gallery(few, side, 0.5))
     assert set(map(tuple, again.round(3).tolist())) <= set(map(tuple, beyond.round(3).tolist()))
 
 
@@ -46,8 +52,7 @@ def test_places_beyond_lie_on_the_grid_of_windows_whose_coordinates_are_rounded(
     rng = np.random.default_rng(0)
     town, exact = _plain(3000.0, 100.0, 25.0)
     windows = (exact + rng.uniform(-0.005, 0.005, exact.shape))[rng.random(len(exact)) < kept]
-    # The overlap that is measured of them is only about right.
-    beyond = places_beyond(town, windows, np.full(len(windows), 100.0), 0.7504)
+    beyond = places_beyond(town, _gallery(windows, 100.0, 0.75))
     steps = (beyond - 50) / 25
     np.testing.assert_allclose(steps, np.rint(steps), atol=0.001)
     assert [len(axis) for axis in _Grid(np.concatenate([windows, beyond]), len(beyond)).axes] == [125, 125]
@@ -56,24 +61,18 @@ def test_places_beyond_lie_on_the_grid_of_windows_whose_coordinates_are_rounded(
 @pytest.mark.parametrize(("overlap", "steps"), [(0.5, 2), (0.6, 2), (0.75, 4), (0.8, 5), (0.9, 10)])
 def test_places_beyond_are_at_most_a_side_away(overlap: float, steps: int) -> None:
     town, windows = _plain(500.0, 100.0, 100 * (1 - overlap))
-    beyond = places_beyond(town, windows, np.full(len(windows), 100.0), overlap)
+    beyond = places_beyond(town, _gallery(windows, 100.0, overlap))
     count = round(len(windows) ** 0.5)
     assert len(beyond) == (count + 2 * steps) ** 2 - count**2
-    lone = places_beyond(town, windows[:1], np.array([100.0]), overlap)
+    lone = places_beyond(town, _gallery(windows[:1], 100.0, overlap))
     np.testing.assert_allclose(windows[0] - lone.min(axis=0), steps * 100 * (1 - overlap))
 
 
 def test_places_beyond_of_each_size_have_its_own_step() -> None:
-    (town, small), (_, large) = _plain(2000.0, 100.0, 25.0), _plain(2000.0, 200.0, 100.0)
-    apart = [places_beyond(town, one, np.full(len(one), side), 0.0) for one, side in ((small, 100.0), (large, 200.0))]
-    assert [len(one) for one in apart] == [(77 + 8) ** 2 - 77**2, (19 + 4) ** 2 - 19**2]
-    sizes = np.repeat([100.0, 200.0], [len(small), len(large)])
-    both = places_beyond(town, np.concatenate([small, large]), sizes, 0.75)
+    (town, small), (_, large) = _plain(2000.0, 100.0, 25.0), _plain(2000.0, 200.0, 50.0)
+    galleries = _gallery(small, 100.0, 0.75), _gallery(large, 200.0, 0.75)
+    apart = [places_beyond(town, one) for one in galleries]
+    assert [len(one) for one in apart] == [(77 + 8) ** 2 - 77**2, (37 + 8) ** 2 - 37**2]
+    windows = [window for one in galleries for window in one.windows]
+    both = places_beyond(town, WindowGallery(windows, 0.75, np.zeros((len(windows), 1, 1), np.float32)))
     np.testing.assert_array_equal(both, np.concatenate(apart))
-
-
-def test_grids_that_are_a_little_apart_make_no_step_of_that_length() -> None:
-    town, windows = _plain(500.0, 100.0, 25.0)
-    both = np.concatenate([windows, windows + 0.3])
-    beyond = places_beyond(town, both, np.full(len(both), 100.0), 0.997)
-    assert len(beyond) == (17 + 8) ** 2 - 17**2

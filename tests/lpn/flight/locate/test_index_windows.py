@@ -17,9 +17,8 @@ from lpn.core.errors import InputError, StoreError
 from lpn.flight.commands.locate import LocateCommand
 from lpn.flight.files import Flight, Frame
 from lpn.flight.files.base import HeadingSource
-from lpn.flight.locate import index_windows
-from lpn.flight.locate.index_windows import WindowIndex
-from lpn.flight.locate.retrieval import MapRetrieval, retrieve
+from lpn.flight.locate import retrieval
+from lpn.flight.locate.retrieval import retrieve
 from lpn.flight.maps import Map, Window
 from lpn.index import DescriptorKind, create_index
 from lpn.index.folder import FolderIndex
@@ -75,54 +74,52 @@ def filled(
 def test_windows_of_an_index_are_those_that_would_be_described(
     town: Map, flight: Flight, tmp_path: Path, centre: bool
 ) -> None:
-    plain: MapRetrieval = retrieve(model(), town, flight, [51.0, 60.0], 0.6, centre)
-    where, counting = filled(tmp_path / "index", town, [60.0, 51.0], 0.6), GridModel()
-    indexed = WindowIndex(where, counting, town)  # type: ignore[arg-type]
-    assert (indexed.sizes, indexed.turns) == ([51.0, 60.0], [0.0])
-    found = retrieve(counting, town, flight, None, 0.9, centre, indexed=indexed)  # type: ignore[arg-type]
+    plain = retrieve(model(), town, flight, [51.234567, 60.0], 0.6, centre)
+    where, counting = filled(tmp_path / "index", town, [60.0, 51.234567], 0.6), GridModel()
+    found = retrieve(counting, town, flight, None, 0.9, centre, where)  # type: ignore[arg-type]
     assert not counting.described, "frames are in the cache, and no window is described"
-    assert found.overlap == 0.6
+    assert found.gallery.overlap == 0.6
     assert found.notes == plain.notes
-    np.testing.assert_allclose(found.places, plain.places, atol=0.02)
-    np.testing.assert_allclose(found.sizes, plain.sizes)
+    assert found.gallery.windows == plain.gallery.windows
+    assert len({float(found.scores(i).min()) for i in range(len(flight.frames))}) > 1
     for i in range(len(flight.frames)):
         # The windows of an index are cut where their names say, to a centimetre.
         np.testing.assert_allclose(found.scores(i), plain.scores(i), atol=5e-3)
 
 
 @pytest.mark.parametrize("turns", [1, 2])
-def test_an_index_that_is_still_being_filled_is_told(town: Map, tmp_path: Path, turns: int) -> None:
+def test_an_index_that_is_still_being_filled_is_told(town: Map, flight: Flight, tmp_path: Path, turns: int) -> None:
     whole = turns * town.count_pyramid([40.0, 51.0])
     where = filled(tmp_path / "index", town, [40.0, 51.0], turns=turns, stop=16)
-    windows, vectors, notes = WindowIndex(where, model(), town).near(FRAME)
-    assert vectors.shape == (turns, 16 // turns, 2, 16)
-    assert len(windows) == 16 // turns
-    assert notes == [
+    found = retrieve(model(), town, flight, centre=False, index=where)
+    assert len(found.gallery.windows) == 16 // turns
+    assert (None if found.gallery.turned is None else len(found.gallery.turned)) == (turns - 1 or None)
+    assert found.notes[-1:] == [
         f"The index holds 16 of {whole} windows of the map, and no photo is found where it holds none; let lpn index --map go "
         "on to its end."
     ]
     filled(tmp_path / "index", town, [51.0, 40.0], turns=turns)
-    assert not WindowIndex(where, model(), town).near(FRAME)[2]
+    assert not any("of the map, and" in note for note in retrieve(model(), town, flight, index=where).notes)
 
 
-def test_an_index_holds_the_windows_that_it_was_made_for(town: Map, tmp_path: Path) -> None:
+def test_an_index_holds_the_windows_that_it_was_made_for(town: Map, flight: Flight, tmp_path: Path) -> None:
     where = filled(tmp_path / "index", town, [51.0])
     for sizes, overlap, turns in (([40.0], 0.5, 1), ([51.0], 0.6, 1), ([51.0], 0.5, 2)):
         with pytest.raises(StoreError, match=r"of windows of 51 m with an overlap of 0.5 at 1 headings"):
             filled(tmp_path / "index", town, sizes, overlap, turns)
     elsewhere = write_map(tmp_path / "elsewhere.tif", cv2.resize(land(1), (400, 400), interpolation=cv2.INTER_AREA))
     with pytest.raises(InputError, match="holds windows of another map than elsewhere, or the map changed"):
-        WindowIndex(where, model(), elsewhere)
+        retrieve(model(), elsewhere, flight, index=where)
     with create_index(tmp_path / "tiles", KIND) as index:
         index.add(["tile.png"], FRAME / 4 / 2**0.5)
     with pytest.raises(InputError, match="does not say which windows of which map it holds"):
-        WindowIndex(str(tmp_path / "tiles"), model(), town)
+        retrieve(model(), town, flight, index=str(tmp_path / "tiles"))
     with pytest.raises(InputError, match="holds no window"):
-        WindowIndex(filled(tmp_path / "empty", town, [51.0], stop=0), model(), town)
+        retrieve(model(), town, flight, index=filled(tmp_path / "empty", town, [51.0], stop=0))
     with create_index(tmp_path / "other", replace(KIND, fingerprint="another")):
         pass
     with pytest.raises(StoreError, match="holds descriptors of model another"):
-        WindowIndex(str(tmp_path / "other"), model(), town)
+        retrieve(model(), town, flight, index=str(tmp_path / "other"))
 
 
 def test_of_an_index_too_large_to_return_all_the_nearest_windows_are_compared(
@@ -130,17 +127,16 @@ def test_of_an_index_too_large_to_return_all_the_nearest_windows_are_compared(
 ) -> None:
     plain = retrieve(model(), town, flight, [51.0], 0.6, centre=False)
     where = filled(tmp_path / "index", town, [51.0], 0.6)
-    monkeypatch.setattr(index_windows, "MOST", 3)
+    monkeypatch.setattr(retrieval, "MOST", 3)
     monkeypatch.setattr(FolderIndex, "most", 3)
-    indexed = WindowIndex(where, model(), town)
-    found = retrieve(model(), town, flight, centre=False, indexed=indexed)
-    assert 3 < len(found.windows) < len(plain.windows)
-    assert any(f"were compared with the {len(found.windows)} of them" in note for note in found.notes)
+    found, count = retrieve(model(), town, flight, centre=False, index=where), len(plain.gallery.windows)
+    assert 3 < len(found.gallery.windows) < count
+    assert any(f"were compared with the {len(found.gallery.windows)} of them" in note for note in found.notes)
     for i in range(len(flight.frames)):
         # The three nearest of each are among them, and windows that resemble nothing score alike.
         np.testing.assert_allclose(np.sort(found.scores(i))[-3:], np.sort(plain.scores(i))[-3:], atol=5e-3)
     with pytest.raises(InputError, match="No photo of the flight can be read"):
-        indexed.near(np.zeros((2, 2, 16), np.float32))
+        retrieve(model(), town, replace(flight, frames=flight.frames[2:3]), centre=False, index=where)
 
 
 def test_an_index_needs_a_model_and_takes_no_sizes(tmp_path: Path) -> None:
@@ -164,17 +160,15 @@ def test_of_turned_windows_a_photo_of_unknown_heading_is_described_once(
     flight, counting = Flight("turned", (frame,)), GridModel()
     where = filled(tmp_path / "index", town, [51.0], 0.6, turns=turns)
     if most is not None:
-        monkeypatch.setattr(index_windows, "MOST", most)
-    indexed = WindowIndex(where, counting, town)  # type: ignore[arg-type]
-    assert indexed.turns == [360 / turns * k for k in range(turns)]
-    found = retrieve(counting, town, flight, centre=False, indexed=indexed)  # type: ignore[arg-type]
+        monkeypatch.setattr(retrieval, "MOST", most)
+    found = retrieve(counting, town, flight, centre=False, index=where)  # type: ignore[arg-type]
     assert counting.described == 1
-    assert len(found.headings[0]) == turns
-    top = found.top(0, 1)
-    assert top.headings[0] == pytest.approx(heading)
-    assert np.linalg.norm(found.places[top.indices[0]] - place) < 1
-    assert top.cosines[0].mean() == pytest.approx(top.scores[0], abs=1e-5)
+    assert len(found.views[0].headings) == turns
+    (best,) = found.best(0, 1)
+    assert best.heading == pytest.approx(heading)
+    assert np.linalg.norm(np.array([best.x, best.y]) - place) < 1
+    assert np.mean(best.cosines) == pytest.approx(best.score, abs=1e-5)
     if turns == 8:
         turned = retrieve(model(), town, flight, [51.0], 0.6, centre=False)
-        assert turned.headings == found.headings
+        assert turned.views[0].headings == found.views[0].headings
         assert turned.scores(0).max() == pytest.approx(found.scores(0).max(), abs=0.1)

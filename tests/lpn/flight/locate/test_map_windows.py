@@ -8,7 +8,7 @@ import pytest
 import lpn
 from lpn.core.arrays import Float32Array
 from lpn.descriptors import Store
-from lpn.flight.locate.map_windows import describe_windows
+from lpn.flight.locate.retrieval import describe_windows
 from lpn.flight.maps import Map, NamedWindow, open_map
 from lpn.flight.maps.named_window import WindowCut
 from lpn.models.base import Model

@@ -29,13 +29,14 @@ from lpn.flight.locate.camera_place import camera_place
 from lpn.flight.locate.corrections import Correction, set_correction
 from lpn.flight.locate.ground import MapFeatures
 from lpn.flight.locate.levelled import PhotoView
-from lpn.flight.locate.located import LocatedFlight, LocatedFrame, StageRecord, WindowRecord
+from lpn.flight.locate.located import LocatedFlight, LocatedFrame, StageRecord
 from lpn.flight.locate.matchers import Ground, SiftMatcher
 from lpn.flight.locate.options import LocateOptions
 from lpn.flight.locate.pipeline import locate
 from lpn.flight.locate.registered_stage import FlightPrior
 from lpn.flight.locate.registration import Expectation, Place, Registration, contested, register
-from lpn.flight.locate.retrieval import MapRetrieval, pyramid_sizes, retrieve
+from lpn.flight.locate.retrieval import FrameViews, MapRetrieval, WindowGallery, WindowRecord, pyramid_sizes
+from lpn.flight.locate.sequence import SequencePoint
 from lpn.flight.locate.tags import tags_on_map
 from lpn.flight.locate.tracks import best_track, full_track
 from lpn.flight.locate.words import Reason
@@ -320,34 +321,36 @@ def test_bad_frames_get_a_sentence_and_the_run_goes_on(town: Map, flight: Flight
 
 
 @pytest.mark.parametrize(
-    "moved",
-    [{"latitude": 10.0}, {"latitude": 0.0, "longitude": 98.0}, {"latitude": 0.0, "longitude": -171.0}],
-    ids=["beyond the map", "a quarter of the globe away", "on the other side of the globe"],
+    ("moved", "count", "away"),
+    [
+        ({"latitude": 10.0}, 4, None),
+        ({"latitude": 0.0, "longitude": 98.0}, 4, None),
+        ({"latitude": 0.0, "longitude": -171.0}, 4, None),
+        ({}, 4, 600.0),
+        ({"latitude": 0.0, "longitude": 98.0}, 1, None),
+    ],
+    ids=["on the plane", "a quarter of the globe away", "on its other side", "near by", "one photo alone"],
 )
-def test_a_flight_elsewhere_gets_a_sentence_and_the_run_goes_on(
-    town: Map, flight: Flight, moved: dict[str, float], monkeypatch: pytest.MonkeyPatch
+def test_a_flight_elsewhere_and_a_tag_far_away_are_told_and_left_out(
+    town: Map, flight: Flight, moved: dict[str, float], count: int, away: float | None
 ) -> None:
-    monkeypatch.setattr(
-        registered_stage, "register_frame", lambda *_: StageRecord("accepted", "It agrees.", 1.0, 2.0, alone=True)
-    )
-    found = locate(town, replace(flight, frames=tuple(replace(frame, **moved) for frame in flight.frames)), None, SIFT)
-    assert len(found.notes) == 1
-    assert "elsewhere than town, the map" in found.notes[0]
-    assert found.tags_away is not None
-    assert f"is {found.tags_away / 1000:.1f} km from" in found.notes[0]
-    assert [located.tag for located in found.frames] == [None] * 4
-    assert found.stages == ["registration"]
-
-
-@pytest.mark.parametrize("reached", [True, False], ids=["on the plane", "beyond its end"])
-def test_a_flight_elsewhere_lies_as_far_as_it_is_from_the_map(town: Map, flight: Flight, reached: bool) -> None:
-    west, _, east, _ = town.bounds
-    there = town.frame.degrees([(east + 3 * (east - west), 0.0)])[0].tolist() if reached else (0.0, 98.0)
-    middle = (town.frame.latitude, town.frame.longitude)
-    away = tags_on_map(
-        town, replace(flight, frames=(replace(flight.frames[0], latitude=there[0], longitude=there[1]),))
-    )
-    assert away[2] == pytest.approx(3 * (east - west) if reached else float(geodesic(middle, there)), rel=1e-3)
+    east = town.bounds[2]
+    there = dict(zip(("latitude", "longitude"), town.frame.degrees([(east + (away or 0.0), 0.0)])[0], strict=True))
+    frames = [replace(frame, **(moved or there)) if i < count else frame for i, frame in enumerate(flight.frames)]
+    tags, notes, found = tags_on_map(town, replace(flight, frames=tuple(frames)))
+    assert np.isnan(tags).any(axis=1).tolist() == [i < count for i in range(4)]
+    assert len(notes) == 1
+    if count == 1:
+        assert notes[0].startswith(
+            "By the GPS tags of 1 of 4 photos, the drone was beyond the map's edge; a photo taken"
+        )
+        assert found is None
+        return
+    middle = town.frame.latitude, town.frame.longitude
+    place = frames[0].latitude or 0.0, frames[0].longitude or 0.0
+    assert found == pytest.approx(away or float(geodesic(middle, place)), rel=1e-3)
+    assert "elsewhere than town, the map" in notes[0]
+    assert f"is {(found or 0.0) / 1000:.1f} km from" in notes[0]
 
 
 def test_a_drone_over_an_empty_part_of_the_map_is_told_apart_from_one_beyond_it(
@@ -379,28 +382,22 @@ def test_a_flight_without_gps_tags_is_placed_and_called_so_once(
     assert not re.search(r"\bframes?\b|have no position|has a position", printed)
 
 
-def test_one_position_far_away_is_left_out(town: Map, flight: Flight, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(
-        registered_stage, "register_frame", lambda *_: StageRecord("accepted", "It agrees.", 1.0, 2.0, alone=True)
-    )
-    frames = (replace(flight.frames[0], latitude=0.0, longitude=98.0), *flight.frames[1:])
-    found = locate(town, replace(flight, frames=frames), None, SIFT)
-    assert found.notes == [
-        "By the GPS tags of 1 of 4 photos, the drone was beyond the map's edge; a photo taken there may still show ground on the "
-        "map."
-    ]
-    assert found.tags_away is None
-    assert [located.tag is None for located in found.frames] == [True, False, False, False]
-
-
-def test_a_flight_without_frames_is_refused(town: Map) -> None:
-    with pytest.raises(DataError, match="monday has no photo"):
-        locate(town, Flight("monday", ()), GridModel(), SIFT)  # type: ignore[arg-type]
-
-
-def test_a_prior_beside_a_model_is_refused(town: Map, flight: Flight) -> None:
-    with pytest.raises(InputError, match="leave --prior or --model out"):
-        locate(town, flight, GridModel(), replace(SIFT, prior=40.0))  # type: ignore[arg-type]
+def test_nothing_to_do_and_wrong_options_are_refused(town: Map, flight: Flight) -> None:
+    for given, model, options, message in (
+        (Flight("monday", ()), GridModel(), SIFT, "monday has no photo"),
+        (flight, GridModel(), replace(SIFT, prior=40.0), "leave --prior or --model out"),
+        (flight, None, replace(SIFT, register=False), "nothing to do"),
+    ):
+        with pytest.raises((DataError, InputError), match=message):
+            locate(town, given, model, options)  # type: ignore[arg-type]
+    for wrong, message in (
+        ({"prior": -1.0}, "prior is -1"),
+        ({"map_error": -1.0}, "map's error is -1"),
+        ({"speed": 0.0}, "The speed is 0 m/s; expected metres a second above 0"),
+        ({"sizes": (0.0,)}, "Sides of windows must be"),
+    ):
+        with pytest.raises(InputError, match=message):
+            LocateOptions(**wrong)  # type: ignore[arg-type]
 
 
 def test_an_expected_width_is_tried_freely_too(town: Map) -> None:
@@ -425,7 +422,7 @@ def test_a_photo_beyond_what_was_searched_is_searched_again_about_its_place(
     monkeypatch.setattr(registered_stage, "register", search)
     features = MapFeatures(town, SiftMatcher())
     monkeypatch.setattr(features, "around", lambda places, *_: places)
-    located = LocatedFrame(flight.frames[0], None, windows=[WindowRecord(5.0, 0.0, 40.0, 0.9, 0.0, [], [])])
+    located = LocatedFrame(flight.frames[0], None, windows=[WindowRecord(5.0, 0.0, 40.0)])
     answer = registered_stage.register_frame(town, [features], located, SIFT, FlightPrior(), 40.0)
     assert answer.accepted == (searches == 1)
     assert centres[0] == [5.0, 0.0]
@@ -553,10 +550,6 @@ def test_a_radius_holds_the_errors_of_the_map_and_of_an_aircrafts_tilt(
     assert radius(frame, None) == pytest.approx(math.hypot(alone, 3 * town.resolution))
     aircraft = math.hypot(0.2, HEIGHT * math.tan(math.radians(5)))
     assert radius(replace(frame, heading_source="aircraft"), 0.0) == pytest.approx(aircraft)
-    with pytest.raises(InputError, match="map's error is -1"):
-        LocateOptions(map_error=-1)
-    with pytest.raises(InputError, match="The speed is 0 m/s; expected metres a second above 0"):
-        LocateOptions(speed=0.0)
 
 
 def test_beyond_15_degrees_of_tilt_the_pose_tells_the_camera_and_without_it_the_middle_is_told(
@@ -578,13 +571,6 @@ def test_beyond_15_degrees_of_tilt_the_pose_tells_the_camera_and_without_it_the_
     ahead = HEIGHT * math.tan(math.radians(17.0))
     turn = math.radians(20.0)
     assert math.hypot(answer.x - ahead * math.sin(turn), answer.y - ahead * math.cos(turn)) < 1.0
-
-
-def test_nothing_to_do_and_wrong_numbers_are_refused(town: Map, flight: Flight) -> None:
-    with pytest.raises(InputError, match="nothing to do"):
-        locate(town, flight, None, replace(SIFT, register=False))
-    with pytest.raises(InputError, match="prior is -1"):
-        LocateOptions(prior=-1)
 
 
 def test_the_nadir_is_where_the_footprint_has_the_camera() -> None:
@@ -636,7 +622,7 @@ def test_retrieval_sequence_and_registration_agree(town: Map, flight: Flight) ->
         )
     measured = found.field_measures()
     assert measured["recall@1"] == measured["sequence recall@1 apart"] == 100
-    found.frames[0].likely.insert(0, (1e4, 0.0, 40.0))
+    found.frames[0].likely.insert(0, WindowRecord(1e4, 0.0, 40.0))
     moved = found.field_measures()
     assert moved["sequence recall@1 apart"] == pytest.approx(100 - 100 / len(found.frames))
     assert moved["sequence recall@5 apart"] == 100
@@ -644,64 +630,34 @@ def test_retrieval_sequence_and_registration_agree(town: Map, flight: Flight) ->
     assert measured["ma@20"] == 100
 
 
-def _ranked(
-    flight: Flight, scores: np.ndarray, broken: dict[int, str], notes: list[str] | None = None
-) -> list[LocatedFrame]:
-    """Return frames after retrieval and sequence, with given scores (frames, 25) of 5 x 5 windows that are 40 m apart.
-
-    Sentences about the sequence are added to `notes`.
-    """
+def _ranked(flight: Flight, scores: np.ndarray, broken: dict[int, str]) -> list[LocatedFrame]:
+    """Return frames after retrieval and sequence, with given scores (frames, 25) of 5 x 5 windows that are 40 m apart."""
     places = np.stack(np.meshgrid(*[40.0 * np.arange(-2, 3)] * 2), axis=-1).reshape(-1, 2)
     # One part with a dimension for each window: a window's score is its entry of the frame's descriptor.
-    tiles = np.eye(25, dtype=np.float32)[:, None]
+    gallery = WindowGallery(
+        [Window(x, y, 40.0) for x, y in places.tolist()], 0.0, np.eye(25, dtype=np.float32)[:, None]
+    )
     described = [None if i in broken else row[None, None].astype(np.float32) for i, row in enumerate(scores)]
-    windows = [Window(x, y, 40.0) for x, y in places]
-    frames = [LocatedFrame(frame, np.zeros(2)) for frame in flight.frames[: len(scores)]]
-    found = MapRetrieval(
-        windows,
-        places,
-        np.full(25, 40.0),
-        tiles,
-        described,
-        [[0.0]] * len(scores),
-        np.full(len(scores), np.nan),
-        np.ones(len(scores)),
-        32,
-        {},
-        broken,
-        overlap=0.0,
-    )
+    flown = replace(flight, frames=flight.frames[: len(scores)])
+    frames = [LocatedFrame(frame, np.zeros(2)) for frame in flown.frames]
+    found = MapRetrieval(gallery, [FrameViews(math.nan, 1.0, [0.0])] * len(scores), described, 32, broken)
     ranked_stages.enter_retrieval(found, frames, 2)
-    told = ranked_stages.enter_sequence(
-        found, replace(flight, frames=flight.frames[: len(scores)]), frames, LocateOptions()
-    )
-    if notes is not None:
-        notes += told
+    ranked_stages.enter_sequence(found, flown, frames, np.zeros((0, 2)))
     return frames
 
 
-@pytest.mark.parametrize(("turned", "seconds", "told"), [(0, 4.0, False), (90, 4.0, True), (90, 0.1, False)])
-def test_steps_that_do_not_follow_the_headings_are_told(
-    flight: Flight, turned: int, seconds: float, told: bool
-) -> None:
-    """At every tried speed, a step of 0.1 s is much shorter than the windows' spacing."""
+@pytest.mark.parametrize("turned", [0, 90])
+def test_steps_along_the_headings_show_that_the_map_is_of_the_flights_place(flight: Flight, turned: int) -> None:
     columns = [0, 1, 2, 3, 4, 3, 2, 1, 0, 1, 2, 3]
     east = [True] * 5 + [False] * 4 + [True] * 3
     frames = tuple(
-        replace(flight.frames[0], time=seconds * i, heading=float((90 if along else 270) + turned) % 360)
+        replace(flight.frames[0], time=4.0 * i, heading=float((90 if along else 270) + turned) % 360)
         for i, along in enumerate(east)
     )
-    notes: list[str] = []
-    scores = np.eye(25)[np.array(columns) + 10]
-    located = _ranked(replace(flight, frames=frames), scores, {}, notes)
+    located = _ranked(replace(flight, frames=frames), np.eye(25)[np.array(columns) + 10], {})
     assert [frame.stages["sequence"].heading for frame in located] == [frame.heading for frame in frames]
-    assert [
-        note.startswith("The scores are more probable where the drone moves in any direction") for note in notes
-    ] == [True] * told
-    # Without such a note, twelve steps along the headings show that the map is of the flight's place.
-    shown = turned == 0
     accepted = sum(frame.stages["sequence"].accepted for frame in located)
-    assert (accepted > 6) == shown
+    assert (accepted > 6) == (turned == 0)
 
 
 def test_the_sequence_names_the_windows_that_the_whole_flight_makes_likely(flight: Flight) -> None:
@@ -710,53 +666,47 @@ def test_the_sequence_names_the_windows_that_the_whole_flight_makes_likely(fligh
     frames = tuple(replace(flight.frames[0], time=2.0 * i) for i in range(9))
     frame = _ranked(replace(flight, frames=frames), scores, {})[4]
     assert [(window.x, window.y) for window in frame.windows] == [(80, 80), (-80, -80)]
-    assert frame.likely[0] == (0, 0, 40)
-    assert (-40, -40, 40) in frame.likely[:3]
-    assert len(set(frame.likely)) == 5
+    likely = [(one.x, one.y, one.size) for one in frame.likely]
+    assert likely[0] == (0, 0, 40)
+    assert (-40, -40, 40) in likely[:3]
+    assert len(set(likely)) == 5
 
 
-def test_a_frame_beyond_the_map_is_refused_and_told_so(flight: Flight, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(ranked_stages, "EVIDENCE", 0.0)
-    smoothed, scores = ranked_stages.smoothed, np.eye(25)[[12, 12, 12]]
-
-    def left(*given: Any) -> Any:
-        track, *others = smoothed(*given)
-        return replace(track, beyond=np.array([0.0, 0.978, 0.4]), nearby=np.array([1.0, 0.02, 0.6])), *others
-
-    monkeypatch.setattr(ranked_stages, "smoothed", left)
-    answers = [frame.stages["sequence"] for frame in _ranked(flight, scores, {})]
-    assert [answer.state for answer in answers] == ["accepted", "refused", "refused"]
-    assert (answers[1].code, answers[1].numbers) == ("beyond", {"probability": 0.97})
-    assert "within 30 m of this place with a probability of 0.6" in answers[2].sentence
-
-
-def test_the_sequence_of_a_flight_knows_places_beyond_the_map(
-    town: Map, flight: Flight, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(
+    ("nearby", "beyond", "code", "told"),
+    [
+        (1.0, 0.0, "", "The frames about it agree on this place."),
+        (0.02, 0.978, "beyond", "beyond the map's edge, or so near it that"),
+        (0.6, 0.4, "unsure", "within 30 m of this place with a probability of 0.6"),
+    ],
+)
+def test_a_frame_that_is_beyond_the_map_or_anywhere_is_refused(
+    nearby: float, beyond: float, code: str, told: str
 ) -> None:
-    known = []
-    monkeypatch.setattr(pipeline, "enter_sequence", lambda *given: known.append(given[-1]) or [])
-    locate(town, flight, GridModel(), LocateOptions(register=False))  # type: ignore[arg-type]
-    west, south, east, north = town.bounds
-    assert ((known[0] < (west, south)) | (known[0] > (east, north))).any(axis=1).any()
+    gallery = WindowGallery([Window(0.0, 0.0, 40.0)], 0.0, np.zeros((1, 1, 1), np.float32))
+    answer = ranked_stages.sequence_answer(SequencePoint(np.zeros(2), 1.0, 0.0, nearby, beyond), gallery, True)
+    assert (answer.code, answer.accepted) == (code, not code)
+    assert told in answer.sentence
+    assert answer.numbers.get("probability") in (None, 0.97, 0.6)
 
 
 def test_photos_that_their_details_place_are_not_beyond_the_map(
     town: Map, flight: Flight, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    known, tracks = [], []
-    entered, smoothed = pipeline.enter_sequence, ranked_stages.smoothed
+    known, beyond = [], []
+    entered, of = pipeline.enter_sequence, SequencePoint.of
 
-    def enter(*given: Any) -> list[str]:
-        known.append(given[5:])
-        return entered(*given)
+    def enter(*given: Any) -> None:
+        known.append(given[4:])
+        beyond.append({})
+        entered(*given)
 
-    def smooth(*given: Any) -> Any:
-        found = smoothed(*given)
-        tracks.append(found[0])
-        return found
+    def point(joint: np.ndarray, *given: Any) -> SequencePoint:
+        beyond[-1][len(beyond[-1])] = joint[-given[-1] :].sum()  # from the last frame to the first
+        return of(joint, *given)
 
     monkeypatch.setattr(pipeline, "enter_sequence", enter)
-    monkeypatch.setattr(ranked_stages, "smoothed", smooth)
+    monkeypatch.setattr(SequencePoint, "of", point)
     blind = replace(flight.frames[2], name="blind.png", file=flight.frames[2].file.with_name("blind.png"), time=4.5)
     cv2.imwrite(str(blind.file), np.full((SIZE[1], SIZE[0], 3), 90, np.uint8))
     frames = (*flight.frames[:3], blind, replace(blind, time=5.0), flight.frames[3])
@@ -764,7 +714,7 @@ def test_photos_that_their_details_place_are_not_beyond_the_map(
     states = [frame.stages["registration"].accepted for frame in found.frames]
     assert states == [True, True, True, False, False, True]
     assert known == [(), ({0, 1, 2},)], "the last one stands alone"
-    first, again = (track.beyond for track in tracks)
+    first, again = (np.array(list(reversed(one.values()))) for one in beyond)
     assert (first > 0).all()
     assert again[:3].tolist() == [0.0] * 3
     assert (again[3:] > 0).all()
@@ -782,10 +732,6 @@ def test_a_sequence_refuses_what_it_cannot_place(flight: Flight, monkeypatch: py
     for answer in (frame.stages["sequence"] for frame in _ranked(flight, np.stack([lost, lost]), {})):
         assert answer.state == "refused"
         assert "is larger than a piece of the map, 40 m wide" in answer.sentence
-    doubtful = np.eye(25)[12] + np.eye(25)[11] * 0.97
-    (answer,) = (frame.stages["sequence"] for frame in _ranked(flight, doubtful[None], {}))
-    assert answer.state == "refused"
-    assert "The frame lies within 30 m of this place with a probability of 0." in answer.sentence
 
 
 def test_a_retrieval_tells_its_score_and_margin(flight: Flight) -> None:
@@ -809,20 +755,6 @@ def test_frames_that_cannot_be_read_are_misses(town: Map, flight: Flight, tmp_pa
     assert measured["dis@1"] < 100
     assert not any("sequence" in name for name in measured)
     assert any("1 of 3 photos cannot be read; the retrieval's measures count them" in note for note in found.notes)
-
-
-def test_unknown_headings_are_searched_by_turns_and_descriptors_are_kept(
-    town: Map, flight: Flight, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    model = GridModel()
-    frame = replace(flight.frames[0], heading=None)
-    one = replace(flight, frames=(frame,))
-    found = retrieve(model, town, one, centre=False, overlap=0.88)  # type: ignore[arg-type]
-    assert found.headings[0] == [45 * k for k in range(8)]
-    assert found.top(0, 1).headings[0] == 90
-    monkeypatch.setattr(GridModel, "descriptors", None)  # nothing is described again
-    again = retrieve(model, town, one, centre=False, overlap=0.88)  # type: ignore[arg-type]
-    np.testing.assert_array_equal(again.scores(0), found.scores(0))
 
 
 def test_windows_have_the_sizes_that_frames_show(town: Map, flight: Flight) -> None:
@@ -937,13 +869,12 @@ def test_a_kind_reaches_each_model(
     bare = ["--model", "bare.pth", "--kind", "dac"]
     for arguments in (
         ["locate", *where, *bare, "--out", str(tmp_path / "track.csv")],
-        ["locate", *where, *bare],
         ["doctor", *bare],
         ["compare", str(data), "--model", "bare.pth", "lpn.onnx", "--kind", "dac", "auto"],
     ):
         assert main(arguments) == 2
         assert "It is not opened" in capsys.readouterr().err
-    assert kinds == ["dac"] * 4
+    assert kinds == ["dac"] * 3
     for arguments, message in (
         (["compare", str(data), "--model", "bare.pth", "lpn.onnx", "--kind", "dac"], "Found 1 kind for 2 models"),
         (["doctor", "--kind", "dac"], "--kind needs --model"),

@@ -51,7 +51,7 @@ def _retrieved(model: GridModel, town: Map, flight: Flight) -> MapRetrieval:
 
 
 def _off(found: MapRetrieval, frame: int, place: tuple[float, float]) -> float:
-    return float(np.linalg.norm(found.places[found.scores(frame).argmax()] - place))
+    return float(np.linalg.norm(found.gallery.places[found.scores(frame).argmax()] - place))
 
 
 def test_few_or_equal_frames_are_not_centred(town: Map, tmp_path: Path) -> None:
@@ -87,8 +87,8 @@ def test_many_distinct_frames_are_centred(town: Map, tmp_path: Path) -> None:
     assert found.whitening is not None
     assert found.whitening.shape == (2, 16, 16)
     plain = retrieve(GridModel(), town, _flight(tmp_path / "many", places), overlap=0.88, centre=False)  # type: ignore[arg-type]
-    expected = normalise(whitened(plain.windows_described - found.means["satellite"], found.whitening))
-    np.testing.assert_allclose(found.windows_described, expected, atol=1e-6)
+    expected = normalise(whitened(plain.gallery.described - found.means["satellite"], found.whitening))
+    np.testing.assert_allclose(found.gallery.described, expected, atol=1e-6)
 
 
 def test_whitening_evens_out_what_all_pictures_share() -> None:
@@ -117,11 +117,12 @@ def test_the_best_windows_of_places_apart(town: Map, tmp_path: Path) -> None:
     assert chosen[0] == order[0]
     expected: list[int] = []
     for i in order.tolist():
-        off = np.abs(found.places[expected] - found.places[i]).max(axis=1, initial=0)
-        if (off >= found.sizes[0] / 2).all():
+        off = np.abs(found.gallery.places[expected] - found.gallery.places[i]).max(axis=1, initial=0)
+        if (off >= found.gallery.sizes[0] / 2).all():
             expected.append(i)
     np.testing.assert_array_equal(chosen, expected[:4])
-    np.testing.assert_array_equal(found.top(0, 4, 0.5).indices, chosen)
+    best = [(one.x, one.y, one.score) for one in found.best(0, 4)]
+    np.testing.assert_allclose(best, [(*found.gallery.places[i], found.scores(0)[i]) for i in chosen])
 
 
 def test_a_broken_frame_leaves_the_others_in_the_cache(town: Map, tmp_path: Path) -> None:
@@ -131,7 +132,7 @@ def test_a_broken_frame_leaves_the_others_in_the_cache(town: Map, tmp_path: Path
     found = _retrieved(first, town, flight)
     again = GridModel()
     second = _retrieved(again, town, flight)
-    assert first.described == len(found.windows) + 2
+    assert first.described == len(found.gallery.windows) + 2
     assert again.described == 0
     assert list(found.broken) == list(second.broken) == [1]
     assert second.broken[1]
@@ -150,35 +151,34 @@ def test_a_stopped_retrieval_goes_on_where_it_was(town: Map, tmp_path: Path) -> 
     with pytest.raises(KeyboardInterrupt), listening(stop):
         retrieve(first, town, flight, overlap=0.88)  # type: ignore[arg-type]
     resumed = _retrieved(second, town, flight)
-    windows = len(resumed.windows)
+    windows = len(resumed.gallery.windows)
     assert windows / 2 < first.described < windows
     assert second.described < windows / 2 + len(flight.frames)
-    np.testing.assert_array_equal(resumed.windows_described[:8], _retrieved(second, town, flight).windows_described[:8])
-    assert (np.linalg.norm(resumed.windows_described, axis=2) > 0.1).all()
+    np.testing.assert_array_equal(resumed.gallery.described[:8], _retrieved(second, town, flight).gallery.described[:8])
+    assert (np.linalg.norm(resumed.gallery.described, axis=2) > 0.1).all()
 
 
 def test_the_heading_of_an_aircraft_is_left_only_for_a_clearly_better_one(town: Map, tmp_path: Path) -> None:
     flight = _flight(tmp_path / "wing", [(-40.0, 10.0)])
     frame = replace(flight.frames[0], heading_source="aircraft")
     found = _retrieved(GridModel(), town, replace(flight, frames=(frame,)))
-    assert found.by_aircraft == {0}
-    flat = found.windows_described.reshape(len(found.windows), -1)
+    flat = found.gallery.described.reshape(len(found.gallery.windows), -1)
     described = found.frames_described[0]
     assert described is not None
     scores = (flat @ described.reshape(12, -1).T).astype(np.float64)
-    free = replace(found, by_aircraft=frozenset())
+    free = replace(found, views=[replace(found.views[0], aircraft=False)])
     np.testing.assert_allclose(free.scores(0), scores.max(axis=1))
     scores[:, 5:] -= 1.5 * scores.std()
     np.testing.assert_allclose(found.scores(0), scores.max(axis=1))
     assert found.scores(0).argmax() == free.scores(0).argmax()
     # An aircraft that drifts by 20 degrees costs nothing.
     drifting = _retrieved(GridModel(), town, replace(flight, frames=(replace(frame, heading=340.0),)))
-    assert drifting.top(0, 1).headings[0] == 0
+    assert drifting.best(0, 1)[0].heading == 0
     np.testing.assert_allclose(drifting.scores(0).max(), found.scores(0).max())
     # Turned by 90 degrees, the picture is still found.
     turned = replace(frame, heading=270.0)
     found = _retrieved(GridModel(), town, replace(flight, frames=(turned,)))
-    assert found.top(0, 1).headings[0] == 0
+    assert found.best(0, 1)[0].heading == 0
     assert _off(found, 0, (-40.0, 10.0)) < 10
 
 
@@ -186,7 +186,7 @@ def test_a_course_is_one_of_several_turns(town: Map, tmp_path: Path) -> None:
     flight = _flight(tmp_path / "sideways", [(-40.0, 10.0)], heading=90.0)
     frame = replace(flight.frames[0], heading=0.0, heading_source="course")
     found = _retrieved(GridModel(), town, replace(flight, frames=(frame,)))
-    assert found.top(0, 1).headings[0] == 90
+    assert found.best(0, 1)[0].heading == 90
     assert _off(found, 0, (-40.0, 10.0)) < 10
 
 
@@ -201,9 +201,10 @@ def test_a_frame_of_several_turns_is_read_once(town: Map, tmp_path: Path, monkey
 
     monkeypatch.setattr("lpn.core.images.load_picture", counted)
     found = _retrieved(GridModel(), town, replace(flight, frames=frames))
+    assert found.views[0].headings == [45 * k for k in range(8)]
     assert sorted(read) == sorted(frame.file for frame in frames)
-    assert [len(headings) for headings in found.headings] == [8, 8, 8]
-    assert found.top(1, 1).headings[0] == 0
+    assert [len(views.headings) for views in found.views] == [8, 8, 8]
+    assert found.best(1, 1)[0].heading == 0
 
 
 def test_squares_of_reduced_pictures_are_those_of_whole_ones(tmp_path: Path) -> None:
@@ -215,19 +216,3 @@ def test_squares_of_reduced_pictures_are_those_of_whole_ones(tmp_path: Path) -> 
         reader = FrameReader(pixels)
         for heading in (0.0, 45.0, 203.0):
             np.testing.assert_array_equal(reader(file, heading, share), cut_square(picture, heading, share, pixels))
-
-
-def test_scores_are_computed_once_while_there_is_room_for_them(
-    town: Map, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    flight = _flight(tmp_path / "two", [(-40.0, 10.0), (30.0, -35.0)])
-    found = _retrieved(GridModel(), town, flight)
-    scores = found.scores_by_heading(1)
-    assert found.scores_by_heading(1) is scores
-    assert not scores.flags.writeable
-    monkeypatch.setattr("lpn.flight.locate.retrieval._HELD_SCORES", scores.nbytes)
-    small = replace(found)
-    assert small.scores_by_heading(0) is small.scores_by_heading(0)
-    again = small.scores_by_heading(1)
-    assert again is not small.scores_by_heading(1)
-    np.testing.assert_array_equal(again, scores)
