@@ -179,11 +179,12 @@ class FailingKind:
     failures: int
     queries: int
 
-    def name(self, column: str = "") -> str:
-        """Return the kind in words; `column` is the name of its column in words, by default as in the table."""
+    @property
+    def name(self) -> str:
+        """The kind in words."""
         if (self.column.name, self.rate.name) == ("twins", "yes"):
             return "pictures of buildings with a twin elsewhere"
-        return f"pictures whose {column or self.column.name} is {self.rate.name}"
+        return f"pictures whose {self.column.name} is {self.rate.name}"
 
     @property
     def numbers(self) -> str:
@@ -205,7 +206,7 @@ def describe_failures(outcomes: Outcomes, table: Table, query_labels: Int64Array
         return f"{wrong}."
     if not kinds:
         return f"{wrong}; {by_chance(failures)}."
-    return f"{wrong}. It fails most for {kinds[0].name()}: {kinds[0].numbers}."
+    return f"{wrong}. It fails most for {kinds[0].name}: {kinds[0].numbers}."
 
 
 def by_chance(failures: int) -> str:
