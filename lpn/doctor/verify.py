@@ -23,12 +23,18 @@ class VerifiedFile:
     Attributes:
         path: the file or folder.
         message: the end of a sentence about it.
-        whole: False if it is damaged, or holds nothing.
+        healthy: False if it is damaged, or holds nothing.
     """
 
     path: Path
     message: str
-    whole: bool
+    healthy: bool
+
+    @property
+    def line(self) -> str:
+        """The result as one line of text."""
+        name = printable(str(self.path))
+        return f"{name} {self.message}." if self.healthy else f"DAMAGED: {name}: {self.message}"
 
 
 def verify(path: Path) -> Iterator[VerifiedFile]:

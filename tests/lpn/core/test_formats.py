@@ -139,20 +139,20 @@ def index(tmp_path: Path) -> Path:
 
 
 def test_a_flipped_byte_is_found_in_every_file_of_an_index(index: Path, tmp_path: Path) -> None:
-    assert [(verdict.message, verdict.whole) for verdict in verify(tmp_path)] == [("is what was written", True)]
+    assert [(verdict.message, verdict.healthy) for verdict in verify(tmp_path)] == [("is what was written", True)]
     files = [path for path in index.rglob("*") if path.is_file()]
     assert len(files) == 5
     for file in files:
         whole = file.read_bytes()
         place = len(whole) - 3 if file.suffix != ".json" else whole.index(b"i")
         file.write_bytes(whole[:place] + bytes([whole[place] ^ 1]) + whole[place + 1 :])
-        found = [verdict for verdict in verify(index.parent) if not verdict.whole]
+        found = [verdict for verdict in verify(index.parent) if not verdict.healthy]
         assert len(found) == 1, file
         assert "make" in found[0].message
         file.write_bytes(whole)
     missing = next(index.glob("part-*")) / "rows.json"
     missing.unlink()
-    assert [verdict.whole for verdict in verify(index)] == [False]
+    assert [verdict.healthy for verdict in verify(index)] == [False]
 
 
 def test_measurements_are_read_and_those_of_a_later_version_are_left_alone(

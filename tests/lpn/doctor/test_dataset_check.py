@@ -180,13 +180,6 @@ def test_a_lost_view_is_damage_only_where_nothing_stands_in_for_it(
     assert (ordered, status) == (sorted(lacking), 1 if lacking else 0)
 
 
-def test_unreadable_pictures_are_damage_beside_gaps(tmp_path: Path) -> None:
-    root = layouts.university_gaps(tmp_path / "University-Release")
-    (root / "train" / "google" / "0002" / "image-01.jpg").write_bytes(b"\xff\xd8\xff")
-    status, found = doctor(root, tmp_path)
-    assert (status, [item["file"] for item in found["broken"]]) == (1, ["train/google/0002/image-01.jpg"])
-
-
 KIND = DescriptorKind("0123456789abcdef", 2, 8)
 VECTORS = np.full((20, 2, 8), 0.25, np.float32)
 NAMES = [f"tile {i}" for i in range(20)]
@@ -220,7 +213,7 @@ def test_an_index_says_if_it_is_empty_whole_or_has_unfinished_parts_beside_it(
         assert said(capsys, place) == (0, f"{place} is what was written; {left}.")
     (place / "store.json").unlink()
     (verdict,) = verify(tmp_path)
-    assert not verdict.whole
+    assert not verdict.healthy
     assert "its description was not finished; run lpn describe again" in verdict.message
 
 
