@@ -132,10 +132,6 @@ def test_frames_of_unknown_place_are_neither_found_nor_failed(workspace: Workspa
         ),
         ([str(DEMO), "--no-register"], "demo is a data set, and --no-register fits a flight; leave it out."),
         (
-            ["monday", "--map", "a.tif", "--model", "m.onnx", "--beside-kind", "dac"],
-            "--beside-kind needs --beside",
-        ),
-        (
             ["monday", "--map", "a.tif", "--model", "m.onnx", "--port", "0"],
             "There is no file a.tif",
         ),
