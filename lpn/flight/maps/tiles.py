@@ -10,6 +10,7 @@ import os
 import re
 import sqlite3
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing, suppress
 from pathlib import Path
 
@@ -19,7 +20,7 @@ from PIL import Image
 from lpn.core.arrays import Float64Array
 from lpn.core.errors import DataError
 from lpn.core.files import printable
-from lpn.datasets.integrity import list_errors, picture_errors
+from lpn.datasets.integrity import list_errors, stream_error
 
 # Half the side of the square that Web Mercator (EPSG:3857) shows, in its own metres.
 _HALF = math.pi * 6_378_137.0
@@ -31,8 +32,10 @@ _TILE = re.compile(
     r"(?P<z>[12]?\d|30)/(?P<x>\d{1,9})/(?P<y>\d{1,9})(?:@2x)?(?:\.(?:png|jpe?g|webp|pbf|mvt))?(?:\.tile)?",
     re.IGNORECASE | re.ASCII,
 )
-# The formats that GDAL reads as tiles, and the kinds of pixels that it takes as colours.
-_FORMATS, _MODES = ("PNG", "JPEG", "WEBP"), ("RGB", "RGBA", "L", "LA", "P")
+# The beginnings of files that GDAL reads as tiles. Pillow would run Ghostscript for others.
+_PICTURE = re.compile(rb"\x89PNG|\xff\xd8\xff|RIFF....WEBP", re.DOTALL)
+# The kinds of pixels that GDAL takes as colours.
+_MODES = ("RGB", "RGBA", "L", "LA", "P")
 # gdal2tiles writes this file beside tiles that count rows from the south (TMS).
 _TMS = "tilemapresource.xml"
 _METADATA = ("metadata.json", "tilejson.json", "tile.json", "tiles.json")
@@ -81,7 +84,9 @@ def pack_tiles(folder: Path, out: Path) -> tuple[Float64Array, list[str]]:
         raise DataError(
             f"{printable(str(folder))} has tiles beyond {(1 << zoom) - 1} at zoom {zoom}; expected numbers of Web Mercator."
         )
-    errors = picture_errors([*tiles.values()], decode=True)
+    with ThreadPoolExecutor() as pool:
+        checked = zip(tiles.values(), pool.map(_error, tiles.values()), strict=True)
+        errors = {file: error for file, error in checked if error is not None}
     sound = {place: file for place, file in tiles.items() if file not in errors}
     sides = {max(_size(file)) for file in sound.values()}
     if not sides:
@@ -130,11 +135,20 @@ def _encoded(file: Path | None, side: int) -> bytes:
         picture = Image.new("RGBA", (side, side))
     else:
         with Image.open(file) as found:
-            if found.size == (side, side) and found.format in _FORMATS and found.mode in _MODES:
+            if found.size == (side, side) and found.mode in _MODES:
                 return file.read_bytes()
             picture = found.convert("RGBA").resize((side, side))
     picture.save(data := io.BytesIO(), "PNG")
     return data.getvalue()
+
+
+def _error(file: Path) -> str | None:
+    """Return the error of a tile that GDAL would leave out; None if it is good."""
+    try:
+        data = file.read_bytes()
+    except OSError as error:
+        return f"cannot be read ({error.strerror or error})"
+    return stream_error(io.BytesIO(data), decode=True) if _PICTURE.match(data) else "is no picture"
 
 
 def _size(file: Path) -> tuple[int, int]:

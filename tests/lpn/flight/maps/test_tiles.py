@@ -6,10 +6,11 @@ from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
+from unittest.mock import MagicMock
 
 import numpy as np
 import pytest
-from PIL import Image
+from PIL import EpsImagePlugin, Image
 
 from lpn.cli.main import main
 from lpn.core.arrays import UInt8Array
@@ -199,15 +200,22 @@ def test_tiles_in_another_projection_are_refused(tmp_path: Path, file: str, text
     refused(tiles, words, "expected Web Mercator (EPSG:3857)")
 
 
-def test_tiles_that_are_no_pictures_have_no_data(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_tiles_that_are_no_pictures_have_no_data(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(EpsImagePlugin, "Ghostscript", ran := MagicMock())
     tiles = write_folder(tmp_path / "town", PICTURE)
     (tiles / f"{ZOOM}/{WEST}/{NORTH}.png").write_bytes(b"<!DOCTYPE html><html>Not found</html>")
-    (tiles / f"{ZOOM}/{WEST + 1}/{NORTH}.png").write_bytes(b"")
+    (tiles / f"{ZOOM}/{WEST + 1}/{NORTH}.png").write_bytes(
+        b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 256 256\n%%EndComments\nshowpage\n"
+    )
     broken = tiles / f"{ZOOM}/{WEST}/{NORTH + 1}.png"
     broken.write_bytes(broken.read_bytes()[:100])
     assert main(["map", str(tiles), "--out", str(tmp_path / "map")]) == 0
     printed = capsys.readouterr().out
     assert "3 tiles of town are no whole PNG, JPEG, or WebP, as failed downloads are; they have no data: " in printed
+    assert not ran.called
+    assert f"{ZOOM}/{WEST + 1}/{NORTH}.png is no picture" in printed
     assert f"{ZOOM}/{WEST}/{NORTH + 1}.png is cut short or damaged" in printed
     assert "75% of its rectangle have no tile." in printed
     assert "shows 204 m by 204 m about 48.205456, 9.103546, 25% of it with data" in printed
