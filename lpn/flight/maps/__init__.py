@@ -4,7 +4,7 @@
     picture, valid = basemap.read(Window(120.0, -35.0, 100.0), 224)
     windows = basemap.pyramid([70.0, 100.0, 140.0], overlap=0.5)
 
-It imports `core` only, and needs the extra `maps`; `training`, `locate`, and the packages above them import it.
+It imports `core` and `datasets`, and needs the extra `maps`; `training`, `locate`, and the packages above them import it.
 """
 
 from lpn.flight.maps.folder import open_map

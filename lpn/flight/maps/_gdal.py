@@ -42,6 +42,13 @@ PIXELS_PER_MINUTE, _MOST_MINUTES = 1.3e9, 10
 # `warnings.catch_warnings` changes the filters of all threads, so one thread at a time uses it.
 _opening = threading.Lock()
 
+# Remedies for files that are no maps, by their endings.
+_REMEDIES = {
+    (".mp4", ".mov", ".mkv", ".avi", ".srt"): "make a flight of it with lpn flight",
+    (".pth", ".pt", ".ckpt", ".safetensors", ".onnx"): "give a model with --model",
+    (".las", ".laz", ".ply", ".e57"): "give the orthophoto and not the point cloud",
+    (".kml", ".kmz"): "give the picture in it, with --corners",
+}
 _CONVERT = "expected a GeoTIFF, a picture, or an .mbtiles of pictures, so convert, unpack, or copy it again"
 
 
@@ -88,8 +95,9 @@ def open_raster(path: Path) -> Any:
             file = rasterio().io.DatasetReader(str(path.absolute()), driver=_DRIVERS)
             flaw = _flaw(file, path)
         except failures() as error:
+            remedies = (remedy for endings, remedy in _REMEDIES.items() if path.suffix.lower() in endings)
             raise DataError(
-                f"{name} {_begins(path)}cannot be read as a map ({_reason(error, path)}); {_CONVERT}."
+                f"{name} {_begins(path)}cannot be read as a map ({_reason(error, path)}); {next(remedies, _CONVERT)}."
             ) from error
     if flaw:
         file.close()

@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -35,7 +35,7 @@ from lpn.flight.maps.sheet import Sheet
 from lpn.flight.maps.sources import MapOptions, files_of, open_sheet, parse_crs
 
 NAME = "map.json"
-FORMAT = "lpn-map/1"
+FORMAT = "lpn-map/2"
 _COVERAGE = "coverage.png"
 _SHEETS = "sheets"
 _ELEVATION = "elevation.tif"
@@ -142,7 +142,9 @@ def build_map(
         OutputError: if the folder is not empty, or cannot be written.
     """
     for path in paths:
-        if (path / NAME).is_file():
+        if not (path / NAME).is_file():
+            continue
+        with suppress(DataError):  # a map.json of another program
             names = [printable(sheet.name) for sheet in _read(path).sheets]
             raise InputError(
                 f"{printable(str(path))} is a map that lpn map wrote; give the files that it was made of: {first_few(names, 10)}."
@@ -281,7 +283,7 @@ def _read(folder: Path) -> MapRecord:
         raise DataError(f"{file_name} cannot be read ({error.strerror or error}); check its permissions.") from error
     except (ValueError, RecursionError, InputError) as error:
         raise DataError(
-            f"{file_name} is damaged, or no map; write the map again with lpn map, in a new folder."
+            f"{file_name} is damaged, of an older version, or no map; write the map again with lpn map, in a new folder."
         ) from error
     return record
 

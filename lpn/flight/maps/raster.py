@@ -85,7 +85,7 @@ class Raster:
         self._handles: deque[Any] = deque()
         with _gdal.opened(path) as file:
             self.width, self.height = int(file.width), int(file.height)
-            _gdal.check_work(file, path)
+            _gdal.check_work(file, path if name is None else Path(name))
             self._source = _gdal.vrt_name(path, file.driver)
             self._paletted = file.colorinterp[0].name == "palette" and file.dtypes[0] in ("uint8", "uint16")
             if len(pages := file.subdatasets) > 1:

@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import itertools
 import re
+import sqlite3
 import weakref
 from collections.abc import Iterator, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from shutil import rmtree
-from tempfile import mkdtemp
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 
 from lpn.core.arrays import Float64Array
-from lpn.core.errors import DataError, InputError
+from lpn.core.errors import DataError, InputError, OutputError
 from lpn.core.files import printable
 from lpn.core.lists import read_rows
 from lpn.flight.maps import _gdal
@@ -97,6 +98,7 @@ def open_sheet(path: Path, options: MapOptions) -> Sheet:
     Raises:
         DataError: if it cannot be read, or its georeference is missing or impossible.
         InputError: if an option is malformed, or does not apply.
+        OutputError: if tiles cannot be packed in the folder of temporary files.
     """
     if not is_tile_set(path):
         with _gdal.opened(path) as file:
@@ -104,18 +106,19 @@ def open_sheet(path: Path, options: MapOptions) -> Sheet:
         return Sheet(path.name, Raster(path, options.bands, options.keep_borders), crs, matrix)
     if options != MapOptions(keep_borders=options.keep_borders):
         raise InputError(f"{printable(str(path))} holds tiles in Web Mercator; leave CRS, corners, and bands out.")
-    folder = mkdtemp()
-    packed = Path(folder) / f"{path.name}.mbtiles"
-    try:
-        notes = pack_tiles(path, packed)
+    with ExitStack() as stack:
+        try:
+            packed = Path(stack.enter_context(TemporaryDirectory(ignore_cleanup_errors=True))) / f"{path.name}.mbtiles"
+            matrix, notes = pack_tiles(path, packed)
+        except (sqlite3.Error, OSError) as error:
+            raise OutputError(
+                f"The tiles of {printable(str(path))} cannot be packed ({printable(str(error))[:200]}); free space in the folder "
+                "for temporary files, or name another one in TMPDIR."
+            ) from error
         raster = Raster(packed, None, options.keep_borders, printable(path.name))
-    except BaseException:
-        rmtree(folder, ignore_errors=True)
-        raise
-    weakref.finalize(raster, rmtree, folder, ignore_errors=True)
+        weakref.finalize(raster, stack.pop_all().close)
     raster.notes[:0] = notes
-    with _gdal.opened(packed) as file:
-        return Sheet(path.name, raster, *_georeference(packed, file, MapOptions()))
+    return Sheet(path.name, raster, _gdal.rasterio().crs.CRS.from_epsg(3857), matrix)
 
 
 def _files_in(folder: Path, options: MapOptions, notes: list[str]) -> list[Path]:

@@ -112,16 +112,12 @@ def test_what_lpn_map_refuses_leaves_nothing_behind(tmp_path: Path, capsys: pyte
     build_map([good], tmp_path / "written").close()
     many = [write_geotiff(tmp_path / f"{i:02}.tif", smooth(60, 60)) for i in range(12)]
     build_map(many, tmp_path / "many").close()
-    other = tmp_path / "other"
-    other.mkdir()
-    (other / "map.json").write_text("{}")
     for files, words in (
         (
             [tmp_path / "written"],
             "written is a map that lpn map wrote; give the files that it was made of: a.tif.",
         ),
         ([tmp_path / "many"], "08.tif, 09.tif, and 2 more."),
-        ([other], "is damaged, or no map"),
         ([tmp_path / "bare.png"], "no georeference"),
         ([good, degrees], "look like degrees"),
         ([tmp_path / "missing.tif"], "There is no file"),
@@ -132,6 +128,13 @@ def test_what_lpn_map_refuses_leaves_nothing_behind(tmp_path: Path, capsys: pyte
         assert words in error
         assert error.count("\n") == 1
         assert not out.exists()
+
+
+def test_a_folder_of_rasters_may_hold_the_map_json_of_another_program(tmp_path: Path) -> None:
+    (tmp_path / "other").mkdir()
+    write_geotiff(tmp_path / "other" / "a.tif", smooth(60, 60))
+    (tmp_path / "other" / "map.json").write_text("{}")
+    assert build_map([tmp_path / "other"], tmp_path / "map").name == "a"
 
 
 def test_a_folder_appears_when_all_is_written_and_replaces_nothing(
@@ -166,7 +169,8 @@ def test_a_damaged_map_folder_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="open it alone"):
         open_map([tmp_path / "map", path])
     for text, words in (
-        (whole.replace("lpn-map/1", "lpn-map/2"), "later version"),
+        (whole.replace("lpn-map/2", "lpn-map/3"), "later version"),
+        (whole.replace("lpn-map/2", "lpn-map/1"), "of an older version"),
         (whole[:50], "is damaged"),
         (json.dumps(json.loads(whole) | {"sheets": []}), "is damaged"),
         (json.dumps(json.loads(whole) | {"latitude": 91}), "is damaged"),

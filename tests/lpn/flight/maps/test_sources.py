@@ -241,6 +241,14 @@ def test_what_is_no_map_is_refused(tmp_path: Path) -> None:
     ):
         (tmp_path / "text.tif").write_bytes(data)
         refused(tmp_path / "text.tif", "cannot be read as a map", words, "convert, unpack, or copy it again")
+    for name, remedy in (
+        ("a.MP4", "make a flight of it with lpn flight"),
+        ("a.pth", "give a model with --model"),
+        ("a.las", "give the orthophoto and not the point cloud"),
+        ("a.kmz", "give the picture in it, with --corners"),
+    ):
+        (tmp_path / name).write_bytes(b"\0\1")
+        refused(tmp_path / name, "cannot be read as a map", f"; {remedy}.")
     for rows, columns in ((1, 1), (1, 64), (64, 1), (15, 400)):
         few = write_geotiff(tmp_path / "few.tif", smooth(64, 400)[:rows, :columns])
         refused(few, f"The map few has {columns} x {rows} pixels; expected at least 16 on each side")

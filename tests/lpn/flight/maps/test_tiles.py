@@ -6,14 +6,15 @@ from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
+from unittest.mock import MagicMock
 
 import numpy as np
 import pytest
-from PIL import Image
+from PIL import EpsImagePlugin, Image
 
 from lpn.cli.main import main
 from lpn.core.arrays import UInt8Array
-from lpn.core.errors import DataError, InputError
+from lpn.core.errors import DataError, InputError, OutputError
 from lpn.flight.maps import Map, MapOptions, Window, open_map
 from lpn.flight.maps.folder import build_map
 from tests.lpn.flight.maps.small_maps import smooth, write_geotiff
@@ -116,12 +117,55 @@ def test_tiles_of_all_kinds_in_one_folder(tmp_path: Path) -> None:
     assert picture[480, 400].tolist() == [10, 200, 30]
 
 
-def test_tiles_of_512_pixels(tmp_path: Path, fine: Map) -> None:
+def test_tiles_of_512_pixels(tmp_path: Path, same: Map, fine: Map) -> None:
     check(open_map(write_folder(tmp_path / "town", FINE, side=512)), fine)
     assert check(open_map(write_mbtiles(tmp_path / "town.mbtiles", FINE, METADATA, side=512)), fine) == []
     tiles = write_folder(tmp_path / "both", PICTURE)
     write_folder(tiles, FINE, "{z}/{x}/{y}@2x.png", side=512)
     check(open_map(tiles), fine)
+    # A tile that is there in 256 pixels alone is enlarged.
+    (tiles / f"{ZOOM}/{WEST}/{NORTH}@2x.png").unlink()
+    town = open_map(tiles)
+    assert town.read(Window(-40, 40, 60), 60)[1].all()
+    assert town.resolution == pytest.approx(fine.resolution)
+    shown, expected = (one.read(Window(-55, 55, 60), 60)[0].astype(int) for one in (town, same))
+    np.testing.assert_allclose(shown, expected, atol=6)
+
+
+@pytest.mark.parametrize("zoom", [23, 25])
+def test_tiles_deeper_than_gdal_reads(tmp_path: Path, zoom: int) -> None:
+    """Drone orthophotos of 1 cm have tiles at zoom 23."""
+    tiles = write_folder(tmp_path / "town", PICTURE)
+    deep, by = tmp_path / "deep" / "town", 1 << zoom - ZOOM
+    for file in tiles.rglob("*.png"):
+        moved = deep / f"{zoom}/{int(file.parent.name) - WEST + WEST * by}/{int(file.stem) - NORTH + NORTH * by}.png"
+        moved.parent.mkdir(parents=True, exist_ok=True)
+        file.rename(moved)
+    town = open_map(deep)
+    assert town.notes == [f"town is shown at zoom {zoom}, the deepest of 1.", NORTHERN]
+    a, b, c, d, e, f = matrix()
+    same = open_map(write_geotiff(tmp_path / "same.tif", PICTURE, "EPSG:3857", (a / by, b, c, d, e / by, f)))
+    assert town.frame == same.frame
+    np.testing.assert_allclose(town.bounds, same.bounds, atol=1e-4)
+    window = Window(0, 0, 60 / by)
+    np.testing.assert_allclose(town.read(window, 80)[0].astype(int), same.read(window, 80)[0], atol=3)
+    (deep / f"{zoom}/0").mkdir()
+    (deep / f"{zoom}/0/1.png").write_bytes(encoded(PICTURE[:256, :256]))
+    refused(deep, "lie too far apart for one map")
+
+
+def test_a_full_folder_for_temporary_files_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    resource = pytest.importorskip("resource")
+    tiles = write_folder(tmp_path / "town", PICTURE)
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (8192, limits[1]))
+    try:
+        with pytest.raises(OutputError, match=r"town cannot be packed .* free space in the folder for temporary files"):
+            open_map(tiles)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert list(tmp_path.iterdir()) == [tiles]
 
 
 @pytest.mark.parametrize(
@@ -156,16 +200,25 @@ def test_tiles_in_another_projection_are_refused(tmp_path: Path, file: str, text
     refused(tiles, words, "expected Web Mercator (EPSG:3857)")
 
 
-def test_tiles_that_are_no_pictures_have_no_data(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_tiles_that_are_no_pictures_have_no_data(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(EpsImagePlugin, "Ghostscript", ran := MagicMock())
     tiles = write_folder(tmp_path / "town", PICTURE)
     (tiles / f"{ZOOM}/{WEST}/{NORTH}.png").write_bytes(b"<!DOCTYPE html><html>Not found</html>")
-    (tiles / f"{ZOOM}/{WEST + 1}/{NORTH}.png").write_bytes(b"")
+    (tiles / f"{ZOOM}/{WEST + 1}/{NORTH}.png").write_bytes(
+        b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 256 256\n%%EndComments\nshowpage\n"
+    )
     broken = tiles / f"{ZOOM}/{WEST}/{NORTH + 1}.png"
     broken.write_bytes(broken.read_bytes()[:100])
     assert main(["map", str(tiles), "--out", str(tmp_path / "map")]) == 0
     printed = capsys.readouterr().out
-    assert "2 tiles of town are no PNG, JPEG, or WebP, as failed downloads are; they have no data." in printed
-    assert "50% of it with data" in printed
+    assert "3 tiles of town are no whole PNG, JPEG, or WebP, as failed downloads are; they have no data: " in printed
+    assert not ran.called
+    assert f"{ZOOM}/{WEST + 1}/{NORTH}.png is no picture" in printed
+    assert f"{ZOOM}/{WEST}/{NORTH + 1}.png is cut short or damaged" in printed
+    assert "75% of its rectangle have no tile." in printed
+    assert "shows 204 m by 204 m about 48.205456, 9.103546, 25% of it with data" in printed
     for file in tiles.rglob("*.png"):
         file.rename(file.with_suffix(".pbf")).write_bytes(b"\x1a\x10")
     refused(tiles, "are no PNG, JPEG, or WebP; expected pictures, so render vector tiles")
@@ -175,6 +228,9 @@ def test_gaps_and_tiles_beyond_the_world_are_told(tmp_path: Path) -> None:
     tiles = write_folder(tmp_path / "town", PICTURE)
     (tiles / f"{ZOOM}/{WEST}/{NORTH}.png").unlink()
     assert "town is shown at zoom 18, the deepest of 1; 25% of its rectangle have no tile." in open_map(tiles).notes
+    (tiles / f"{ZOOM}/0").mkdir()
+    (tiles / f"{ZOOM}/0/{NORTH}.png").write_bytes(encoded(PICTURE[:256, :256]))
+    refused(tiles, "town has 35251712 x 512 pixels, and a first look at it would take")
     (tiles / f"{ZOOM}/{1 << ZOOM}").mkdir()
     (tiles / f"{ZOOM}/{1 << ZOOM}/1.png").write_bytes(encoded(PICTURE[:256, :256]))
     refused(tiles, "has tiles beyond 262143 at zoom 18")
