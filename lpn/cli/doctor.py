@@ -103,7 +103,7 @@ class DoctorCommand:
         for verdict in (verdict for path in self.paths for verdict in verify(path)):
             damaged += not verdict.whole
             name = printable(str(verdict.path))
-            print(f"{name} {verdict.message}." if verdict.whole else f"DAMAGED: {name}: {verdict.message}")
+            print(f"{name} {verdict.message}." if verdict.whole else f"{verdict.flaw}: {name}: {verdict.message}")
         return 1 if damaged else 0
 
     def _check_environment(self) -> int:
