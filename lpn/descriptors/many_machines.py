@@ -38,7 +38,7 @@ from lpn.core.resources import usable_cores
 from lpn.core.views import View
 from lpn.datasets.integrity import DAMAGED, stream_error
 from lpn.descriptors.parallel_inference import describe_each
-from lpn.descriptors.places import Place, first_line
+from lpn.descriptors.places import Storage, first_line
 from lpn.descriptors.store import (
     MANIFEST,
     ROWS,
@@ -125,7 +125,7 @@ def describe_by_many(
         if number is not None and number < 1:
             raise InputError(f"The number of {name} is {number}; expected 1 or more.")
     kind = DescriptorKind.of_model(Engine(model, threads=1).in_role(view, role), view, UNCHANGED, precision)
-    source, target = Place(pictures), Place(out)
+    source, target = Storage(pictures), Storage(out)
     rows = source.rows()
     local = None if "://" in target.where else Path(target.where)
     # The end of another run would delete the parts of this one.
@@ -173,7 +173,7 @@ def _locked(folder: Path) -> Iterator[None]:
         yield
 
 
-def _held(target: Place, kind: DescriptorKind, rows: Sequence[Row]) -> tuple[list[PartEntry], list[Row], int]:
+def _held(target: Storage, kind: DescriptorKind, rows: Sequence[Row]) -> tuple[list[PartEntry], list[Row], int]:
     """Return the parts of a place that hold some of the rows, each row once; the rows in none; and the next part's number.
 
     Raises:
@@ -252,7 +252,7 @@ class DescribeWorker:
         import ray
 
         cv2.setNumThreads(1)
-        self.task, self.images, self.out = task, Place(task.images), Place(task.out)
+        self.task, self.images, self.out = task, Storage(task.images), Storage(task.out)
         self.view = cast(View, task.kind.view)
         with tempfile.TemporaryDirectory(prefix="lpn-") as folder:
             for name, data in ray.get(files).items():

@@ -14,7 +14,7 @@ from lpn.descriptors.store import MANIFEST, ROWS, VECTORS, Row, row_of
 from lpn.descriptors.writer import pictures_below
 
 
-class Place:
+class Storage:
     """A folder, or a prefix in object storage such as s3://bucket/prefix; InputError if no package opens it."""
 
     def __init__(self, where: str | Path) -> None:
@@ -88,7 +88,7 @@ def local_store(where: str) -> Iterator[Path]:
         yield Path(where)
         return
     with tempfile.TemporaryDirectory(prefix="lpn-") as folder:
-        Place(where).copy(Path(folder))
+        Storage(where).copy(Path(folder))
         yield Path(folder)
 
 
