@@ -200,18 +200,16 @@ def evaluate(
     Raises:
         LPNError: when an argument is wrong, or model or data set cannot be used.
     """
-    from lpn.descriptors import descriptor_reader
     from lpn.descriptors.transforms import UNCHANGED, Change
-    from lpn.tasks.changes import by_csls, calibrated, changed, with_parts
+    from lpn.tasks.changes import changed, with_parts
     from lpn.tasks.opening import choose_task, lazy_task, task_calibration
 
     if change is not None and not isinstance(change, Change):
         raise InputError(f"The change is of the type {type(change).__name__}; expected an lpn.Change.")
     (network, model_name), dataset = _opened_model(model), _opened_data(data)
-    calibration, read = task_calibration(network, dataset, calibrate), descriptor_reader(dataset.root)
-    opened = lazy_task(network, dataset, choose_task(network, dataset, task), read, model_name=model_name)
-    opened = changed(calibrated(opened, calibration), change or UNCHANGED)
-    return by_csls(with_parts(opened, parts), csls).evaluate()
+    calibration, name = task_calibration(network, dataset, calibrate), choose_task(network, dataset, task)
+    opened = lazy_task(network, dataset, name, model_name=model_name, calibration=calibration, neighbours=csls)
+    return with_parts(changed(opened, change or UNCHANGED), parts).evaluate()
 
 
 def open_task(

@@ -68,7 +68,7 @@ import sys
 from lpn.core.files import cache_folder
 from tools.bench import flights
 caches = []
-flights.measured = lambda *_: caches.append((cache_folder(), cache_folder().is_dir()))
+flights.measure = lambda *_: caches.append((cache_folder(), cache_folder().is_dir()))
 sys.argv = ["flights", "folder", "monday"]
 flights.main()
 print(caches[0][1], str(caches[0][0]) == USERS, caches[0][0].exists())

@@ -209,13 +209,6 @@ def test_what_would_be_compared_unlike_is_refused(
     assert not (tmp_path / "page.md").exists()
 
 
-def test_beside_an_index_a_data_set_is_ranked_plain(options: Callable[[str, str], list[str]]) -> None:
-    root, index = (options("failures", source)[0] for source in ("data", "index"))
-    beside, alone = (CompareCommand(source=source)._sources().values() for source in ((root, index), (root,)))
-    assert [one.options.calibrate for one in beside] == [False, None]
-    assert [one.options.calibrate for one in alone] == [None]
-
-
 def test_the_model_that_ships_is_told_once(
     options: Callable[[str, str], list[str]], capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -321,7 +314,7 @@ def test_queries_without_a_label_and_part_weights_do_not_count(tmp_path: Path) -
         ("evaluate nowhere", "There is no data set folder at nowhere; check the path."),  # and no model is named first
         ("evaluate FOLDER --gallery FILE", "folder is a data set, and --gallery fits arrays of descriptors; leave it"),
         ("evaluate RESULT --gallery RESULT --centre", "Plain arrays are measured with their list of pictures"),
-        ("compare RESULT FOLDER RESULT", "r.mat is compared with itself; give each source once."),
+        ("compare RESULT FOLDER RESULT", "r.mat is compared with itself; give each source once, and each model"),
         ("compare RESULT RESULT --gallery FILE RESULT", "Plain arrays are measured with their list of pictures"),
         ("compare FOLDER --kind dac", "--kind needs --model; give both, or leave it out."),
         ("compare FOLDER --pooling mean", "--pooling needs --model; give both, or leave it out."),

@@ -46,20 +46,18 @@ class Mutation:
     anchor: str
     replacement: str
 
-    def plant(self, root: Path) -> str:
-        """Return the file's text with the fault."""
+    def problem(self, root: Path) -> str:
+        """Return the reason if the fault cannot be planted, else ""."""
         path = root / self.file
-        text = path.read_text("utf-8") if path.is_file() else ""
-        if (count := text.count(self.anchor)) != 1:
-            raise InputError(
+        count = path.read_text("utf-8").count(self.anchor) if path.is_file() else 0
+        if count != 1:
+            return (
                 f"The mutation {self.name} does not apply: its anchor {self.anchor!r} occurs {count} times in {self.file}, not "
                 f"once. Anchor it in {TABLE} where this behaviour is now: {self.behaviour}."
             )
         if missing := [test for test in self.tests if not (root / test.partition("::")[0]).is_file()]:
-            raise InputError(
-                f"The mutation {self.name} names the tests {missing[0]}, which are not there; name others."
-            )
-        return text.replace(self.anchor, self.replacement)
+            return f"The mutation {self.name} names the tests {missing[0]}, which are not there; name others."
+        return ""
 
 
 def read_table(path: Path) -> list[Mutation]:
@@ -147,7 +145,7 @@ def run(root: Path, mutations: Sequence[Mutation]) -> dict[str, str | None]:
             raise InputError(f"{failed} fails without a mutation, so that it would notice nothing; mend it first.")
         for one in mutations:
             began, text = time.monotonic(), (root / one.file).read_text("utf-8")
-            write(tree / one.file, one.plant(root))
+            write(tree / one.file, text.replace(one.anchor, one.replacement))
             by = noticed[one.name] = first_failure(tree, one.tests)
             write(tree / one.file, text)
             seconds = time.monotonic() - began
@@ -170,8 +168,7 @@ def main(arguments: list[str]) -> None:
         if unknown := set(options.names) - table.keys():
             raise InputError(f"There is no mutation {', '.join(sorted(unknown))}; there are {', '.join(table)}.")
         chosen = [table[name] for name in options.names] or list(table.values())
-        problems = [problem for one in chosen if (problem := _problem(one, root))]
-        if problems:
+        if problems := list(filter(None, (one.problem(root) for one in chosen))):
             raise InputError("\n".join(problems))
         if options.check:
             print(f"All {len(chosen)} mutations apply.")
@@ -185,15 +182,6 @@ def main(arguments: list[str]) -> None:
     print(f"{len(noticed) - len(missed)} of {len(noticed)} mutations are noticed.")
     if missed:
         raise SystemExit(f"No test notices {', '.join(missed)}; write one that does.")
-
-
-def _problem(mutation: Mutation, root: Path) -> str:
-    """Return the reason if a mutation cannot be planted, else ""."""
-    try:
-        mutation.plant(root)
-    except InputError as error:
-        return str(error)
-    return ""
 
 
 if __name__ == "__main__":

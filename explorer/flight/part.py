@@ -100,8 +100,9 @@ class FlightPart(PanelPart):
             jobs.leave(self)
 
     def _fail(self, error: Exception) -> None:
-        if isinstance(error, LPNError):
-            self.tab.say(str(error))
+        self.tab.say(
+            str(error) if isinstance(error, LPNError) else "Something failed; the server's log has the details."
+        )
 
     def _work(self) -> float | None:
         state, result, workspace = self.tab.state, self.tab.result, self.tab.services.workspace
@@ -160,7 +161,10 @@ class FlightPart(PanelPart):
         frame = arguments.get("frame")
         if not isinstance(frame, int) or not 0 <= frame < len(self._shared.snapshot().flight.frames):
             return
-        self._shared.correct(frame, corners)
+        try:
+            self._shared.correct(frame, corners)
+        except LPNError as error:
+            raise InputError(f"Not saved. {error}") from error
         self._saves += 1
         self._worker.wake()
 

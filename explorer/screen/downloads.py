@@ -1,4 +1,4 @@
-"""Slow files: each tab makes one at a time, with progress in the reason's place, and the browser then saves it."""
+"""Slow files: a tab makes one of each kind at a time, with progress in the reason's place; the browser then saves it."""
 
 from __future__ import annotations
 
@@ -22,27 +22,28 @@ class Downloads:
 
     def __init__(self, send: Callable[[ScreenMessage], None]) -> None:
         self._send = send
-        self._job: BackgroundJob[None] | None = None
-        self._making = False
+        # The files in progress, and the last job of each kind, by title.
+        self._making: set[str] = set()
+        self._jobs: dict[str, BackgroundJob[None]] = {}
 
     def make(self, title: str, make: MakeFile, feeds: Feeds, owner: object) -> None:
-        """Begin a file; if one is being made, cancel it instead.
+        """Begin a file; if one of its kind is being made, cancel that instead.
 
         Args:
             title: the file's kind in the notes, such as "Report".
             feeds: serves the file.
             owner: the owner of the feed.
         """
-        if self._making:
-            self.close()
+        if title in self._making:
+            self._jobs[title].leave(self)
             return
-        self._making = True
-        self._job = BackgroundJob(lambda report: self._make(title, make, report, feeds, owner), self)
+        self._making.add(title)
+        self._jobs[title] = BackgroundJob(lambda report: self._make(title, make, report, feeds, owner), self)
 
     def close(self) -> None:
-        """Cancel the current file."""
-        if self._job is not None:
-            self._job.leave(self)
+        """Cancel all files in progress."""
+        for job in self._jobs.values():
+            job.leave(self)
 
     def _make(self, title: str, make: MakeFile, report: ReportProgress, feeds: Feeds, owner: object) -> None:
         def note(done: int, total: int) -> None:
@@ -57,10 +58,10 @@ class Downloads:
             text = f"{title}: it failed; the server's log has the details."
             if isinstance(error, (LPNError, WorkCancelledError)):
                 text = str(error) or f"{title}: cancelled."
-            self._making = False  # before the note: its reader may begin another file
+            self._making.discard(title)  # before the note: its reader may begin another file
             self._send({"note": text})
             raise
         address = feeds.address + feeds.publish_bytes(owner, "file", lambda: content) + "0"
-        self._making = False
+        self._making.discard(title)
         self._send({"download": {"address": address, "name": name}})
         self._send({"note": f"The browser saves {name}."})

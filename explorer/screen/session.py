@@ -5,13 +5,14 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from functools import lru_cache, partial
+from functools import partial
 from typing import Any
 from urllib.parse import quote
 
 import viser
 
 from explorer.compute.background_jobs import BackgroundJob
+from explorer.compute.cache import SingleFlightCache
 from explorer.compute.ranking_job import RankingJob
 from explorer.compute.request_context import RequestContext
 from explorer.compute.worker import Worker
@@ -27,7 +28,7 @@ from explorer.screen.own import OwnPhotoBytes, OwnPhotos
 from explorer.screen.panel import Action, PanelPart, SceneLines
 from explorer.screen.panels import PANELS, scripted
 from explorer.screen.rail import Rail, listed_queries
-from explorer.screen.result import STRIP, ScreenResult, measured_scale
+from explorer.screen.result import STRIP, BarScale, ScreenResult, measured_scale
 from explorer.screen.scene.scene import views_of
 from explorer.screen.scene.tab import TabScene
 from explorer.services import WorkspaceServices
@@ -36,7 +37,7 @@ from lpn.core.errors import LPNError
 from lpn.core.files import printable
 from lpn.descriptors.transforms import Change
 from lpn.library.answer import Answer
-from lpn.tasks.task import SCORINGS, scored_key
+from lpn.tasks.task import SCORINGS, Task, scored_key
 
 # Seconds between two looks at an unfinished ranking.
 _POLL = 0.5
@@ -62,9 +63,13 @@ class Screens:
         opening: Callable[[str], BackgroundJob[Workspace] | None] = lambda _: None,
     ) -> None:
         self.services, self.home, self.places, self.opening = services, home, places, opening
-        self.scale = lru_cache(maxsize=32)(measured_scale)
+        self._scales = SingleFlightCache[Task, BarScale](32)
         self.held = held_descriptors()
         self.own = OwnPhotoBytes()
+
+    def scale(self, task: Task) -> BarScale:
+        """Return the ends of all bars of a task, measured once."""
+        return self._scales.get(task, lambda: measured_scale(task))
 
     def session(self, send: Callable[[ScreenMessage], None]) -> ScreenSession:
         """Return the session of a new tab."""

@@ -10,7 +10,7 @@ import numpy as np
 from lpn.analysis import breakdown
 from lpn.analysis.breakdown import Rate
 from lpn.core.arrays import BoolArray, Float32Array, FloatingArray, Int64Array
-from lpn.core.tables import Column, Table
+from lpn.core.tables import Table
 from lpn.retrieval.metrics import Retrieval
 from lpn.tasks.query_outcomes import Outcomes, picture_columns
 
@@ -164,60 +164,8 @@ def describe_lead(outcomes: Outcomes, lead: float) -> str:
     return f"A lead of {lead:.3f} is {comparison} than that of {share} of the model's {len(leads):,} right answers."
 
 
-@dataclass(frozen=True)
-class FailingKind:
-    """A kind of picture that fails more often than chance explains.
-
-    Attributes:
-        column: the table's column that defines the kind.
-        rate: numbers of queries and of failures of the kind.
-        failures, queries: numbers of all.
-    """
-
-    column: Column
-    rate: Rate
-    failures: int
-    queries: int
-
-    def name(self, column: str = "") -> str:
-        """Return the kind in words; `column` is the name of its column in words, by default as in the table."""
-        if (self.column.name, self.rate.name) == ("twins", "yes"):
-            return "pictures of buildings with a twin elsewhere"
-        return f"pictures whose {column or self.column.name} is {self.rate.name}"
-
-    @property
-    def numbers(self) -> str:
-        """The failures of the kind and of all others, in words."""
-        rate = self.rate
-        others = f"{self.failures - rate.failures:,} of {self.queries - rate.queries:,} others"
-        return f"{rate.failures:,} of {rate.queries:,} are wrong, against {others}"
-
-
 def describe_failures(outcomes: Outcomes, table: Table, query_labels: Int64Array, besides: Collection[str] = ()) -> str:
-    """Say how many queries fail, and which kind of picture fails most (`failing_kinds`), in one or two sentences."""
-    known = np.flatnonzero(outcomes.known)
-    failures, queries = int(outcomes.failed[known].sum()), len(known)
-    if not queries:
-        return ""
-    wrong = f"The first answer is wrong for {failures:,} of {queries:,} pictures"
-    kinds = failing_kinds(outcomes, table, query_labels, besides)
-    if kinds is None:
-        return f"{wrong}."
-    if not kinds:
-        return f"{wrong}; {by_chance(failures)}."
-    return f"{wrong}. It fails most for {kinds[0].name()}: {kinds[0].numbers}."
-
-
-def by_chance(failures: int) -> str:
-    """Say that no kind of picture fails more often than by chance."""
-    few = "with so few, " if failures < _FEWEST else ""
-    return f"{few}no kind of picture fails more often than by chance"
-
-
-def failing_kinds(
-    outcomes: Outcomes, table: Table, query_labels: Int64Array, besides: Collection[str] = ()
-) -> list[FailingKind] | None:
-    """Return the kinds of picture that fail more often than by chance, the least likely first; None without comparable kinds.
+    """Say how many queries fail, and which kind of picture fails most, if any does by more than chance, in one or two sentences.
 
     Chance is the hypergeometric tail of a kind's failures among all (Fisher's exact test, one-sided), times the number of tested
     kinds (Bonferroni). Pictures of one place fail together, so their numbers are divided by `breakdown.design_effect`.
@@ -228,19 +176,29 @@ def failing_kinds(
     """
     known = np.flatnonzero(outcomes.known)
     failures, queries = int(outcomes.failed[known].sum()), len(known)
-    if failures in (0, queries):
-        return None
-    kinds: list[tuple[float, FailingKind]] = []
+    if not queries:
+        return ""
+    wrong = f"The first answer is wrong for {failures:,} of {queries:,} pictures"
+    kinds: list[tuple[float, str, Rate]] = []
     alike = breakdown.design_effect(outcomes.failed[known], query_labels[known])
-    for column in picture_columns(table):
+    for column in picture_columns(table) if 0 < failures < queries else ():
         rates = breakdown.rates(outcomes.failed, column, rows=known)
         if column.name in _NOT_OF_A_KIND or column.name in besides or not 1 < len(rates) <= max(queries // 2, 2):
             continue
         for rate in rates:
             counts = (int(count / alike) for count in (rate.failures, rate.queries, failures, queries))
-            kinds.append((breakdown.chance(*counts), FailingKind(column, rate, failures, queries)))
-    likely = sorted((kind for kind in kinds if kind[0] * len(kinds) < _BY_CHANCE), key=lambda kind: kind[0])
-    return [kind for _, kind in likely] if kinds else None
+            kinds.append((breakdown.chance(*counts), column.name, rate))
+    if not kinds:
+        return f"{wrong}."
+    chance, name, most = min(kinds, key=lambda kind: kind[0])
+    if chance * len(kinds) >= _BY_CHANCE:
+        few = "with so few, " if failures < _FEWEST else ""
+        return f"{wrong}; {few}no kind of picture fails more often than by chance."
+    kind = f"pictures whose {name} is {most.name}"
+    if (name, most.name) == ("twins", "yes"):
+        kind = "pictures of buildings with a twin elsewhere"
+    others = f"{failures - most.failures:,} of {queries - most.queries:,} others"
+    return f"{wrong}. It fails most for {kind}: {most.failures:,} of {most.queries:,} are wrong, against {others}."
 
 
 def _in_words(share: float) -> str:

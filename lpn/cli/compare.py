@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sized
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -121,49 +121,46 @@ class CompareCommand:
         _write(table, self.table, self.json)
 
     def _sources(self) -> dict[str, TaskSource]:
-        """Return each source with each model by a distinct name; InputError if an option fits none, or a model repeats."""
+        """Return each source with each model by a distinct name; InputError if an option fits none, or one repeats."""
         if not self.source:
             raise InputError("There is no SOURCE; give its path first, as lpn evaluate takes it.")
         shared = ("provider", "data", "map", "task", "calibrate", "csls", "paths", "order", "n_parts")
+        common = {"model": self.model[0] if self.model else None, **{name: getattr(self, name) for name in shared}}
         given = [
-            SourceOptions(source=source, gallery=gallery, **{name: getattr(self, name) for name in shared})
+            SourceOptions(source=source, gallery=gallery, **common)
             for source, gallery in zip(self.source, self._galleries(), strict=True)
         ]
         kinds = [kind_of(options) for options in given]
         taken = frozenset[str]().union(*(kind.takes for kind in kinds))
-        if self.model and "model" not in taken:
-            source_of(replace(given[0], model=self.model[0]))  # the error names the kinds that take a model
-        models = self._models() if "model" in taken else {}
-        names = distinct_names([Path(source) for source in self.source])
+        # A scoring applies to all sources or to none; `source_of` names the kinds that take it.
+        taken -= {name for name in ("calibrate", "csls") if getattr(self, name)}
+        models = self._models() if "model" in taken else []
         several = sum("model" in kind.takes for kind in kinds) > 1
-        mixed = not all("calibrate" in kind.takes for kind in kinds)
-        found: dict[str, TaskSource] = {}
+        names = distinct_names([Path(source) for source in self.source])
+        found: list[tuple[str, TaskSource]] = []
         for options, kind, name in zip(given, kinds, names, strict=True):
-            # A scoring applies to all sources or to none; `source_of` names the kinds that take it.
-            asked = {name for name in ("calibrate", "csls") if getattr(self, name)}
             unfit: dict[str, Any] = {
-                one.name: one.default for one in fields(SourceOptions) if one.name in taken - kind.takes - asked
+                one.name: one.default for one in fields(SourceOptions) if one.name in taken - kind.takes
             }
-            if mixed and "calibrate" in kind.takes - asked:
-                unfit["calibrate"] = False
             options = replace(options, **unfit)
             if kind is ResultSource and self.data is None and kinds[0] is DataSource:
                 options.data = given[0].path
             if "model" not in kind.takes:
                 if options.gallery is not None and names.count(name) > 1:  # other galleries for the same queries
                     name += f", {distinct_names(self.gallery)[self.gallery.index(options.gallery)]}"
-                found[name] = source_of(options)
+                found.append((name, source_of(options)))
                 continue
-            for model_name, model in models.items():
-                own = {one.name: getattr(model, one.name) for one in fields(ModelOptions)}
+            for model_name, model in models:
                 title = (name if len(models) == 1 else f"{model_name}, {name}") if several else model_name
-                found[title] = source_of(replace(options, **own))
-        if len(found) < sum(len(models) if "model" in kind.takes else 1 for kind in kinds):
-            twice = next((name for name in names if names.count(name) > 1), names[0])
-            raise InputError(f"{twice} is compared with itself; give each source once.")
-        if not self.model and any("model" in kind.takes for kind in kinds):
+                found.append((title, source_of(replace(options, **vars(model)))))
+        titles = [title for title, _ in found]
+        if twice := next((title for title in titles if titles.count(title) > 1), None):
+            raise InputError(
+                f"{twice} is compared with itself; give each source once, and each model once or by another --kind or --pooling."
+            )
+        if models and not self.model:
             shipped_model()  # reported once, however many sources
-        return found
+        return dict(found)
 
     def _galleries(self) -> list[Path | None]:
         """Return the gallery of each source in their order; None for sources without one."""
@@ -180,41 +177,31 @@ class CompareCommand:
             "each .npy, .npz, or .mat of queries in their order."
         )
 
-    def _models(self) -> dict[str, ModelOptions]:
-        """Return the options of each model by a distinct name."""
-        if not self.model:
-            shipped = ModelOptions(model=SHIPPED_MODEL, provider=self.provider)
-            return {shipped.name: shipped}
-        count = len(self.model)
-        kinds = of_each("--kind", self.kind, count, "models")
-        poolings = of_each("--pooling", self.pooling, count, "models")
-        names = model_names(self.model, poolings, kinds)
-        if twice := next((name for name in names if names.count(name) > 1), None):
-            raise InputError(
-                f"{twice} is compared with itself; give each model once, or by another --kind or --pooling."
+    def _models(self) -> list[tuple[str, ModelOptions]]:
+        """Return the name and the options of each model."""
+        files = self.model or (SHIPPED_MODEL,)
+        kinds = of_each("--kind", self.kind, len(files), "models")
+        poolings = of_each("--pooling", self.pooling, len(files), "models")
+        return [
+            (name, ModelOptions(model=file, kind=kind, pooling=pooling, provider=self.provider))
+            for name, file, kind, pooling in zip(
+                model_names(files, poolings, kinds), files, kinds, poolings, strict=True
             )
-        return {
-            name: ModelOptions(model=file, kind=kind, pooling=pooling, provider=self.provider)
-            for name, file, kind, pooling in zip(names, self.model, kinds, poolings, strict=True)
-        }
+        ]
 
     def _ranked(self) -> Iterator[RankedModel]:
         from lpn.tasks.measure import measure, scored_name
 
         sources = list(self._sources().items())
-        if len(sources) == 1 and (self.calibrate or self.csls):  # compared with itself, ranked plain
+        several = len(sources) > 1
+        if not several and (self.calibrate or self.csls):  # compared with itself, ranked plain
             ((name, source),) = sources
-            plain = source_of(replace(source.options, csls=0))
-            off = source_of(replace(source.options, calibrate=False, csls=0)) if "calibrate" in source.takes else plain
-            sources = [(name, off), (name, plain), (name, source)]
-        elif len(sources) < 2:
-            raise InputError(
-                f"A comparison takes two models or more, or one with --calibrate or --csls; found {len(sources)}."
-            )
+            off = {"calibrate": False} if "calibrate" in source.takes else {}
+            changes: list[dict[str, Any]] = [{"csls": 0, **off}, {"csls": 0}, {}]
+            sources = [(name, source_of(replace(source.options, **change))) for change in changes]
+        _check_count(sources)
         tasks = [(name, source.to_measure()[0]) for name, source in sources]
-        if len(dict(sources)) > 1 and not all(
-            task.calibration for _, task in tasks
-        ):  # all models are then ranked plain
+        if several and not all(task.calibration for _, task in tasks):  # all models are then ranked plain
             for place, (name, task) in enumerate(tasks):
                 if task.calibration is not None:
                     alike = source_of(replace(sources[place][1].options, calibrate=False))
@@ -228,9 +215,7 @@ class CompareCommand:
         from lpn.analysis.leaderboard import common_tasks, leaderboard
         from lpn.core.files import check_outputs
         from lpn.datasets import open_dataset
-        from lpn.descriptors import descriptor_reader
         from lpn.models.shipped import model_file
-        from lpn.tasks.changes import by_csls, calibrated
         from lpn.tasks.measure import scored_name
         from lpn.tasks.opening import alike_calibrations, lazy_task
 
@@ -247,8 +232,7 @@ class CompareCommand:
             raise InputError(
                 f"A page is about one data set, and {len(self.source)} are given; give one, or leave --page out."
             )
-        if len(sources) < 2:
-            raise InputError(f"A comparison takes two models or more; found {len(sources)}.")
+        _check_count(sources)
         check_outputs((page, *_ENDINGS), (self.json, ".json"))
         networks = [source.options.load() for source in sources.values()]
         dataset = open_dataset(Path(self.source[0]))
@@ -256,11 +240,9 @@ class CompareCommand:
         titles = [scored_name(name, one, self.csls) for name, one in zip(sources, chosen, strict=True)]
         models, calibrations = dict(zip(titles, networks, strict=True)), dict(zip(titles, chosen, strict=True))
         files = [model_file(source.options.file) for source in sources.values()]
-        read = descriptor_reader(dataset.root)
 
         def opened(name: str, task: str) -> Task:
-            listed = lazy_task(models[name], dataset, task, read)
-            return by_csls(calibrated(listed, calibrations[name]), self.csls)
+            return lazy_task(models[name], dataset, task, calibration=calibrations[name], neighbours=self.csls)
 
         board = leaderboard(
             dataset.root.resolve().name,
@@ -277,6 +259,13 @@ class CompareCommand:
         _write(board, page, self.json)
         tables = f"{len(board.tables)} table{'s' * (len(board.tables) > 1)} of tasks and galleries"
         print(f"{page}: {len(board.facts)} models, {tables}")
+
+
+def _check_count(sources: Sized) -> None:
+    if len(sources) < 2:
+        raise InputError(
+            f"A comparison takes two models or more, or one with --calibrate or --csls; found {len(sources)}."
+        )
 
 
 def _write(result: Leaderboard | ModelTable, page: Path | None, json: Path | None) -> None:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from lpn.core.demo import DEMO
 from lpn.core.errors import InputError
@@ -38,7 +39,7 @@ class DoctorCommand:
     """File to write all findings to, with every name, as JSON."""
 
     def run(self) -> int:
-        from lpn.core.files import check_outputs, printable, write_json
+        from lpn.core.files import check_outputs, printable
 
         if self.paths:
             if self.data or self.model or self.kind or self.pooling or self.quick or self.json:
@@ -46,7 +47,9 @@ class DoctorCommand:
                     f"{printable(str(self.paths[0]))} is compared with its checksums alone; leave the options out, or give a "
                     "data set's folder with --data, and a model to prove with --model."
                 )
-            return self._verify()
+            from lpn.doctor.verify import verify
+
+            return 0 if _printed(finding for path in self.paths for finding in verify(path))[1] else 1
         check_outputs((self.json, ".json"))
         if self.model is not None:
             return self._check_model(self.model)
@@ -63,13 +66,12 @@ class DoctorCommand:
         console = wide_console()
         report = check_dataset(open_dataset(self.data), not self.quick)
         print_report(report, console)
-        if self.json is not None:
-            write_json(self.json, report.to_dict())
+        self._write(report.to_dict())
         return 0 if report.healthy else 1
 
     def _check_model(self, file: Path) -> int:
         import lpn
-        from lpn.core.files import printable, write_json
+        from lpn.core.files import printable
         from lpn.datasets import open_dataset
         from lpn.doctor import model_check
 
@@ -86,38 +88,32 @@ class DoctorCommand:
                 )
         print(printable(f"{model.contract.method}: {model.describe()}"))
         print(printable(f"Level: {model.contract.claim}."), flush=True)
-        findings = []
-        for finding in model_check.check_model(model, pictures):
-            findings.append(finding)
-            print(f"{'OK' if finding.healthy else 'problem':8}{finding.view}: {finding.message}", flush=True)
-        if self.json is not None:
-            values = {"method": model.contract.method, "level": model.contract.claim, "fingerprint": model.fingerprint}
-            write_json(self.json, values | {"views": [vars(one) for one in findings]})
-        return 0 if all(finding.healthy for finding in findings) else 1
-
-    def _verify(self) -> int:
-        from lpn.core.files import printable
-        from lpn.doctor.verify import verify
-
-        damaged = 0
-        for verdict in (verdict for path in self.paths for verdict in verify(path)):
-            damaged += not verdict.whole
-            name = printable(str(verdict.path))
-            print(f"{name} {verdict.message}." if verdict.whole else f"{verdict.flaw}: {name}: {verdict.message}")
-        return 1 if damaged else 0
+        findings, healthy = _printed(model_check.check_model(model, pictures))
+        values = {"method": model.contract.method, "level": model.contract.claim, "fingerprint": model.fingerprint}
+        self._write(values | {"views": [vars(one) for one in findings]})
+        return 0 if healthy else 1
 
     def _check_environment(self) -> int:
-        from lpn.core.files import write_json
-        from lpn.doctor import environment_check
+        from lpn.doctor.environment_check import check_environment
 
         if self.quick:
             raise InputError("--quick is about the pictures of a data set; give one with --data.")
-        findings = []
-        for finding in environment_check.check_environment(DEMO):
-            findings.append(finding)
-            print(finding.line, flush=True)
-        healthy = environment_check.healthy(findings)
+        findings, healthy = _printed(check_environment(DEMO))
         print("Nothing that is needed is broken." if healthy else "Something is broken: see the problems above.")
-        if self.json is not None:
-            write_json(self.json, environment_check.to_dict(findings))
+        self._write({"healthy": healthy, "findings": [vars(one) for one in findings]})
         return 0 if healthy else 1
+
+    def _write(self, values: dict[str, Any]) -> None:
+        from lpn.core.files import write_json
+
+        if self.json is not None:
+            write_json(self.json, values)
+
+
+def _printed(findings: Iterable[Any]) -> tuple[list[Any], bool]:
+    """Print findings as they come; return them, and whether all are healthy."""
+    found = []
+    for finding in findings:
+        found.append(finding)
+        print(finding.line, flush=True)
+    return found, all(finding.healthy for finding in found)

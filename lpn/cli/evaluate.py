@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
+from lpn.cli.parsing import numbers
 from lpn.core.errors import InputError
 from lpn.descriptors.weather import WeatherName
 from lpn.sources import Advanced, SourceOptions, source_of
@@ -89,7 +90,7 @@ class EvaluateCommand(SourceOptions):
         )
         task = changed(task, change) if change else task
         task = centred(task) if self.centre else task
-        return with_parts(task, _numbers(self.parts))
+        return with_parts(task, numbers(self.parts, int, "parts", "numbers from 1, such as 1,2"))
 
 
 def _print_result(title: str, result: Result) -> None:
@@ -151,12 +152,3 @@ def _title(key: str) -> str:
         **{f"{group}_recall": f"mean R@{{}} of {group}s" for group in ("region", "flight")},
     }
     return titles.get(name, name).format(depth)
-
-
-def _numbers(text: str | None) -> list[int] | None:
-    if text is None:
-        return None
-    try:
-        return [int(item) for item in text.split(",")]
-    except ValueError as error:
-        raise InputError(f"The parts are {text!r}; expected numbers from 1, such as 1,2.") from error

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import MISSING, field, fields, is_dataclass, make_dataclass
 from types import NoneType, UnionType
-from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
 import tyro
 from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
 
 from lpn.core.errors import InputError
 from lpn.sources.options import ADVANCED
+
+Number = TypeVar("Number", int, float)
 
 HELP, HELP_ALL = "--help", "--help-all"
 # tyro's mark of an option that help omits.
@@ -72,12 +74,15 @@ def parse(command: type[Any], arguments: Sequence[str], program: str, default: A
 
 def part_values(text: str | None) -> list[float] | None:
     """Parse part weights such as "1,1,0,1"; InputError if they are not numbers."""
-    if text is None:
-        return None
+    return numbers(text, float, "weights", "a number for each part, such as 1,1,0,1")
+
+
+def numbers(text: str | None, kind: Callable[[str], Number], noun: str, expected: str) -> list[Number] | None:
+    """Parse numbers separated by commas; None for None."""
     try:
-        return [float(item) for item in text.split(",")]
+        return None if text is None else [kind(item) for item in text.split(",")]
     except ValueError as error:
-        raise InputError(f"The weights are {text!r}; expected a number for each part, such as 1,1,0,1.") from error
+        raise InputError(f"The {noun} are {text!r}; expected {expected}.") from error
 
 
 def modes(command: type[Any]) -> dict[str, type[Any]]:

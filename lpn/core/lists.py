@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import csv
+import io
 import json
+import re
 from collections.abc import Callable, Collection, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
-from lpn.core.csv_cells import Delimited, decode_text, delimited, mixed_separators
 from lpn.core.errors import DataError
 from lpn.core.files import printable
 
@@ -16,6 +17,10 @@ from lpn.core.files import printable
 MAX_LIST_BYTES = 100_000_000
 # Maximum of characters of a line in a message.
 _SHOWN = 200
+# Excel saves a table in UTF-16 with tabs. If Excel writes semicolons, its first line has neither of these two.
+_SEPARATORS = ",\t"
+# Excel's first line that names the separator.
+_NAMED_SEPARATOR = re.compile(r"\"?sep=([,;\t])\"?\r?\n", re.IGNORECASE)
 
 
 def read_text(path: Path, name: str, errors: str = "strict", most: int = MAX_LIST_BYTES) -> str:
@@ -38,9 +43,19 @@ def read_text(path: Path, name: str, errors: str = "strict", most: int = MAX_LIS
 
 
 def decoded(data: bytes, name: str, errors: str = "strict") -> str:
-    """Decode a file's contents; DataError if they are neither UTF-8 nor UTF-16."""
+    """Decode a file's contents in UTF-8 or UTF-16, with or without a byte order mark; DataError for others.
+
+    Args:
+        errors: of UTF-8, see `read_text`.
+    """
+    # Every other byte of a list in UTF-16 is 0, as its letters are mostly ASCII.
+    head = data[:1000]
     try:
-        return decode_text(data, errors)
+        if data.startswith((b"\xff\xfe", b"\xfe\xff")):
+            return data.decode("utf-16")
+        if len(head) > 1 and head.count(0) > len(head) // 3:
+            return data.decode("utf-16-le" if head[1::2].count(0) > head[::2].count(0) else "utf-16-be")
+        return data.decode("utf-8-sig", errors)
     except UnicodeDecodeError as error:
         raise DataError(f"{name} is not text in UTF-8 or UTF-16; expected a list of pictures.") from error
 
@@ -63,29 +78,52 @@ def read_json(path: Path, name: str, most: int = MAX_LIST_BYTES) -> Any:
 def read_rows(path: Path, name: str, errors: str = "strict") -> Iterator[tuple[int, list[str]]]:
     """Yield the rows of a CSV file that are not blank, each with its line number from 1.
 
-    `lpn.core.csv_cells.delimited` finds the separator.
-
-    Raises:
-        DataError: as for `read_text`, and if it is not a CSV file.
+    Errors are those of `read_text` and `separated`.
     """
     yield from separated(read_text(path, name, errors), name).rows
 
 
-def separated(text: str, name: str, strict: bool = False) -> Delimited:
-    """Split a text as `delimited` does; its rows raise DataError if their values cannot be separated."""
-    decimal_comma, lines = delimited(text, strict)
+class SeparatedValues(NamedTuple):
+    """A text of separated values.
+
+    Attributes:
+        decimal_comma: whether numbers may have a decimal comma, because commas separate nothing else.
+        rows: the rows that are not blank, each with its line number from 1; raises DataError if values cannot be separated.
+    """
+
+    decimal_comma: bool
+    rows: Iterator[tuple[int, list[str]]]
+
+
+def separated(text: str, name: str, strict: bool = False) -> SeparatedValues:
+    """Split a text at its first line's more frequent separator, comma or tab, or at the one named by a line such as `sep=;`.
+
+    A first line with semicolons and neither commas nor tabs is split at semicolons.
+
+    Args:
+        strict: refuse unclosed quotes, as in a truncated file.
+    """
+    named = _NAMED_SEPARATOR.match(text)
+    first = text.lstrip("\r\n").partition("\n")[0]
+    separator = max(_SEPARATORS, key=first.count) if named is None else named[1]
+    if named is None and separator not in first and ";" in first:
+        separator = ";"
+    start, skipped = (0, 0) if named is None else (named.end(), 1)
+    lines = csv.reader(io.StringIO(text[start:], newline=""), delimiter=separator, strict=strict)
 
     def rows() -> Iterator[tuple[int, list[str]]]:
         line = 0
         try:
-            for line, values in lines:
-                yield line, values
+            for values in lines:
+                if any(value.strip() for value in values):
+                    line = lines.line_num + skipped
+                    yield line, values
         except csv.Error as error:
             raise DataError(
                 f"Line {line + 1} of {name} is not comma-separated values ({error}); correct it."
             ) from error
 
-    return Delimited(decimal_comma, rows())
+    return SeparatedValues(separator != ",", rows())
 
 
 def table(
@@ -114,9 +152,9 @@ def table(
     header = [tidy(column.strip()) for column in next(lines, (0, []))[1]]
     if not fits(header):
         found = printable(",".join(header)[:_SHOWN])
-        raise DataError(
-            f"The first line of {name} is {found or 'empty'}; expected {expected}.{mixed_separators(','.join(header))}"
-        )
+        mixed = " Semicolons stand beside commas or tabs in it; separate all values by the same character."
+        mixed = mixed if any(";" in column for column in header) else ""
+        raise DataError(f"The first line of {name} is {found or 'empty'}; expected {expected}.{mixed}")
 
     def rows() -> Iterator[tuple[str, dict[str, str]]]:
         for number, values in lines:

@@ -37,8 +37,8 @@ _COMPARISONS: dict[str, Callable[[Any, Any], Any]] = {
 _QUOTED = re.compile(r'"[^"]*"?')
 _AND = re.compile(r"(?<!\s)\s+and(?:\s+|$)", re.IGNORECASE)
 _OPERATOR = re.compile(r"<=|>=|!=|!~|=|<|>|~")
-# Names, and values outside of quotes, exclude these.
-_OPERATOR_CHARACTERS = frozenset('<>=!~"')
+# Names of columns, and values outside of quotes, exclude these.
+OPERATOR_CHARACTERS = frozenset('<>=!~"')
 _MAX_LENGTH = 1000
 ColumnType = Literal["number", "text"]
 
@@ -210,7 +210,7 @@ def _split(condition: str) -> tuple[str, str, str] | None:
         return None
     name, value = condition[: sign.start()].strip(), condition[sign.end() :].strip()
     quoted = len(value) > 1 and value[0] == value[-1] == '"' and value.count('"') == 2
-    if not name or _OPERATOR_CHARACTERS & set(name) or (_OPERATOR_CHARACTERS & set(value) and not quoted):
+    if not name or OPERATOR_CHARACTERS & set(name) or (OPERATOR_CHARACTERS & set(value) and not quoted):
         return None
     return name, sign[0], value
 

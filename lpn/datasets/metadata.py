@@ -26,14 +26,14 @@ from lpn.core.files import printable
 from lpn.core.formats import WORLD as WORLD_FORMAT
 from lpn.core.formats import is_newer, newer_version
 from lpn.core.lists import read_text, table
-from lpn.core.tables import Column, number_column, text_column
+from lpn.core.tables import OPERATOR_CHARACTERS, Column, number_column, text_column
 from lpn.datasets import geo
 from lpn.datasets.listed_paths import by_name, plain_path
+from lpn.datasets.rendered import PLAN
 
 log = logging.getLogger(__name__)
 
 NAME = "metadata.csv"
-WORLD = "world.json"
 # The columns of a user's annotations.
 TAGS, NOTE = "tags", "note"
 _ABOUT = {
@@ -44,7 +44,6 @@ _ABOUT = {
     "width": "The width of the ground on the picture",
 }
 _UNITS = {"latitude": "°", "longitude": "°", "altitude": "m", "heading": "°", "tilt": "°", "fov": "°", "width": "m"}
-_OPERATOR_CHARACTERS = set('<>=!~"')
 
 
 def columns(root: Path, paths: Sequence[str], taken: Sequence[str] = ()) -> list[Column]:
@@ -75,10 +74,10 @@ def _positions(root: Path, paths: Sequence[str]) -> list[Column]:
 
 
 def _world(root: Path, paths: Sequence[str]) -> list[Column]:
-    file = root / WORLD
+    file = root / PLAN
     if not file.is_file():
         return []
-    name, nothing = f"{WORLD} in {printable(root.name)}", ("", "", "", math.nan, "")
+    name, nothing = f"{PLAN} in {printable(root.name)}", ("", "", "", math.nan, "")
     try:
         plan = json.loads(file.read_bytes())
         if is_newer(plan.get("format"), WORLD_FORMAT):
@@ -95,7 +94,7 @@ def _world(root: Path, paths: Sequence[str]) -> list[Column]:
         district, character, kind, height, twins = zip(*(building_of.get(path, nothing) for path in paths), strict=True)
     except (OSError, ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
         raise DataError(
-            f"{name} is damaged or not the plan of a rendered world; render it again, or take {WORLD} away."
+            f"{name} is damaged or not the plan of a rendered world; render it again, or take {PLAN} away."
         ) from error
     return [
         text_column("district", district, "The district of the rendered city in which the building stands"),
@@ -123,8 +122,8 @@ def _custom(root: Path, paths: Sequence[str], taken: Sequence[str]) -> list[Colu
     )
     used = {name.casefold() for name in taken}
     for name in names[1:]:
-        signs = " ".join(sorted(_OPERATOR_CHARACTERS))
-        if not name or _OPERATOR_CHARACTERS & set(name):
+        signs = " ".join(sorted(OPERATOR_CHARACTERS))
+        if not name or OPERATOR_CHARACTERS & set(name):
             raise DataError(
                 f"{NAME} has a column called {name!r}; expected a name without any of {signs}, so rename it."
             )

@@ -9,7 +9,7 @@ import shutil
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import redirect_stderr
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Literal
@@ -41,6 +41,11 @@ class Finding:
     remedy: str = ""
 
     @property
+    def healthy(self) -> bool:
+        """True if this is no problem."""
+        return self.level != "problem"
+
+    @property
     def line(self) -> str:
         """The finding as one line of text."""
         remedy = f"; {self.remedy}" if self.remedy else ""
@@ -67,16 +72,6 @@ def check_environment(demo: Path) -> Iterator[Finding]:
         except Exception as error:  # a broken package may raise anything
             remedy = "repair the packages named above, or install it again"
             yield Finding(name, "problem", f"could not be checked ({type(error).__name__}: {error})", remedy)
-
-
-def to_dict(findings: list[Finding]) -> dict[str, Any]:
-    """Return the contents of the JSON file."""
-    return {"healthy": healthy(findings), "findings": [asdict(finding) for finding in findings]}
-
-
-def healthy(findings: list[Finding]) -> bool:
-    """Return whether there is no problem."""
-    return all(finding.level != "problem" for finding in findings)
 
 
 def _python_and_packages() -> Iterator[Finding]:
@@ -187,7 +182,7 @@ def _demo(demo: Path) -> Iterator[Finding]:
     from lpn.doctor.verify import verify
 
     damage = "its files are missing" if not demo.is_dir() else ""
-    damage = damage or next((verdict.message for verdict in verify(demo) if not verdict.whole), "")
+    damage = damage or next((verdict.message for verdict in verify(demo) if not verdict.healthy), "")
     if damage:
         restore = "restore assets of the checkout (git checkout -- assets), or install lpn-explorer again"
         yield Finding("demo", "problem", damage.rstrip("."), restore)

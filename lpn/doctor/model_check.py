@@ -39,6 +39,11 @@ class ModelFinding:
     error: float | None
     message: str
 
+    @property
+    def line(self) -> str:
+        """The finding as one line of text."""
+        return f"{'OK' if self.healthy else 'problem':8}{self.view}: {self.message}"
+
 
 def check_model(model: Model, pictures: Mapping[View, Sequence[tuple[str, UInt8Array]]]) -> Iterator[ModelFinding]:
     """Describe pictures in each view of a model, and compare cells and constants with the parts.

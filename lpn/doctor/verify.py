@@ -23,14 +23,20 @@ class VerifiedFile:
     Attributes:
         path: the file or folder.
         message: the end of a sentence about it.
-        whole: False if it is damaged or unfinished, or holds nothing.
-        flaw: the word for what is not whole.
+        healthy: False if it is damaged or unfinished, or holds nothing.
+        flaw: the word for what is not healthy.
     """
 
     path: Path
     message: str
-    whole: bool
+    healthy: bool
     flaw: str = "DAMAGED"
+
+    @property
+    def line(self) -> str:
+        """The result as one line of text."""
+        name = printable(str(self.path))
+        return f"{name} {self.message}." if self.healthy else f"{self.flaw}: {name}: {self.message}"
 
 
 def verify(path: Path) -> Iterator[VerifiedFile]:

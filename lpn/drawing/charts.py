@@ -47,7 +47,7 @@ class _Bar:
 
 def part_colour(part: int) -> str:
     """Return the CSS colour of a part."""
-    return theme.mark(f"part-{part % len(theme.PART_COLOURS)}")
+    return theme.mark(f"part-{part % theme.N_PART_COLOURS}")
 
 
 def share_bar(contributions: FloatingArray, full: float, names: Sequence[str]) -> Markup:

@@ -130,8 +130,9 @@ class _Figure:
         for part, (share, number) in enumerate(zip(shares, rounded_to_sum(shares), strict=True)):
             begin, end = end, end + (_RIGHT - _LEFT) * max(share, 0.0) / max(total, 1e-9)
             self.bar(begin, min(end, _RIGHT), y, theme.part_colour(part))
-            text = fitted(self.pen, f"{number:.3f}", 15, end - begin - 4, "")
-            self.pen.text(((begin + end) / 2, y), text, theme.BACKGROUND, font(15), anchor="mm")
+            if self.pen.textlength(f"{number:.3f}", font=font(15)) <= end - begin - 4:
+                middle = (begin + end) / 2, y
+                self.pen.text(middle, f"{number:.3f}", DARK.background, font(15), anchor="mm")
         self.write(WIDTH - _MARGIN, y, f"{total:.3f}", 20, anchor="rm")
 
 

@@ -43,7 +43,7 @@ LIGHT_COLOURS: dict[str, Colour] = COLOURS | {
     "against": (48, 128, 64),
 }
 # A fifth part has the first colour again.
-PART_COLOURS: tuple[Colour, ...] = tuple(COLOURS[f"part-{part}"] for part in range(4))
+N_PART_COLOURS = 4
 # Red, green, blue, and opacity of weak to strong heat over a greyed picture, in even steps of lightness, and of evidence against.
 HEAT = (
     *((26, 10, 40, 0.0), (104, 24, 112, 0.4), (182, 34, 146, 0.74)),
@@ -54,9 +54,6 @@ HEAT_AGAINST = (
     *((82, 178, 92, 0.88), (166, 226, 160, 0.95), (240, 255, 238, 1.0)),
 )
 FOR, AGAINST, UNKNOWN_COLOUR = COLOURS["for"], COLOURS["against"], COLOURS["unknown"]
-BACKGROUND: Colour = (14, 18, 22)
-TEXT: Colour = (245, 247, 249)
-DIM: Colour = (170, 182, 192)
 # The contrast of text that WCAG 2 requires (level AA).
 MIN_CONTRAST = 4.5
 # The contrast of bars and lines, which have names beside them. At 3, those on white would look alike to people without red cones.
@@ -84,7 +81,7 @@ class Palette:
         return _mixed(colour, self.background, MARK_CONTRAST)
 
 
-DARK = Palette(BACKGROUND, TEXT, DIM, (29, 36, 43), (40, 49, 58), (22, 28, 34), COLOURS)
+DARK = Palette((14, 18, 22), (245, 247, 249), (170, 182, 192), (29, 36, 43), (40, 49, 58), (22, 28, 34), COLOURS)
 LIGHT = Palette(
     (246, 245, 241), (20, 24, 28), (82, 92, 102), (230, 228, 220), (217, 215, 207), (255, 255, 255), LIGHT_COLOURS
 )
@@ -92,7 +89,7 @@ LIGHT = Palette(
 
 def part_colour(part: int, palette: Palette = DARK) -> Colour:
     """Return the colour of a part."""
-    return palette.colours[f"part-{part % len(PART_COLOURS)}"]
+    return palette.colours[f"part-{part % N_PART_COLOURS}"]
 
 
 def verdict_colour(true: bool | None, palette: Palette = DARK) -> Colour:

@@ -12,6 +12,7 @@ from functools import cached_property, partial
 from pathlib import Path
 
 import numpy as np
+from PIL import Image, ImageDraw
 
 from lpn.core.arrays import Float32Array, Float64Array, UInt8Array
 from lpn.core.errors import DataError, InputError
@@ -248,8 +249,8 @@ def _file(name: str, folders: Sequence[Path]) -> Path | None:
 
 def _placeholder(name: str, degrees: Float64Array) -> UInt8Array:
     """Draw plain grey with a tile's name and position, (256, 256, 3)."""
-    image, draw = captions.caption(_SIDE, _SIDE)
-    draw.rectangle((0, 0, _SIDE, _SIDE), fill=(60, 60, 60))
+    image = Image.new("RGB", (_SIDE, _SIDE), (60, 60, 60))
+    draw = ImageDraw.Draw(image)
     lines = ["no picture", *(name[i : i + 22] for i in range(0, min(len(name), 66), 22))]
     if np.isfinite(degrees).all():
         lines.append(f"{degrees[0]:.5f}, {degrees[1]:.5f}")

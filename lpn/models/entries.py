@@ -146,8 +146,14 @@ class Entries:
         Raises:
             ModelFileError: as for `tensor`.
         """
-        tensors = {}
-        for key, value in network.state_dict().items():
+        tensors, wanted = {}, network.state_dict()
+        missing = [key for key in wanted if key not in self.state and not re.search(optional, key)]
+        if len(missing) > 1:
+            raise ModelFileError(
+                f"{self.name} lacks {len(missing)} of {len(wanted)} entries, the first being {self.prefix}{missing[0]}; the file "
+                "is incomplete or of another architecture."
+            )
+        for key, value in wanted.items():
             if re.search(optional, key) and (key not in self.state or not value.is_floating_point()):
                 tensors[key] = torch.zeros(value.shape, dtype=value.dtype)
             else:

@@ -69,7 +69,8 @@ def _chosen(folder: Path, files: list[str]) -> Path:
 
 def _without_groups(files: list[str]) -> list[str]:
     """Return the files without those of further views of an exported model, such as `lpn.street.onnx` beside `lpn.onnx`."""
-    return [name for name in files if f"{Path(Path(name).stem).stem}.onnx" not in {*files} - {name}]
+    others = [name for name in files if name.endswith(".onnx")]
+    return [name for name in files if not (name in others and f"{Path(name).stem.rpartition('.')[0]}.onnx" in others)]
 
 
 def _epoch(name: str) -> int:

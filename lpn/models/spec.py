@@ -41,6 +41,9 @@ _Rate = Annotated[float, Meta(ge=0, lt=1)]
 _WORDS = {
     "`float`": "a number",
     "`int`": "a whole number",
+    "`str`": "a text",
+    "`bool`": "true or false",
+    "`array`": "a list",
     ">=": "of at least",
     "<=": "of at most",
     ">": "above",
@@ -97,9 +100,9 @@ class ModelSpec:
     backbone_dropout: _Rate = 0.0
 
     def __post_init__(self) -> None:
-        check_fields(self, "model")
-        if not self.views or any(view not in VIEWS for view in self.views):
+        if not isinstance(self.views, list | tuple) or not self.views or any(view not in VIEWS for view in self.views):
             raise InputError(f"The views are {self.views}; expected one to three of {', '.join(VIEWS)}.")
+        check_fields(self, "model")
         object.__setattr__(self, "views", tuple(v for v in VIEWS if v in self.views))
         if self.backbone not in BACKBONES and not is_timm(self.backbone):
             raise InputError(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import cast
 
@@ -13,16 +13,20 @@ import numpy as np
 import torch
 from torch import nn
 
+from lpn.core.arrays import BoolArray, FloatingArray
 from lpn.core.checksums import crc_of_values
 from lpn.core.errors import InputError, ModelFileError
 from lpn.core.files import exclusive_lock, fingerprint, write_json
 from lpn.core.formats import decode_json
-from lpn.explain.centre import VIEWS, centre_box, centre_shares
+from lpn.core.views import View
+from lpn.datasets import Picture
 from lpn.models import checkpoints
 from lpn.models.backbones import CHANNELS
 from lpn.models.base import Model
+from lpn.models.contract import ForwardPass
 from lpn.models.lpn import LPN
 from lpn.models.spec import ModelSpec
+from lpn.models.trace import Trace
 from lpn.reproduce.record import TableRecord
 from lpn.reproduce.sources import TASKS, Source
 from lpn.reproduce.tables import Measure, TableRow, Values
@@ -34,6 +38,9 @@ from lpn.training.run_folder import Provenance, here
 log = logging.getLogger(__name__)
 
 FORMAT = "lpn-measured/3"
+# Both views of Figure 7, in the order of its columns.
+_VIEWS: tuple[View, ...] = ("drone", "satellite")
+_BATCH = 16
 _CENTRE = (
     "Protocol: the last feature map of each test picture without its mirror, summed over channels; the share of the sum in the "
     "cells whose centres lie in the middle half of height and width, which are {}; mean over pictures."
@@ -133,9 +140,9 @@ def _checksum(file: _MeasurementsFile) -> int:
 def _measured(row: TableRow, measure: Measure, model: Model, data: Sequence[Source], released: bool) -> MeasuredFigures:
     if measure == "centre":
         dataset = data[0].dataset
-        shares = [list(centre_shares(model, dataset.gallery(view), view)) for view in VIEWS]
+        shares = [list(centre_shares(model, dataset.gallery(view), view)) for view in _VIEWS]
         # The centre is a quarter of the cells only if sides are multiples of four.
-        sizes = dict.fromkeys(model.map_size(view) for view in VIEWS)
+        sizes = dict.fromkeys(model.map_size(view) for view in _VIEWS)
         boxes = [f"{100 * centre_box(*size).mean():.1f} % of {size[0]} x {size[1]} cells" for size in sizes]
         means = tuple(100 * float(np.mean(of_view)) for of_view in shares)
         return MeasuredFigures(means, _CENTRE.format(" or ".join(boxes)), here())
@@ -176,3 +183,37 @@ def features_alone(recipe: Recipe, init: Path) -> checkpoints.TorchModel:
         norm.weight.fill_(1.0)
     print_of = fingerprint(init, also=f"features alone {spec.to_json()}")
     return checkpoints.TorchModel(network.to(checkpoints.best_device()), print_of)
+
+
+def centre_shares(model: Model, pictures: Sequence[Picture], view: View) -> Iterator[float]:
+    """Yield the share of each picture's activation in the centre, see `centre_share`; the mirror is not used.
+
+    Raises:
+        InputError: if the model has no cells.
+        PictureError: if a picture cannot be read.
+    """
+    for start in range(0, len(pictures), _BATCH):
+        batch = pictures[start : start + _BATCH]
+        outputs = model.run(np.stack([model.prepare(picture.load_zoomed(), view) for picture in batch]), view)
+        for i in range(len(batch)):
+            one = ForwardPass(*(None if values is None else values[i : i + 1] for values in outputs))  # type: ignore[arg-type]
+            yield centre_share(Trace.from_pass(model, one, view).activation)
+
+
+def centre_share(activation: FloatingArray) -> float:
+    """Return the share of a channel sum (h, w), see `Trace.activation`, that lies in the centre, from 0 to 1.
+
+    Negative sums count as 0. A map without activation counts as uniform.
+    """
+    total = np.maximum(activation.astype(np.float64), 0)
+    inside = centre_box(*total.shape)
+    return float(total[inside].sum() / total.sum()) if total.any() else float(inside.mean())
+
+
+def centre_box(height: int, width: int) -> BoolArray:
+    """Return the mask of cells whose centres lie in the middle half of a map's height and width, (h, w).
+
+    On the 16 x 16 map of a picture of 256 pixels, it is the box of the two inner rings of n = 4, a quarter of the area.
+    """
+    rows, columns = (abs(2 * np.arange(length) + 1 - length) < length / 2 for length in (height, width))
+    return rows[:, None] & columns[None, :]

@@ -28,6 +28,7 @@ from lpn.core.views import View
 from lpn.datasets import Picture
 from lpn.descriptors.transforms import MAX_SCALE, UNCHANGED, Change
 from lpn.models.base import Model, normalise
+from lpn.models.contract import Role
 
 # The factor between tried ratios.
 STEP = 2**0.25
@@ -116,9 +117,12 @@ class Calibration:
         return normalise(described - self.means[view])
 
     def stored(
-        self, model: Model, pictures: Sequence[Picture], view: View, read: descriptors.Reader
+        self, model: Model, pictures: Sequence[Picture], view: View, root: Path, role: Role, read: descriptors.Reader
     ) -> descriptors.StoredDescriptors:
-        """Return the calibrated descriptors of pictures, and their digest."""
+        """Return the calibrated descriptors of queries or gallery, and their digest: those that ship with `root`, else read."""
+        shipped = descriptors.shipped_only(self.applied(model), pictures, view, root, role)
+        if shipped is not None:
+            return shipped
         described = self.read(model, pictures, view, read)
         return descriptors.StoredDescriptors(described, hashlib.sha256(described.tobytes()).hexdigest())
 

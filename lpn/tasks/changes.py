@@ -21,7 +21,8 @@ from lpn.datasets import Picture
 from lpn.descriptors import cached_descriptors
 from lpn.descriptors.transforms import UNCHANGED, Change
 from lpn.descriptors.weather import CLEAR, Weather, WeatherName
-from lpn.models.base import normalise
+from lpn.models.base import Model, normalise
+from lpn.models.contract import Role
 from lpn.retrieval import calibration as calibrations
 from lpn.retrieval.calibration import Calibration
 from lpn.tasks.task import Task
@@ -88,6 +89,8 @@ def changed(task: Task, change: Change) -> Task:
 def calibrated(task: Task, calibration: Calibration | None) -> Task:
     """Zoom the pictures by a calibration, and subtract each view's mean; None leaves the task plain.
 
+    Calibrated descriptors that ship with the data set are read, so that no picture is described at several zooms.
+
     Raises:
         InputError: when the task's pictures are changed already, or views have no branches of their own.
     """
@@ -100,11 +103,16 @@ def calibrated(task: Task, calibration: Calibration | None) -> Task:
         )
     model, plain, views = task.model, task.describe, task.views
 
-    def read(model: Any, pictures: Sequence[Picture], view: View, change: Change) -> Float32Array:
+    def read(model: Model, pictures: Sequence[Picture], view: View, change: Change = UNCHANGED) -> Float32Array:
         return cached_descriptors(model, pictures, view, change) if plain is None else plain(pictures, view, change)
 
     def describe(pictures: Sequence[Picture], view: View, change: Change) -> Float32Array:
         return calibration.read(model, pictures, view, read, change)
+
+    def stored(side: int, role: Role) -> Float32Array:
+        return calibration.stored(
+            model, (task.queries, task.gallery)[side], views[side], task.root, role, read
+        ).descriptors
 
     sides = [calibration.pictures(view, side) for view, side in zip(views, (task.queries, task.gallery), strict=True)]
     moved = calibration.applied(model)
@@ -113,8 +121,8 @@ def calibrated(task: Task, calibration: Calibration | None) -> Task:
         contract=moved.contract,
         queries=sides[0],
         gallery=sides[1],
-        query_descriptors=lambda: describe(sides[0], views[0], UNCHANGED),
-        gallery_descriptors=lambda: describe(sides[1], views[1], UNCHANGED),
+        query_descriptors=lambda: stored(0, "query"),
+        gallery_descriptors=lambda: stored(1, "gallery"),
         describe=describe,
         calibration=calibration,
         clauses=(*task.clauses, calibration.describe()),

@@ -10,15 +10,15 @@ apostrophe in front, such as '- dark, which is no part of the note; see `lpn.cor
 
 from __future__ import annotations
 
-import csv
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from lpn.core.csv_cells import csv_bytes, decode_text, delimited, unescape
+from lpn.core.csv_cells import csv_bytes, unescape
 from lpn.core.errors import DataError, InputError
 from lpn.core.files import TYPED, printable
+from lpn.core.lists import decoded, separated
 from lpn.core.own_files import OwnFileFormat
 from lpn.core.tables import Column, text_column
 from lpn.datasets.listed_paths import plain_path
@@ -163,9 +163,9 @@ def columns(notes: Mapping[str, Note], paths: Sequence[str]) -> list[Column]:
 
 def _decode(content: bytes, file: Path) -> dict[str, Note]:
     try:
-        rows = delimited(decode_text(content), strict=True).rows
+        rows = separated(decoded(content, str(file)), str(file), strict=True).rows
         lines = [[unescape(value) for value in values] for _, values in rows]
-    except (UnicodeDecodeError, csv.Error) as error:
+    except DataError as error:
         raise DataError(f"{file} is not a CSV file in UTF-8; correct it, or move it away.") from error
     notes: dict[str, Note] = {}
     header: list[str] | None = None

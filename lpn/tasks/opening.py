@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import cast
@@ -13,7 +13,6 @@ import numpy.typing as npt
 
 from lpn import descriptors
 from lpn.core.arrays import DAMAGED_ARRAY, Float32Array
-from lpn.core.demo import own_file
 from lpn.core.errors import DataError, InputError, PictureError, StoreError
 from lpn.core.files import printable
 from lpn.core.progress import counted_among, ended
@@ -27,42 +26,41 @@ from lpn.models.contract import Role
 from lpn.retrieval import scoring, transfer
 from lpn.retrieval.calibration import MIN_PICTURES, Calibration, ZoomLevel, calibrate
 from lpn.retrieval.csls import NEIGHBOURS, check_neighbours
-from lpn.tasks import notes
 from lpn.tasks.changes import by_csls, calibrated
 from lpn.tasks.gallery_geometry import GalleryGeometry
-from lpn.tasks.notes import Note
 from lpn.tasks.task import Task, descriptor_clauses
 
 log = logging.getLogger(__name__)
 
 # A calibration that ships with a data set, beside stores of its descriptors, so that no picture is described at several zooms.
 FOLDER, NAME = Path(STORES) / "calibrated", "calibration.npz"
-# The store of the tiles for the choice of an uploaded picture's zoom.
-_TILES = "gallery_satellite"
-_ROLES: tuple[Role, Role] = ("query", "gallery")
 
 
 def lazy_task(
     model: Model,
     dataset: Dataset,
     name: str,
-    read: descriptors.Reader = descriptors.cached_descriptors,
+    read: descriptors.Reader | None = None,
     branch: View | None = None,
     released: bool = False,
     model_name: str = "",
+    calibration: Calibration | None = None,
+    neighbours: int = 0,
 ) -> Task:
     """List the pictures of a task; a model describes them when their descriptors are first read.
 
     Args:
         name: the task, such as "drone-to-satellite".
-        read: returns descriptors; by default from the user's cache, which receives new ones.
+        read: returns descriptors; by default those that ship in float32, else from the user's cache, which receives new ones.
         branch: describes both sides (Table VI); None for each view's own.
         released: whether to read and rotate pictures like the released test code, see `Change.released`, and to carry features
             over to landmarks as released, see `lpn.retrieval.transfer`.
         model_name: the model's name to display.
+        calibration: see `task_calibration`; `model` is the model before the calibration.
+        neighbours: K of CSLS; 0 ranks without it.
 
     Raises:
-        InputError: when the data set lacks the task, or the model a view.
+        InputError: when the data set lacks the task, or the model a view, or the calibration does not fit.
         DataError: when the test split is incomplete, or a picture has no position.
     """
     if name not in dataset.tasks():
@@ -70,6 +68,7 @@ def lazy_task(
     views, contract, change = views_of(name), model.contract, Change(released=released)
     queries, gallery, truth = dataset.queries(views[0]), dataset.gallery(views[1]), dataset.truth(name)
     model = model if branch else model.for_task(*views)
+    read = read or descriptors.descriptor_reader(dataset.root)
     for view in views:
         if branch is None and view not in model.views:
             raise InputError(
@@ -96,7 +95,7 @@ def lazy_task(
     def describe(some: Sequence[Picture], view: View, change: Change) -> Float32Array:
         return read(model, some, branch or view, change)
 
-    return Task(
+    task = Task(
         name=name,
         # Carried features of landmarks are not descriptors of the model, and are not changed.
         model=None if carried else model,
@@ -118,6 +117,7 @@ def lazy_task(
         describe=describe,
         dataset=dataset,
     )
+    return by_csls(calibrated(task, calibration), neighbours)
 
 
 def _carried(model: Model, pictures: Sequence[Picture], view: View, change: Change) -> Float32Array:
@@ -131,7 +131,6 @@ def describe_task(
     dataset: Dataset,
     name: str | None = None,
     weights: npt.ArrayLike | None = None,
-    tags_and_notes: Mapping[str, Note] | None = None,
     calibration: Calibration | None = None,
     neighbours: int = 0,
 ) -> Task:
@@ -141,9 +140,7 @@ def describe_task(
         model_name: the model's name to display.
         name: the task, see `choose_task`.
         weights: part weights, see `scoring.part_weights`.
-        tags_and_notes: by the query's path; by default those in the data set's folder.
-        calibration: see `task_calibration`; its zooms and means are applied to `model`, the model before the calibration.
-        neighbours: K of CSLS; 0 ranks without it.
+        calibration, neighbours: see `lazy_task`.
 
     Raises:
         InputError: when model and data set do not offer the task, or weights or neighbours are invalid.
@@ -151,30 +148,28 @@ def describe_task(
     """
     name, offered = choose_task(model, dataset, name), offered_tasks(model, dataset)
     scoring.part_weights(model.n_parts, weights)
-    if tags_and_notes is None:
-        tags_and_notes = notes.read_notes(own_file(dataset.root, notes.NAME))
-    task = lazy_task(model, dataset, name, model_name=model_name)
+    task = lazy_task(model, dataset, name, model_name=model_name, calibration=calibration, neighbours=neighbours)
     views, both = task.views, len(task.queries) + len(task.gallery)
     model = model.for_task(*views)
     if neighbours:
         check_neighbours(neighbours, len(task.queries))
-    try:
+    read = descriptors.descriptor_reader(dataset.root)
+
+    def stored(pictures: Sequence[Picture], view: View, role: Role) -> descriptors.StoredDescriptors:
         if calibration is None:
-            with ended():
-                with counted_among(0, both):
-                    query_side = descriptors.shipped_or_cached(model, task.queries, views[0], task.root, "query")
-                with counted_among(len(task.queries), both):
-                    gallery_side = descriptors.shipped_or_cached(model, task.gallery, views[1], task.root, "gallery")
-        else:
+            with counted_among(0 if role == "query" else len(task.queries), both):
+                return descriptors.shipped_or_cached(model, pictures, view, task.root, role)
+        return calibration.stored(model, pictures, view, task.root, role, read)
+
+    try:
+        with ended():
             query_side, gallery_side = (
-                descriptors.shipped_only(calibration.applied(model), side, view, dataset.root, role)
-                or calibration.stored(model, side, view, descriptors.descriptor_reader(dataset.root))
-                for side, view, role in zip((task.queries, task.gallery), views, _ROLES, strict=True)
+                stored(task.queries, views[0], "query"),
+                stored(task.gallery, views[1], "gallery"),
             )
     except PictureError:  # name the broken pictures of all lists at once
         check_test_split(dataset, offered)
         raise
-    task = calibrated(task, calibration)
     identities = query_side.identity, gallery_side.identity
     return replace(
         task,
@@ -185,9 +180,7 @@ def describe_task(
         describe=None,
         identity=" ".join(identities) if all(identities) else "",
         weights=weights,
-        notes=tags_and_notes,
         columns=dataset.columns(task.queries),
-        neighbours=neighbours,
     )
 
 
@@ -257,10 +250,33 @@ def no_calibration(model: Model, dataset: Dataset) -> str:
 
 
 def shipped_calibration(model: Model, dataset: Dataset) -> Calibration | None:
-    """Return the calibration of a model that ships with a data set; None without one."""
-    if not (dataset.root / FOLDER / NAME).is_file():
+    """Return the calibration that ships with a data set; None if it is missing, another model's, or lacks a picture."""
+    root, folder = dataset.root, dataset.root / FOLDER
+    if not (folder / NAME).is_file():
         return None  # do not list the pictures
-    return _read_calibration(model, dataset.root, _lists(model, dataset))
+    lists = _lists(model, dataset)
+    try:
+        with np.load(folder / NAME, allow_pickle=False) as archive:
+            values = dict(archive)
+        if str(values["fingerprint"]) != model.fingerprint:
+            return None
+        zooms, means = dict[View, dict[Path, float]](), dict[View, Float32Array]()
+        for view in lists:
+            files = (root / name for name in values[f"{view} files"].tolist())
+            zooms[view] = dict(zip(files, values[f"{view} zooms"].tolist(), strict=True))
+            means[view] = values[f"{view} mean"]
+        levels = [
+            ZoomLevel(zoom, cost, mean)
+            for (zoom, cost), mean in zip(values["levels"].tolist(), values["level_means"], strict=True)
+        ]
+        tried, ratio = dict(values["tried"].tolist()), float(values["ratio"])
+        # Among these tiles, the zoom of an uploaded picture is chosen.
+        tiles = open_store(folder / "gallery_satellite").float32
+    except (*DAMAGED_ARRAY, KeyError, StoreError):
+        return None
+    if any(picture.path not in zooms[view] for view, of_view in lists.items() for some in of_view for picture in some):
+        return None
+    return Calibration(means, zooms, tried, ratio, levels, tiles)
 
 
 def _lists(model: Model, dataset: Dataset) -> dict[View, list[Sequence[Picture]]]:
@@ -324,36 +340,3 @@ def choose_task(model: Model, dataset: Dataset, name: str | None = None) -> str:
             f"The task is {name}; with this model, {dataset.root.name} has the tasks {', '.join(offered)}."
         )
     return name
-
-
-def _read_calibration(
-    model: Model, root: Path, lists: Mapping[View, Sequence[Sequence[Picture]]]
-) -> Calibration | None:
-    """Return the calibration that ships with a data set; None if it is missing, another model's, or lacks one of `lists`."""
-    try:
-        with np.load(root / FOLDER / NAME, allow_pickle=False) as archive:
-            values = dict(archive)
-        if str(values["fingerprint"]) != model.fingerprint:
-            return None
-        zooms = {
-            view: dict(
-                zip(
-                    (root / name for name in values[f"{view} files"].tolist()),
-                    values[f"{view} zooms"].tolist(),
-                    strict=True,
-                )
-            )
-            for view in lists
-        }
-        levels = [
-            ZoomLevel(zoom, cost, mean)
-            for (zoom, cost), mean in zip(values["levels"].tolist(), values["level_means"], strict=True)
-        ]
-        means = {view: values[f"{view} mean"] for view in lists}
-        tiles = open_store(root / FOLDER / _TILES).float32
-    except (*DAMAGED_ARRAY, KeyError, StoreError):
-        return None
-    if any(picture.path not in zooms[view] for view, of_view in lists.items() for some in of_view for picture in some):
-        return None
-    tried = {float(ratio): float(value) for ratio, value in values["tried"].tolist()}
-    return Calibration(means, zooms, tried, float(values["ratio"]), levels, tiles)

@@ -34,6 +34,7 @@ from lpn.sources import ModelOptions
 from tests.explorer.conftest import RefusedError, answered
 from tests.lpn.flight.locate.scenery import FLOWN_PLACES, ground_to_photo, land, photo_of, small_flight, write_map
 from tools.fixtures.photos import exif, photo_bytes
+from tools.fixtures.waiting import TIMEOUT
 
 # Frames of `small_flight` whose places are unknown: one has no position, one cannot be read.
 UNKNOWN = [0, 2]
@@ -130,10 +131,6 @@ def test_frames_of_unknown_place_are_neither_found_nor_failed(workspace: Workspa
             "--map is of a source, and none is given; name it: lpn explore SOURCE.",
         ),
         ([str(DEMO), "--no-register"], "demo is a data set, and --no-register fits a flight; leave it out."),
-        (
-            ["monday", "--map", "a.tif", "--model", "m.onnx", "--beside-kind", "dac"],
-            "--beside-kind needs --beside",
-        ),
         (
             ["monday", "--map", "a.tif", "--model", "m.onnx", "--port", "0"],
             "There is no file a.tif",
@@ -243,17 +240,17 @@ def test_a_comparison_goes_on_behind_other_pictures_until_the_browser_leaves(
     while not jobs._turns._waiting:
         threading.Event().wait(0.01)
     go_on(4)  # the picture that is shown comes first, as soon as a try has ended
-    assert of_second.wait(60)
+    assert of_second.wait(TIMEOUT)
     assert [done for side, done in computed if side == 20] == [0, 1, 2]
     assert jobs.join(replace(first, picture=land()[1:11]), (), client) is of_first, "its key tells that it is the same"
     assert of_first.done >= 1
     go_on(1)
-    assert of_first.wait(60)
+    assert of_first.wait(TIMEOUT)
     assert computed.count((10, 0)) == 1
     assert computed.index((20, 2)) < computed.index((10, 2))
     left = jobs.join(OwnPicture("other.jpg", land()[:30]), (), other)
     assert tried.acquire(timeout=60)
     jobs.show_none(other)
     jobs.leave(other)
-    assert left.wait(60)
+    assert left.wait(TIMEOUT)
     assert left.cancelled

@@ -13,8 +13,8 @@ from explorer.workspace import Workspace
 from lpn.explain import sweeps
 from tests.explorer.conftest import TASK, answered
 from tools.fixtures import small_worlds
-from tools.fixtures.rankings import ranked_in
 from tools.fixtures.small_contracts import GATES, REGIONS, GateModel, PartsModel, RegionModel, WholeModel
+from tools.fixtures.tasks import ranked_in
 
 
 @pytest.fixture(scope="module")

@@ -124,10 +124,6 @@ def test_the_kinds_of_both_models_may_be_named(
     assert second.workspace.contract.method == "DAC"
     with pytest.raises(ModelFileError, match=r"is not a checkpoint of a known model: .* Name its method with --kind"):
         Explore(source=str(data), model=model_file, beside=(weights,)).run()
-    with pytest.raises(InputError, match="--kind needs --model"):
-        Explore(source=str(tmp_path), kind="camp").run()
-    with pytest.raises(InputError, match="--pooling needs --model"):
-        Explore(pooling="mean").run()
     with pytest.raises(
         InputError, match="Found 1 kind for 2 models of --beside; give one for each in their order, or auto"
     ):
@@ -214,7 +210,6 @@ def test_tokens_of_one_file_are_pooled_in_two_ways_beside_a_model(
         "Found 1 pooling for 2 models of --beside": Explore(
             source=str(tmp_path), model=model_file, beside=(weights, weights), beside_pooling=("mean",)
         ),
-        "--pooling needs --model": Explore(source=str(tmp_path), pooling="mean"),
         "--beside-pooling needs --beside": FailuresCommand(source=str(data), model=model_file, beside_pooling="mean"),
         "is given twice": Explore(
             source=str(data), model=weights, pooling="mean", beside=(weights,), beside_pooling=("mean",)

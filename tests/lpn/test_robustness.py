@@ -207,6 +207,8 @@ def test_a_flipped_byte_is_found_in_every_file(
             assert "DAMAGED" in capsys.readouterr().out
         file.write_bytes(whole)
     assert main.main(["doctor", str(store)]) == 0
+    next(store.glob("*/rows.json")).unlink()
+    assert main.main(["doctor", str(store)]) == 1
     torch.save({"weight": torch.randn(1000)}, tmp_path / "net.pth")
     whole = (tmp_path / "net.pth").read_bytes()
     (tmp_path / "net.pth").write_bytes(whole[:2000] + bytes([whole[2000] ^ 1]) + whole[2001:])

@@ -38,7 +38,7 @@ from lpn.models.lpn import LPN
 from lpn.models.onnx_engine import Engine
 from lpn.models.quantize import quantize
 from lpn.models.spec import ModelSpec
-from tools.bench.figures import Figure, against_peer, show, take_turns
+from tools.bench.figures import Figure, show, take_turns
 from tools.bench.pictures import make_folder, make_train_split
 
 PICTURES = 96
@@ -117,8 +117,10 @@ def figures(count: int = PICTURES, given: Path | None = None) -> list[Figure]:
     what = f"ResNet-50, {len(files)} pictures of a folder to a store"
     peer = speed["peer"]
     return [
-        against_peer(f"{what}, int8", speed["int8"], peer, 6, "pictures/s", limit=speed["int8 bare"], more=True),
-        Figure(f"{what}, float32", speed["float32"], "pictures/s", peer, speed["float32 bare"], more=True),
+        *(
+            Figure(f"{what}, {kind}", speed[kind], "pictures/s", peer, speed[f"{kind} bare"], more=True)
+            for kind in ("int8", "float32")
+        ),
         Figure("1 - mean cosine of the published descriptors and ours in float32", apart, ""),
     ]
 

@@ -32,8 +32,6 @@ class Figure:
         unit: "ms", "pictures/s", "GB", ...
         peer: of the same work done the peer's way, measured in the same run; None without one.
         limit: a bound for any program of this kind, measured in the same run; None without one.
-        target: the goal, such as "3 x peer" or "1.15 x limit"; empty without one.
-        met: whether it is met; None without a target.
         more: whether more is better.
     """
 
@@ -42,8 +40,6 @@ class Figure:
     unit: str
     peer: float | None = None
     limit: float | None = None
-    target: str = ""
-    met: bool | None = None
     more: bool = False
 
     @property
@@ -59,26 +55,6 @@ class Figure:
         if self.limit is None:
             return None
         return self.limit / self.ours if self.more else self.ours / self.limit
-
-
-def against_peer(
-    what: str, ours: float, peer: float, times: float, unit: str = "ms", **further: float | bool
-) -> Figure:
-    """A figure with a target relative to the peer."""
-    figure = Figure(what, ours, unit, peer, target=f"{times:g} x peer", **further)  # type: ignore[arg-type]
-    gain = figure.gain
-    assert gain is not None
-    return Figure(**{**vars(figure), "met": gain >= times})
-
-
-def within(what: str, ours: float, limit: float, times: float, unit: str = "ms", peer: float | None = None) -> Figure:
-    """A figure with a target relative to the limit."""
-    return Figure(what, ours, unit, peer, limit, f"{times:g} x limit", ours <= times * limit)
-
-
-def below(what: str, ours: float, most: float, unit: str = "ms", peer: float | None = None) -> Figure:
-    """A figure with an absolute target."""
-    return Figure(what, ours, unit, peer, None, f"{most:g} {unit}", ours <= most)
 
 
 def take_turns(tasks: Mapping[str, Callable[[], object]], rounds: int, warm: int = 1) -> dict[str, list[float]]:
@@ -105,8 +81,8 @@ def medians(tasks: Mapping[str, Callable[[], object]], rounds: int = 15) -> dict
 
 def show(title: str, figures: Iterable[Figure]) -> None:
     table = Table(title=f"{title}; {machine()}")
-    for column in ("what", "peer", "ours", "limit", "times better", "of the limit", "target", ""):
-        table.add_column(column, justify="left" if column in ("what", "target") else "right", no_wrap=column != "what")
+    for column in ("what", "peer", "ours", "limit", "times better", "of the limit"):
+        table.add_column(column, justify="left" if column == "what" else "right", no_wrap=column != "what")
     for figure in figures:
         table.add_row(
             figure.what,
@@ -115,8 +91,6 @@ def show(title: str, figures: Iterable[Figure]) -> None:
             _number(figure.limit, figure.unit),
             "" if figure.gain is None else f"{figure.gain:.2f}",
             "" if figure.excess is None else f"{figure.excess:.2f}",
-            figure.target,
-            "" if figure.met is None else "met" if figure.met else "missed",
         )
     Console(width=150).print(table)
 

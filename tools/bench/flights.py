@@ -1,4 +1,4 @@
-"""Real flights over their own maps, stage by stage: `python -m tools.bench.flights FOLDER [NAME ...] [--json FILE]`.
+"""Real flights over their own maps, stage by stage: `python -m tools.bench.flights FOLDER [NAME ...]`.
 
 FOLDER holds one folder a flight, each with `photos/` and `map.tif` or `map.jpg`; LPN_FLIGHTS is its default. Registration
 searches the whole map, or with `--prior` that many metres around each tag. `--model` adds retrieval and sequence. Errors are
@@ -10,19 +10,16 @@ Nothing is taken from the user's cache, so figures and times are of the code tha
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import tempfile
 import time
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 import lpn
 from lpn.core.consoles import Console
-from lpn.core.files import write_atomic
 from lpn.flight.commands.locate import print_summary
 from lpn.flight.files import open_flight
 from lpn.flight.locate.located import LocatedFlight
@@ -35,8 +32,8 @@ from lpn.flight.maps import open_map
 _SWAY = float(np.tan(np.radians(5.0)))
 
 
-def measured(folder: Path, options: LocateOptions, model: Path | None) -> dict[str, Any]:
-    """Locate one flight, print its table, and return its figures."""
+def measure(folder: Path, options: LocateOptions, model: Path | None) -> None:
+    """Locate one flight, and print its table."""
     town = open_map(next(path for path in (folder / "map.tif", folder / "map.jpg") if path.is_file()))
     flight = replace(open_flight(folder / "photos"), name=folder.name)
     begun = time.process_time()
@@ -44,19 +41,8 @@ def measured(folder: Path, options: LocateOptions, model: Path | None) -> dict[s
     seconds = time.process_time() - begun
     print_summary(located, Console(width=140))
     print(f"{seconds / len(flight.frames):.2f} s of processor time a frame.")
-    radii = radius_rows(located)
-    for row in radii:
+    for row in radius_rows(located):
         print(row.sentence)
-    return {
-        "flight": folder.name,
-        "frames": len(flight.frames),
-        "processor seconds a frame": seconds / len(flight.frames),
-        "stages": {stage: errors.figures for stage, errors in located.errors().items()},
-        "field": located.field_measures(),
-        "radii": [asdict(row) for row in radii],
-        "audit": None if located.audit is None else {**asdict(located.audit), "sentence": located.audit.sentence},
-        "notes": located.notes,
-    }
 
 
 @dataclass(frozen=True)
@@ -126,18 +112,14 @@ def main() -> None:
     parser.add_argument("names", nargs="*", default=["brighton", "caliterra", "seneca"])
     parser.add_argument("--prior", type=float)
     parser.add_argument("--model", type=Path)
-    parser.add_argument("--json", type=Path)
     given = parser.parse_args()
     if given.folder is None:
         raise SystemExit("There is no folder of flights; give one, or set LPN_FLIGHTS.")
     options = LocateOptions(prior=given.prior)
-    found = []
     with tempfile.TemporaryDirectory() as cache:
         os.environ["LPN_CACHE"] = cache
         for name in given.names:
-            found.append(measured(Path(given.folder) / name, options, given.model))
-            if given.json is not None:
-                write_atomic(given.json, (json.dumps(found, indent=1, default=str) + "\n").encode())
+            measure(Path(given.folder) / name, options, given.model)
 
 
 if __name__ == "__main__":

@@ -21,7 +21,7 @@ from playwright.sync_api import Browser, Page, sync_playwright
 
 from lpn import datasets, load
 from lpn.core import images
-from tools.bench.figures import Figure, below, medians, show
+from tools.bench.figures import Figure, medians, show
 from tools.fixtures.chromium import launch
 from tools.fixtures.processes import free_port
 
@@ -131,9 +131,9 @@ def figures(data: Path | None = None, model: Path | None = None) -> list[Figure]
         browser.close()
         forward = forward_ms(model, data) / 1000
     return [
-        below("command to address, descriptors at hand", statistics.median(starts), 1.5, "s"),
+        Figure("command to address, descriptors at hand", statistics.median(starts), "s"),
         Figure("command to address, nothing described yet", cold.seconds, "s"),
-        below("address to the first result", statistics.median(opened), 0.8, "s"),
+        Figure("address to the first result", statistics.median(opened), "s"),
         Figure("J, to new numbers (limit: the passes)", turn, "s", limit=forward),
         Figure("N, to new numbers (limit: the passes)", pick, "s", limit=forward),
     ]

@@ -32,7 +32,7 @@ from lpn.models.lpn import LPN
 from lpn.models.onnx_engine import Engine
 from lpn.models.quantize import quantize
 from lpn.models.spec import ModelSpec
-from tools.bench.figures import Figure, against_peer, below, medians, show, within
+from tools.bench.figures import Figure, medians, show
 from tools.bench.pictures import make_train_split
 
 SPECS = {
@@ -95,14 +95,16 @@ def measure(name: str, spec: ModelSpec, dataset: Dataset, folder: Path) -> list[
     )
     found = medians(tasks)
     side = f"{picture.shape[1]} px JPEG to descriptor with mirror"
-    limits = {kind: found[f"{kind} bare"] for kind in engines}
-    return [
-        against_peer(f"{name}, {side}, int8", found["int8"], found["published"], 8, limit=limits["int8"]),
-        against_peer(f"{name}, {side}, float32", found["float32"], found["published"], 3, limit=limits["float32"]),
-        within(f"{name}, forward pass of two, int8", found["int8 pass"], limits["int8"], 1.15),
-        within(f"{name}, forward pass of two, float32", found["float32 pass"], limits["float32"], 1.15),
-        below(f"{name}, turn, resize, normalise, mirror a {picture.shape[1]} px picture", found["prepare"], 3),
+    made = [
+        Figure(f"{name}, {side}, {kind}", found[kind], "ms", found["published"], found[f"{kind} bare"])
+        for kind in engines
     ]
+    made += [
+        Figure(f"{name}, forward pass of two, {kind}", found[f"{kind} pass"], "ms", limit=found[f"{kind} bare"])
+        for kind in engines
+    ]
+    what = f"{name}, turn, resize, normalise, mirror a {picture.shape[1]} px picture"
+    return [*made, Figure(what, found["prepare"], "ms")]
 
 
 def figures(root: Path | None = None) -> list[Figure]:

@@ -29,12 +29,10 @@ from lpn.index import DegreeBox, DescriptorKind, base, create_index
 from lpn.models.base import normalise
 from lpn.retrieval import scoring
 from tools.bench import figures as measuring
-from tools.bench.figures import Figure, below, show, within
+from tools.bench.figures import Figure, show
 
 KIND = DescriptorKind("bench", 4, 512)
 TILES = (951, 51_355)
-# Tiles up to which a search is to take a millisecond at most.
-SMALL = 1000
 OTHER = (0.5, 0.3, 0.2, 0.0)
 # South-west and north-east of the rectangle over which tiles lie.
 CORNERS = (46.0, 6.0), (47.0, 8.0)
@@ -43,7 +41,7 @@ BOX: DegreeBox = (46.4, 6.6, 46.5, 6.8)
 TOP = 100
 THREADS = min(8, usable_cores())
 BLOCK = 4096
-QUERIES = 20
+QUERIES = ROUNDS = 20
 Task = Callable[[int], object]
 
 
@@ -71,14 +69,14 @@ def queries(gallery: Float32Array) -> Float32Array:
     return normalise(chosen + np.float32(0.8) * noise)
 
 
-def medians(tasks: dict[str, Task], rounds: int) -> dict[str, float]:
+def medians(tasks: dict[str, Task]) -> dict[str, float]:
     """Median milliseconds of each task; each round has another query."""
     numbers = {name: itertools.count() for name in tasks}
 
     def run(name: str) -> object:
         return tasks[name](next(numbers[name]) % QUERIES)
 
-    return measuring.medians({name: partial(run, name) for name in tasks}, rounds)
+    return measuring.medians({name: partial(run, name) for name in tasks}, ROUNDS)
 
 
 def readers(rows: Float32Array) -> dict[str, Task]:
@@ -140,7 +138,7 @@ def filled(index: Any, count: int) -> Any:
     return index
 
 
-def compare(count: int, folder: Path, rounds: int) -> list[Figure]:
+def compare(count: int, folder: Path) -> list[Figure]:
     gallery = np.concatenate([block for _, block in drawn(count)])
     asked = queries(gallery)
     equal, other = scoring.part_weights(KIND.n_parts), scoring.part_weights(KIND.n_parts, OTHER)
@@ -155,38 +153,25 @@ def compare(count: int, folder: Path, rounds: int) -> list[Figure]:
         "float32, other weights": partial(search, other, None),
         "float32, a box of 1 %": partial(search, equal, BOX),
     }
-    found = medians(tasks | ours, rounds)
+    found = medians(tasks | ours)
     index.close()
     limit = min(value for name, value in found.items() if name.startswith("read"))
     faiss = found.get("faiss flat")
     title = f"search {count:,} x {KIND.numbers}, top {TOP} with vectors"
-    made = []
-    for task in ours:
-        what = f"{title}, {task}"
-        if task.endswith("1 %"):
-            made.append(Figure(f"{what} (peer: NumPy)", found[task], "ms", found["NumPy in a box"]))
-        elif count <= SMALL:
-            made.append(below(what, found[task], 1, peer=faiss))
-        else:
-            made.append(within(what, found[task], limit, 1.3, peer=faiss))
-    made.append(Figure(f"the same by NumPy, {count:,} x {KIND.numbers}", found["NumPy"], "ms", faiss, limit))
-    return made
+    *whole, box = ours
+    return [
+        *(Figure(f"{title}, {task}", found[task], "ms", faiss, limit) for task in whole),
+        Figure(f"{title}, {box} (peer: NumPy)", found[box], "ms", found["NumPy in a box"]),
+        Figure(f"the same by NumPy, {count:,} x {KIND.numbers}", found["NumPy"], "ms", faiss, limit),
+    ]
 
 
-def figures(counts: Sequence[int] = TILES, folder: Path | None = None, rounds: int = 20) -> list[Figure]:
-    with tempfile.TemporaryDirectory(dir=folder) as place:
-        return [figure for count in counts for figure in compare(count, Path(place), rounds)]
-
-
-def main() -> None:
-    """Measure and print."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--tiles", type=int, nargs="+", default=TILES, help="sizes of the galleries compared")
-    parser.add_argument("--rounds", type=int, default=20)
-    parser.add_argument("--folder", type=Path, default=Path(tempfile.gettempdir()), help="where indexes are made")
-    given = parser.parse_args()
-    show("One query against a gallery", figures(given.tiles, given.folder, given.rounds))
+def figures(counts: Sequence[int] = TILES) -> list[Figure]:
+    with tempfile.TemporaryDirectory() as folder:
+        return [figure for count in counts for figure in compare(count, Path(folder))]
 
 
 if __name__ == "__main__":
-    main()
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--tiles", type=int, nargs="+", default=TILES, help="sizes of the galleries compared")
+    show("One query against a gallery", figures(parser.parse_args().tiles))

@@ -2,12 +2,12 @@
 
 FOLDER holds real flights as for `tools.bench.flights`; the rendered flight in `assets` is added. Each flight is located over
 the maps of the other flights, and over the mirror image of its own map, which has the right land and no right place.
-`--side` cuts the maps to so many metres, `--every 3` takes every third photo, `--own` adds the flight's own map, and `--changed`
+The maps are cut to 360 m. `--every 3` takes every third photo, `--own` adds the flight's own map, and `--changed`
 adds it at 1 and 2 m a pixel and with its channels swapped, so that vegetation is red as in near infrared. Descriptors and
 registrations are kept in the user's cache, so a run that was killed goes on.
 
 `--cut SHARES` cuts the flight's own map instead, so that it ends within the flight: along a line across which these shares of
-the tags stay, on each of `--sides`. A photo whose tag lies beyond has no place on what is left.
+the tags stay, on each of the four sides. A photo whose tag lies beyond has no place on what is left.
 
 `--prior METRES --draws N` lays each map N times under the tags, which keep their distances and are turned and moved at random,
 and searches about them alone.
@@ -16,11 +16,10 @@ and searches about them alone.
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import tempfile
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -28,7 +27,6 @@ import numpy as np
 import lpn
 from lpn.core.arrays import BoolArray, UInt8Array
 from lpn.core.errors import LPNError
-from lpn.core.files import write_atomic
 from lpn.flight.files import Flight, open_flight
 from lpn.flight.locate.located import LocatedFlight, LocatedFrame
 from lpn.flight.locate.options import LocateOptions
@@ -36,6 +34,8 @@ from lpn.flight.locate.pipeline import locate
 from lpn.flight.maps import Map, Window, open_map
 
 RENDERED = "rendered"
+# Largest side of a map, in metres.
+SIDE = 360.0
 _ASSETS = Path(__file__).parents[2] / "assets" / "demo-flight"
 # Sides of the map that stay: the axis, and the sign of its direction.
 _SIDES = {"west": (0, -1), "east": (0, 1), "south": (1, -1), "north": (1, 1)}
@@ -212,12 +212,12 @@ def tried_maps(
     own = pairs[name][1]
     tried: list[tuple[str, Map]] = [("its own", own)] if given.own else []
     if given.cut:
-        tried += cut_maps(flight, own, given.cut, given.sides, folder)
+        tried += cut_maps(flight, own, given.cut, tuple(_SIDES), folder)
     else:
         below = {other: pairs[other][1] for other in given.over or pairs}
-        tried = [*foreign_maps(name, below, given.side, folder), *tried]
+        tried = [*foreign_maps(name, below, SIDE, folder), *tried]
     if given.changed:
-        tried += changed_maps(own, given.side, folder)
+        tried += changed_maps(own, SIDE, folder)
     if given.prior is None:
         yield from ((flight, *one) for one in tried)
         return
@@ -233,24 +233,19 @@ def main() -> None:
     parser.add_argument("names", nargs="*", default=["brighton", "caliterra", "seneca", RENDERED])
     parser.add_argument("--over", nargs="*", help="maps to lay below, by their flights; all by default")
     parser.add_argument("--cut", nargs="*", type=float, help="shares of the tags that parts of the own map keep")
-    parser.add_argument("--sides", nargs="*", choices=tuple(_SIDES), default=tuple(_SIDES), help="that parts keep")
     parser.add_argument("--model", type=Path)
-    parser.add_argument("--side", type=float, default=360.0)
     parser.add_argument("--every", type=int, default=1)
     parser.add_argument("--own", action="store_true")
     parser.add_argument("--changed", action="store_true")
-    parser.add_argument("--no-register", action="store_true")
     parser.add_argument("--prior", type=float)
     parser.add_argument("--draws", type=int, default=10)
-    parser.add_argument("--json", type=Path)
     given = parser.parse_args()
     if given.folder is None:
         raise SystemExit("There is no folder of flights; give one, or set LPN_FLIGHTS.")
-    options = LocateOptions(register=not given.no_register, prior=given.prior)
+    options = LocateOptions(prior=given.prior)
     model = None if given.model is None else lpn.load(given.model)
     others = [] if given.cut else given.over or ["brighton", "caliterra", "seneca", RENDERED]
     pairs = {name: open_pair(name, Path(given.folder)) for name in dict.fromkeys([*given.names, *others])}
-    rows: list[WrongMapRow] = []
     with tempfile.TemporaryDirectory() as temporary:
         for name in given.names:
             flight = pairs[name][0]
@@ -264,10 +259,8 @@ def main() -> None:
                     print(f"{name:10s} over {map_name:24s} {error}", flush=True)
                     continue
                 sides = by_side(located, map_name) if given.cut else {map_name: located.frames}
-                rows += (row_of(located, name, where, frames) for where, frames in sides.items())
-                print(*map(sentence, rows[-len(sides) :]), sep="\n", flush=True)
-                if given.json is not None:
-                    write_atomic(given.json, (json.dumps([asdict(row) for row in rows], indent=1) + "\n").encode())
+                for where, frames in sides.items():
+                    print(sentence(row_of(located, name, where, frames)), flush=True)
 
 
 if __name__ == "__main__":

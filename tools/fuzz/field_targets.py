@@ -87,7 +87,7 @@ def flights(folder: Path) -> list[FuzzCase]:
 
     def fitted(found: Log) -> None:
         rows_by_name(found)
-        fit_clocks(photos, Telemetry(moments(found)), found.utc)
+        fit_clocks(photos, Telemetry(moments(found)[0]), found.utc)
         Telemetry(for_video(found, 0)[0]).at(0.5)
 
     gpx = (

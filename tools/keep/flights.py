@@ -24,7 +24,6 @@ if TYPE_CHECKING:
 
 # The stride of the photos of a flight that are located over maps of other places, and over its own map in other pixels.
 WRONG_MAPS = {"brighton": (1, 1), "rendered": (1, 4), "caliterra": (4, 4), "seneca": (1, 4)}
-SIDE = 360.0
 PLACED = ("accepted", "contradicted")
 # Metres to the east and north by which forged tags lie off.
 MOVED = (60.0, 0.0)
@@ -134,7 +133,7 @@ def wrong_maps(name: str) -> Figures:
     It takes about 4 minutes of processor time for brighton, 6 for rendered, 45 for caliterra, and 55 for seneca.
     """
     folder_of_flights = data_folder("LPN_FLIGHTS")
-    from tools.bench.wrong_maps import changed_maps, foreign_maps, open_pair
+    from tools.bench.wrong_maps import SIDE, changed_maps, foreign_maps, open_pair
 
     with resumable(f"wrong-{name}") as folder:
         pairs = {other: open_pair(other, folder_of_flights) for other in WRONG_MAPS}

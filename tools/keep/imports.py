@@ -6,12 +6,9 @@ import os
 import subprocess
 import sys
 import tempfile
-from importlib import metadata
 from pathlib import Path
 
-from packaging.utils import canonicalize_name
-
-from tools.fixtures.packages import needed
+from tools.fixtures.packages import link_packages, needed
 from tools.keep.measures import Figures, Measure, Value, equal, reported
 
 # Packages that none of these installs may bring.
@@ -75,7 +72,8 @@ def imports() -> Figures:
         figures[f"{name} packages"] = len(own)
         with tempfile.TemporaryDirectory() as folder:
             site = Path(folder, "site")
-            _link_packages(own, site)
+            site.mkdir()
+            link_packages(own, site)
             environment = {
                 **os.environ,
                 "PYTHONPATH": f"{site}{os.pathsep}{_ROOT}",
@@ -92,16 +90,6 @@ def imports() -> Figures:
 
 def _last_line(done: subprocess.CompletedProcess[str]) -> str:
     return (done.stderr.splitlines() or [f"ended with status {done.returncode}"])[-1]
-
-
-def _link_packages(names: set[str], site: Path) -> None:
-    """Make a folder of packages that has some of the installed ones."""
-    site.mkdir()
-    for distribution in metadata.distributions():
-        if canonicalize_name(distribution.name) in names:
-            for first in {file.parts[0] for file in distribution.files or ()} - {"..", "__pycache__"}:
-                if not first.endswith(".pth") and not (site / first).is_symlink():
-                    (site / first).symlink_to(str(distribution.locate_file(first)))
 
 
 MEASURES = (

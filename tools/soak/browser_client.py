@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
@@ -11,8 +12,10 @@ from playwright.sync_api import Browser, BrowserContext, Error, sync_playwright
 
 from tools.fixtures.chromium import launch
 from tools.soak.client import BOUND, FaultError, SoakClient
-from tools.soak.page import ClientState, PageContent, of_elements
+from tools.soak.reference import ClientState, PageContent, ShownTile
 
+# A tile's label.
+_LABEL = re.compile(r"(\d+): (.*), distance (\d\.\d+)", re.DOTALL)
 # The photo's label and angle, whether the page waits for a result, the labels of the tiles, and the numbers at the rows' heads.
 _SHOWN = """() => {
   const frame = document.querySelector("#photo .frame");
@@ -66,7 +69,9 @@ class BrowserSoakClient(SoakClient):
 
     def _look(self) -> PageContent:
         photo, _, _, labels, shares = self._page.evaluate(_SHOWN)
-        return of_elements(photo, labels, shares)
+        found = [match for match in map(_LABEL.fullmatch, labels) if match]
+        tiles = [ShownTile(int(match[1]), match[2], float(match[3])) for match in found]
+        return PageContent(photo, tiles, [float(text) for text in shares])
 
     def _wait(self, holds: Callable[[], bool]) -> bool:
         time.sleep(0.03)

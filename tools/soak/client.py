@@ -9,9 +9,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from random import Random
 
-from tools.soak.page import ClientState, PageContent
 from tools.soak.record import Fault, Record
-from tools.soak.reference import Reference
+from tools.soak.reference import ClientState, PageContent, Reference
 
 # Longest time to any answer in seconds, with all clients at work.
 BOUND = 60.0
@@ -39,7 +38,7 @@ class SoakClient(ABC):
     ) -> None:
         self._name, self._url, self._reference, self._record, self._stop = name, url, reference, record, stop
         self._rng, self._visit, self._step, self._did = Random(f"{seed} {name}"), 0, 0, ""
-        self._state = reference.first(next(iter(reference.tasks)), 0)
+        self._state = ClientState(next(iter(reference.tasks)), 0)
         self._changed = 0.0
 
     @abstractmethod
@@ -90,7 +89,7 @@ class SoakClient(ABC):
 
     def _enter(self) -> None:
         rng, task = self._rng, self._rng.choice(list(self._reference.tasks))
-        state = self._reference.first(task, rng.randrange(len(self._reference.tasks[task].queries)))
+        state = ClientState(task, rng.randrange(len(self._reference.tasks[task].queries)))
         if rng.random() < 0.3:
             state = replace(state, angle=float(rng.randint(-180, 180)))
         if rng.random() < 0.2:
@@ -138,20 +137,19 @@ class SoakClient(ABC):
     def _settle(self, kind: str, state: ClientState, path: Sequence[ClientState] | None = ()) -> None:
         """Await a state, which may follow others (None: any), and compare the content with the direct computation."""
         changed, self._state = self._state != state, state
-        self._until(lambda: self._shows(state), self._reference.address(state))
+        # A client waits even after the soak's end, so that a missing answer is noticed in a short soak, too.
+        deadline = time.monotonic() + BOUND
+        while not self._wait(lambda: self._shows(state)):
+            if time.monotonic() > deadline:
+                raise FaultError(
+                    "no answer", f"expected {self._reference.address(state)} within {BOUND:g} s{self._said()}"
+                )
         seconds = time.monotonic() - self._changed
         self._check([] if path is None else [state, *path])
         failures = list(self._reference.failures(state, self._look()))
         self._record.answers.append((self._record.phase, self._name, kind, seconds if changed else None))
         if failures:
             self._fault("wrong answer", "; ".join(failures))
-
-    def _until(self, holds: Callable[[], bool], what: str) -> None:
-        """Wait, even after the soak's end, so that a missing answer is noticed in a short soak too."""
-        deadline = time.monotonic() + BOUND
-        while not self._wait(holds):
-            if time.monotonic() > deadline:
-                raise FaultError("no answer", f"expected {what} within {BOUND:g} s{self._said()}")
 
     def _said(self) -> str:
         return ""

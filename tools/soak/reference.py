@@ -1,13 +1,14 @@
-"""The direct computation of every answer with `lpn.retrieval`, without any code of the app."""
+"""What a client's page must show: the direct computation of every answer with `lpn.retrieval`, without any code of the app."""
 
 from __future__ import annotations
 
 import threading
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from random import Random
+from typing import Any, NamedTuple
 from urllib.parse import urlencode
 
 import cv2
@@ -22,7 +23,6 @@ from lpn.core.views import View, views_of
 from lpn.datasets import Picture, Truth, open_dataset
 from lpn.descriptors.transforms import Change
 from lpn.retrieval import Match, Ranking, scoring
-from tools.soak.page import ClientState, PageContent, UploadedPicture
 
 # Number of tiles in the strip.
 SHOWN = 6
@@ -32,6 +32,54 @@ PRINTED = 0.001
 EQUAL = 1e-4
 # Least cosine per part between the stored descriptor of a tile and that of its picture.
 NEAR = 0.999
+
+
+class UploadedPicture(NamedTuple):
+    """An uploaded picture: a unique file name and the file's bytes."""
+
+    name: str
+    content: bytes
+
+
+@dataclass(frozen=True)
+class ClientState:
+    """The choices of one client that its ranking depends on.
+
+    Attributes:
+        task: a task's name, such as "drone-to-satellite".
+        query: position among the task's queries; it stays while an uploaded picture is shown.
+        angle: degrees counter-clockwise by which the photo is turned.
+        weights: of the parts; empty for equal ones.
+        compare: gallery position of the compared tile; None for the headline's.
+        own: an uploaded picture, shown in place of the query.
+    """
+
+    task: str
+    query: int
+    angle: float = 0.0
+    weights: tuple[float, ...] = ()
+    compare: int | None = None
+    own: UploadedPicture | None = None
+
+    def showing(self, **choice: Any) -> ClientState:
+        """Show another query, own picture, or task, upright."""
+        return replace(self, **({"own": None, "compare": None, "angle": 0.0} | choice))
+
+
+class ShownTile(NamedTuple):
+    """A tile of the strip as it is printed."""
+
+    rank: int
+    name: str
+    distance: float
+
+
+class PageContent(NamedTuple):
+    """The content of a page: the photo's name, the tiles of the strip, and each part's share of the first distance."""
+
+    photo: str
+    tiles: list[ShownTile]
+    shares: list[float]
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,10 +123,6 @@ class Reference:
         self.parts = opened.n_parts
         self._lock = threading.Lock()
         self._described = lru_cache(maxsize=5000)(self._describe)
-
-    def first(self, task: str, query: int) -> ClientState:
-        """A query of a task without any change."""
-        return ClientState(task, query)
 
     def label(self, state: ClientState) -> str:
         """The name of the shown query or uploaded picture."""

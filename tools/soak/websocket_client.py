@@ -13,7 +13,7 @@ from websockets.exceptions import ConnectionClosed
 
 from tools.fixtures.screen_tab import PART, ScreenTab
 from tools.soak.client import BOUND, FaultError, SoakClient
-from tools.soak.page import ClientState, PageContent, of_result
+from tools.soak.reference import ClientState, PageContent, ShownTile
 
 
 class WebSocketSoakClient(SoakClient):
@@ -29,7 +29,7 @@ class WebSocketSoakClient(SoakClient):
 
     def _open(self, link: str) -> None:
         self._tab = ScreenTab(self._url, origin=self._url.partition("?")[0].rstrip("/"), open_timeout=BOUND)
-        self._own = ""
+        self._before = self._state
         self._tab.act("open", search=f"?{link}")
 
     def _drag(self) -> None:
@@ -65,9 +65,8 @@ class WebSocketSoakClient(SoakClient):
     def _take(self) -> None:
         task = self._rng.choice(list(self._reference.tasks))
         if task != self._state.task:
-            self._act(
-                "task", lambda: self._tab.set(task=task, scoring="plain"), self._state.showing(task=task, query=0)
-            )
+            state = self._state.showing(task=task, query=0)
+            self._act("task", lambda: self._tab.set(task=task, scoring="plain"), state)
 
     def _upload(self) -> None:
         own = self._reference.own_picture(self._rng, f"{self._name} {self._visit} {self._step}".replace(" ", "-"))
@@ -127,12 +126,14 @@ class WebSocketSoakClient(SoakClient):
         )
 
     def _look(self) -> PageContent:
-        return of_result(self._tab.last["result"])
+        result = self._tab.last["result"]
+        tiles = [result["tiles"][str(index)] for index in result["strip"]]
+        shown = [ShownTile(int(tile["rank"]), tile["name"], float(tile["distance"])) for tile in tiles]
+        return PageContent(result["photo"]["name"], shown, result["tiles"][str(result["answer"])]["shares"])
 
     def _said(self) -> str:
         last = {name: self._tab.last.get(name) for name in ("error", "busy", "note", "state")}
-        shown = self._tab.last.get("result", {}).get("state")
-        return f"; it says {last}, and shows {shown}"
+        return f"; it says {last}, and shows {self._tab.last.get('result', {}).get('state')}"
 
     def _wait(self, holds: Callable[[], bool]) -> bool:
         if holds():
@@ -144,27 +145,20 @@ class WebSocketSoakClient(SoakClient):
         return holds()
 
     def _check(self, states: Sequence[ClientState]) -> None:
-        tab = self._tab
-        results, tab.results = tab.results, []
-        known = [*map(_fields, states), _fields(self._state)]
-        odd = [found for found in map(_of, results) if found not in known]
-        before, self._before = getattr(self, "_before", []), [_fields(self._state)]
-        odd = [found for found in odd if found not in before]
+        known, self._before = [*states, self._state, self._before], self._state
+        odd = [found for found in map(_of, self._tab.results) if found not in map(_fields, known)]
+        self._tab.results = []
         if states and odd:
             raise FaultError("foreign state", f"the page showed {odd}, which was not asked for")
 
 
+# The fields that an answer's numbers depend on; the query does not matter while an own photo is shown.
+_FIELDS = ("task", "query", "angle", "weights", "compare")
+
+
 def _fields(state: ClientState) -> dict[str, Any]:
-    """The fields of a state that its numbers depend on; the query does not matter while an own photo is shown."""
-    weights = list(state.weights)
-    return {
-        "task": state.task,
-        "query": state.query,
-        "angle": state.angle,
-        "weights": weights,
-        "compare": state.compare,
-    }
+    return _of(vars(state)) | {"weights": list(state.weights)}
 
 
 def _of(state: dict[str, Any]) -> dict[str, Any]:
-    return {name: state[name] for name in ("task", "query", "angle", "weights", "compare")}
+    return {name: state[name] for name in _FIELDS}

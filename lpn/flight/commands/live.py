@@ -96,10 +96,17 @@ class LiveInput(ModelOptions):
         stack.callback(telemetry.close)
         source = open_source(self.live, say, self.fov)
         stack.callback(source.close)
-        print_windows = at_intervals(_SAID, _print_windows, at_once=True)
+        hint = " This is done once for a map, a model, and a size; --size does it before the flight."
+
+        def print_windows(done: int, total: int) -> None:
+            nonlocal hint
+            _say(f"{done:,} of {total:,} windows of the map are described.{hint}")
+            hint = ""
+
+        printed = at_intervals(_SAID, print_windows, at_once=True)
 
         def described(_stage: str, done: int, total: int) -> None:
-            for receive in (print_windows, *on_windows) if done < total else on_windows:
+            for receive in (printed, *on_windows) if done < total else on_windows:
                 receive(done, total)
 
         locator = LiveLocator(basemap, network, options, described, say)
@@ -132,11 +139,6 @@ class LocateLive(LiveInput):
             run = self.open_run(_say, [lambda fix: print(fix.line(), file=lines, flush=True)], stack)
             count = run.run()
         _say(f"{count} frames were located.")
-
-
-def _print_windows(done: int, total: int) -> None:
-    once = "" if done else " This is done once for a map, a model, and a size; --size does it before the flight."
-    _say(f"{done:,} of {total:,} windows of the map are described.{once}")
 
 
 def _say(sentence: str) -> None:

@@ -39,8 +39,8 @@ _BRACKETED = re.compile(r"(.*?)\s*[\[(](.*)[\])]\s*", re.DOTALL)
 # The group of tags that exiftool -G writes before a name.
 _GROUP = re.compile(r"(?:EXIF|XMP|GPS|File|Composite|IFD0|ExifIFD)[\w-]*:(?=\w)")
 _COMMENT = ("#", "%")
-# Most comments that are searched for the header.
-_MOST_COMMENTS = 200
+# Most comments that are searched for the header, and most names in it.
+_MOST_COMMENTS, _MOST_NAMES = 200, 1000
 # The first line of OpenDroneMap's lists is a projection; only those of `_DEGREES` give degrees.
 _PROJECTION = re.compile(r"EPSG:\s*\d+|\+proj=.*|WGS84 UTM \d+[NS]?", re.IGNORECASE)
 _DEGREES = re.compile(r"EPSG:\s*(?:4326|4979)|\+proj=(?:longlat|latlong).*", re.IGNORECASE)
@@ -242,11 +242,11 @@ def table_of(text: str, name: str) -> LogTable:
         raise DataError(f"{name} is empty; expected a log with a line of column names.")
     first = next((i for i, (_, line) in enumerate(lines) if not line.startswith(_COMMENT)), len(lines) - 1)
     notes: list[str] = []
-    for i, row in enumerate(lines[: min(first + 1, _MOST_COMMENTS)]):
-        delimiter = _delimiter(row[1])
+    heads = enumerate(lines[: min(first + 1, _MOST_COMMENTS)])
+    for i, row, delimiter in ((i, line, mark) for i, line in heads for mark in _delimiters(line[1])):
         header = [cell.strip() for cell in _rows([row], delimiter, name)[0][1]]
         header = header[1:] if header[0] in ("#", "%") else header
-        columns = columns_of(header, name)[1]
+        columns = {} if len(header) > _MOST_NAMES else columns_of(header, name)[1]
         if "position" in columns or {"latitude", "longitude"} <= columns.keys():
             below = lines[i + 1 :]
             break
@@ -257,10 +257,12 @@ def table_of(text: str, name: str) -> LogTable:
         header = [header[0], "time of day", *header[1:]]
     dialect, columns, more = columns_of(header, name)
     rows = _rows([row for row in below if not row[1].startswith(_COMMENT)], delimiter, name)
+    # Joined logs repeat the header.
+    rows = [row for row in rows if [cell.strip() for cell in row[1]] != header]
     if not rows:
         raise DataError(f"{name} has column names and no row; expected one row a picture or moment.")
     longer = [(line, cells) for line, cells in rows if any(cells[len(header) :])]
-    if delimiter == "," and header is not _PIX4D and len(longer) * 2 > len(rows):
+    if delimiter == "," and header is not _PIX4D and "geo_x" not in header and len(longer) * 2 > len(rows):
         line, cells = longer[0]
         raise DataError(
             f"Line {line} of {name} has {len(cells)} values below {len(header)} names, as decimal commas between commas give; "
@@ -286,11 +288,11 @@ def picture_name(text: str) -> str | None:
     return text if _PICTURE.fullmatch(text) else None
 
 
-def _delimiter(line: str) -> str | None:
-    """Return the most frequent of tab, semicolon, and comma outside of quotes; None for whitespace."""
+def _delimiters(line: str) -> Sequence[str | None]:
+    """Return the tab, semicolon, and comma outside of quotes, the most frequent first; for whitespace, None alone."""
     bare = re.sub('"[^"]*"', "", line)
-    delimiter = max("\t;,", key=bare.count)
-    return delimiter if delimiter in bare else None
+    found: list[str] = sorted((mark for mark in "\t;," if mark in bare), key=bare.count, reverse=True)
+    return found or [None]
 
 
 def _rows(lines: Sequence[tuple[int, str]], delimiter: str | None, name: str) -> list[tuple[int, list[str]]]:
@@ -310,12 +312,15 @@ def _without_header(
 ) -> tuple[list[tuple[int, str]], str | None, list[str], list[str]]:
     """Return the rows' lines, delimiter, names, and notes of a table of Pix4D or OpenDroneMap."""
     line = lines[0][1].strip()
-    delimiter = _delimiter(line)
+    delimiter = _delimiters(line)[0]
     if _is_picture_row(row := _rows(lines[:1], delimiter, name)[0][1]):
         note = f"{name} has no line of column names; latitude before longitude was taken, as in Pix4D's files."
         more = " Further numbers in it were not read." if len(row) > len(_PIX4D) else ""
         return list(lines), delimiter, _PIX4D, [note + more]
-    second = lines[1][1].split() if len(lines) > 1 and _PROJECTION.fullmatch(line) else []
+    second: Sequence[str] = ()
+    if len(lines) > 1 and _PROJECTION.fullmatch(line):
+        delimiter = _delimiters(lines[1][1])[0]
+        second = _rows(lines[1:2], delimiter, name)[0][1]
     if len(second) > 5 and picture_name(second[5]):
         raise DataError(
             f"{name} is a list of ground control points, which tells where points on the ground are seen, and not where photos "
@@ -324,7 +329,7 @@ def _without_header(
     if _is_picture_row(second):
         if not _DEGREES.fullmatch(line):
             raise DataError(f"{name} has positions in {printable(line)[:80]}. {GRID}")
-        return list(lines[1:]), None, _GEO_TXT + _GEO_TXT_ANGLES * (len(second) > 6), []
+        return list(lines[1:]), delimiter, _GEO_TXT + _GEO_TXT_ANGLES * (len(second) > 6), []
     names = set(re.findall(r"[a-z]+", line.casefold()))
     grid = f" {GRID}" if {"x", "y"} <= names or names & {"easting", "northing", "utm"} else ""
     raise DataError(

@@ -27,6 +27,7 @@ from lpn.flight.files.lenses import lens_of_text
 FORMAT = "lpn-flight/1"
 TABLE, HEADER, FRAMES = "flight.csv", "flight.json", "frames"
 _COLUMNS = tuple(field.name for field in fields(Frame))
+_FIRST_LINE = ",".join(_COLUMNS).encode() + b"\n"
 
 
 class _Header(msgspec.Struct, forbid_unknown_fields=True):
@@ -43,16 +44,16 @@ def is_flight(folder: Path) -> bool:
 
 def check_folder(folder: Path) -> None:
     """Raise OutputError if the flight would replace a file that `lpn flight` did not write."""
-    there = [folder / name for name in (HEADER, TABLE) if (folder / name).exists()]
-    try:
-        is_ours = not there or str(format_of((folder / HEADER).read_bytes())).startswith("lpn-flight/")
-    except OSError:
-        is_ours = False
-    if not is_ours:
-        raise OutputError(
-            f"{printable(str(there[0]))} was not written by lpn flight and would be replaced; choose another folder for the "
-            "flight."
-        )
+    for file in (folder / HEADER, folder / TABLE):
+        try:
+            data = file.read_bytes() if file.exists() else _FIRST_LINE
+        except OSError:
+            data = b""
+        if not data.startswith(_FIRST_LINE) and not str(format_of(data)).startswith("lpn-flight/"):
+            raise OutputError(
+                f"{printable(str(file))} was not written by lpn flight and would be replaced; choose another folder for the "
+                "flight."
+            )
 
 
 def write_flight(flight: Flight, folder: Path) -> None:
@@ -65,8 +66,9 @@ def write_flight(flight: Flight, folder: Path) -> None:
     rows: list[list[object]] = [list(_COLUMNS)]
     for frame in flight.frames:
         lens = None if frame.lens is None else frame.lens.text()
-        told = {**vars(frame), "file": _relative(frame.file, folder), "lens": lens}
-        rows.append([told[name] for name in _COLUMNS])
+        told = {"file": _relative(frame.file, folder), "lens": lens}
+        # A frame that msgspec read has its unknown values on the class alone.
+        rows.append([told.get(name, getattr(frame, name)) for name in _COLUMNS])
     header = {"format": FORMAT, "name": flight.name, "utc": flight.utc, "notes": flight.notes}
     write_together({folder / TABLE: csv_bytes(rows, own=True), folder / HEADER: json_bytes(header, ensure_ascii=False)})
 

@@ -8,7 +8,9 @@ The model is Brown's (1971) in OpenCV's form: a ray (x, y, 1) of the camera is s
 
 from __future__ import annotations
 
+import contextlib
 import math
+import re
 from dataclasses import astuple, dataclass
 from pathlib import Path
 from typing import Any
@@ -27,6 +29,10 @@ from lpn.flight.files.values import read_limited
 _FOCALS, _OFF_CENTRE, _MOST = (0.04, 20.0), 0.25, 100.0
 # Limits of a camera's file.
 _MOST_BYTES, _MOST_BRACKETS = 1_000_000, 1000
+# A number or list of numbers in a block list; OpenCV's parser wants its dash farther right than the key.
+_DASHED = re.compile(r"^( *-)(?= [-.\d'\"\[])", re.MULTILINE)
+# The end of that parser's message: the line's number, and what is wrong there.
+_DAMAGE = re.compile(r".*\((\d+)\): (.+)'", re.DOTALL)
 
 
 @dataclass(frozen=True)
@@ -123,6 +129,7 @@ def read_camera(file: Path) -> tuple[Lens, float]:
     Raises:
         DataError: if it cannot be read, has another model than a pinhole with Brown's distortion, or impossible numbers.
     """
+    head = ""
     try:
         text = read_limited(file, _MOST_BYTES, "a camera's file").decode("utf-8-sig", "replace").strip()
         # OpenCV's parser overflows the stack with nested brackets.
@@ -131,11 +138,18 @@ def read_camera(file: Path) -> tuple[Lens, float]:
         # OpenCV before 5 asks for its own first line.
         head = "" if text.startswith(("%", "{")) else "%YAML:1.0\n---\n"
         # The storage owns its nodes, so it outlives them here.
-        storage = cv2.FileStorage(head + text.removeprefix("---"), cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
+        text = head + _DASHED.sub(r" \1", text.removeprefix("---"))
+        storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
         return _camera(_content(storage.root()))
     except (cv2.error, SystemError, LookupError, TypeError, AttributeError, ArithmeticError, ValueError) as error:
         found = f"{'lacks' if isinstance(error, KeyError) else 'has'} {printable(str(error))[:120]}"
-        found = found if isinstance(error, KeyError | ValueError) else "has other contents"
+        if isinstance(error, ZeroDivisionError):
+            found = "has a width of 0"
+        elif damage := _DAMAGE.match(str(error.__cause__ or error)):
+            line = int(damage[1]) - len(head.splitlines())
+            found = f"has no readable line {line} ({printable(damage[2])[:80]})"
+        elif not isinstance(error, KeyError | ValueError):
+            found = "has other contents"
         raise DataError(
             f"{printable(str(file))} {found}; expected YAML or JSON by OpenCV, ROS, or ODM: the size of its "
             "pictures with camera_matrix and distortion_coefficients, or focal_x and k1, of a pinhole with k1, k2, p1, p2, k3."
@@ -143,25 +157,29 @@ def read_camera(file: Path) -> tuple[Lens, float]:
 
 
 def _content(node: cv2.FileNode) -> Any:
-    """Return a node as a dict, list, text, or number."""
+    """Return a node as a dict, list, text, or number, which may be quoted."""
     if node.isMap():
         names = node.keys()
         return {name: _content(node.getNode(name)) for name in names}
     if node.isSeq():
         return [_content(node.at(i)) for i in range(node.size())]
-    return node.string() if node.isString() else node.real()
+    if not node.isString():
+        return node.real()
+    with contextlib.suppress(ValueError):
+        return float(node.string())
+    return node.string()
 
 
 def _camera(content: dict[str, Any]) -> tuple[Lens, float]:
     if "camera_matrix" in content:
         width, height = content["image_width"], content["image_height"]
         model = content.get("distortion_model", "plumb_bob")
-        if len(matrix := content["camera_matrix"]["data"]) != 9:
+        matrix, coefficients = (_numbers(content.get(key, [])) for key in ("camera_matrix", "distortion_coefficients"))
+        if len(matrix) != 9:
             raise ValueError(f"{len(matrix)} numbers in camera_matrix and not 9")
         fx, _, cx, _, fy, cy, *_ = matrix
         centre = (cx - (width - 1) / 2) / width, (cy - (height - 1) / 2) / width
         fx, fy = fx / width, fy / width
-        coefficients = content["distortion_coefficients"]["data"]
     else:
         cameras = {name: camera for name, camera in content.items() if isinstance(camera, dict)} or {"": content}
         if len(cameras) > 1:
@@ -181,3 +199,9 @@ def _camera(content: dict[str, Any]) -> tuple[Lens, float]:
     if any(coefficients[5:]):
         raise ValueError(f"{len(coefficients)} coefficients of distortion")
     return Lens(fx, fy, *centre, *coefficients[:5]), height / width
+
+
+def _numbers(values: Any) -> list[float]:
+    """Return the numbers of a list, a list of rows, or a matrix in "data", row by row."""
+    numbers: list[float] = np.array(values["data"] if isinstance(values, dict) else values, np.float64).ravel().tolist()
+    return numbers

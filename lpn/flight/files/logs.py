@@ -99,11 +99,6 @@ def read_log(file: Path) -> Log:
             f"{name} is no text. A flight record of DJI's app is encrypted; convert it to .csv with Airdata or PhantomHelp."
         )
     text = values.decoded(data, name)
-    if text.startswith("frame,stage,state,"):
-        raise DataError(
-            f"{name} is a track of lpn locate: it has places found on a map, and a flight needs what the drone told; give the "
-            "photos, with the drone's own log if there is one, and open the track in a map program."
-        )
     return parse_track(text, name) if file.suffix.lower() == ".gpx" else _log_of(table_of(text, name))
 
 
@@ -283,8 +278,8 @@ def nearest_in_folders(path: Sequence[str], candidates: Sequence[Sequence[str]])
     return [i for i, count in enumerate(shared) if count == most]
 
 
-def moments(log: Log) -> list[TelemetryEntry]:
-    """Return the entries that have a clock, with it as their time; of equal moments the first row with a position.
+def moments(log: Log) -> tuple[list[TelemetryEntry], list[str]]:
+    """Return the entries that have a clock, with it as their time, and notes; of equal moments the first row with a position.
 
     A clock in whole seconds gets its fraction from the column of elapsed time.
     """
@@ -296,14 +291,21 @@ def moments(log: Log) -> list[TelemetryEntry]:
         lead = clocks - times
         if float(np.ptp(lead)) <= 1.0:
             clocks = times + lead.max()
-    return _distinct([replace(entry, time=float(clock)) for entry, clock in zip(known, clocks, strict=True)])
+    return _distinct([replace(entry, time=float(clock)) for entry, clock in zip(known, clocks, strict=True)], log.name)
 
 
-def _distinct(entries: Sequence[TelemetryEntry]) -> list[TelemetryEntry]:
+def _distinct(entries: Sequence[TelemetryEntry], name: str) -> tuple[list[TelemetryEntry], list[str]]:
     first: dict[float, TelemetryEntry] = {}
+    twice = set()
     for entry in sorted(entries, key=lambda entry: (entry.time, entry.latitude is None)):
-        first.setdefault(entry.time, entry)
-    return list(first.values())
+        kept = first.setdefault(entry.time, entry)
+        if entry.latitude is not None and (kept.latitude, kept.longitude) != (entry.latitude, entry.longitude):
+            twice.add(entry.time)
+    note = (
+        f"{len(twice)} of {len(first)} moments of {name} are listed more than once with different positions; the first row of "
+        "each was used."
+    )
+    return list(first.values()), [note] if twice else []
 
 
 def for_video(log: Log, number: int, began: float | None = None) -> tuple[list[TelemetryEntry], list[str]]:
@@ -341,4 +343,5 @@ def for_video(log: Log, number: int, began: float | None = None) -> tuple[list[T
         notes.append(f"The time in the video's file says where in {log.name} it began; that clock may be wrong.")
     else:
         notes.append(f"{log.name} does not say when the video began; its first row counts as the beginning.")
-    return _distinct([replace(row.entry, time=time - start) for row, time in timed]), notes
+    entries, twice = _distinct([replace(row.entry, time=time - start) for row, time in timed], log.name)
+    return entries, notes + twice

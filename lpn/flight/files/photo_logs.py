@@ -41,7 +41,8 @@ def with_log(photos: Sequence[Photo], log: Log, clock_offset: float | None = Non
     if rows:
         made = _by_name(photos, log, rows, notes)
     else:
-        telemetry = Telemetry(logs.moments(log))
+        entries, notes = logs.moments(log)
+        telemetry = Telemetry(entries)
         fit = fit_clocks(photos, telemetry, log.utc, clock_offset)
         how = f"by {fit.basis}"
         if fit.offset is None:

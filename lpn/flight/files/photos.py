@@ -38,6 +38,8 @@ _TURNS = {1: 0, 2: 0, 3: 2, 4: 2, 5: 3, 6: 1, 7: 1, 8: 3}
 _MIRRORED = (2, 4, 5, 7)
 # Millimetres of EXIF's FocalPlaneResolutionUnit.
 _UNITS: Mapping[float | None, float] = {None: 25.4, 2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}
+# Millimetres of a sensor's width; others come from wrong tags.
+_SENSOR_WIDTHS = (1.0, 60.0)
 # A narrower field of view in degrees comes from wrong tags, unless a digital zoom narrowed it.
 _LEAST_FOV = 1.0
 # Proportions and widths of one picture differ by less than this share.
@@ -115,6 +117,12 @@ class _Metadata(Properties):
         width, height = told[0] or self.width, told[1] or self.height
         # A program that turned the picture may have kept the old sizes.
         return (height, width) if abs(height / width * self.height / self.width - 1) <= _SAME else (width, height)
+
+    @property
+    def is_whole(self) -> bool:
+        """False if the proportions show that the picture was cropped after it was taken."""
+        width, height = self.taken_size
+        return abs(width / height * self.height / self.width - 1) <= _SAME
 
 
 class _Angles(NamedTuple):
@@ -284,7 +292,7 @@ def _view(known: _Metadata, turns: int) -> tuple[Lens | None, float | None]:
     text = known.first("lens")
     if text and known.first("undistorted") != "1":
         try:
-            if turns or abs(width / height * known.height / known.width - 1) > _SAME:
+            if turns or not known.is_whole:
                 raise ValueError("the table of a picture that was turned or cropped")
             # The coefficients describe the whole picture; a digital zoom shows its middle.
             lens = lens_of_text(text, width / known.zoom)
@@ -295,15 +303,16 @@ def _view(known: _Metadata, turns: int) -> tuple[Lens | None, float | None]:
     fovs = (fov for fov in _fovs(known, width, height) if _LEAST_FOV <= fov <= cameras.FOV_RANGE[1])
     if (fov := next(fovs, None)) is None:
         return None, None
-    if known.zoom > 1:
+    if known.zoom > 1 and fov != cameras.fov_across(known.first("fov") or 0.0, known.zoom):
         known.oddities.append(
             f"has a digital zoom of {known.zoom:g}, which narrows its field of view; if its maker's focal length counts the "
             "zoom already, as that of some phones, it is too narrow"
         )
     if abs(width / known.width - 1) > _SAME:
+        doubt = "its field of view is right if it was reduced, and too wide if it was cropped"
         known.oddities.append(
-            f"is {known.width} x {known.height} pixels where its EXIF says {width:.0f} x {height:.0f}; its field of view is "
-            "right if it was reduced, and too wide if it was cropped"
+            f"is {known.width} x {known.height} pixels where its EXIF says {width:.0f} x {height:.0f}; "
+            + (doubt if known.is_whole else "it was cropped, and its field of view may be too wide")
         )
     fov = cameras.fov_across(fov, (known.height / known.width if turns % 2 else 1.0) / known.zoom)
     return None, fov if fov >= cameras.FOV_RANGE[0] else None
@@ -326,12 +335,16 @@ def _fovs(known: _Metadata, width: float, height: float) -> Iterator[float]:
     focal, equivalent, perspective, principal = map(
         known.first, ("focal length", "equivalent", "perspective", "principal point")
     )
-    for _, (density, unit, _) in known.rows("resolution"):
-        if density and focal:
-            yield cameras.fov_of_sensor(width * _UNITS.get(unit, 0.0) / density, focal)
+    sensors = [
+        (width * _UNITS.get(unit, 0.0) / density, focal)
+        for _, (density, unit, _) in known.rows("resolution")
+        if density
+    ]
     # The principal point is the sensor's middle to within some hundredths of its width.
-    if perspective and principal and (middle := number(principal.split(",")[0])):
-        yield cameras.fov_of_sensor(2 * middle, perspective)
+    sensors.append((2 * (number((principal or "").split(",")[0]) or 0.0), perspective))
+    for sensor, length in sensors:
+        if length and _SENSOR_WIDTHS[0] <= sensor <= _SENSOR_WIDTHS[1]:
+            yield cameras.fov_of_sensor(sensor, length)
     if equivalent:
         # It gives the field of view across the longer side.
         yield cameras.fov_across(cameras.fov_of_equivalent(equivalent, focal), min(width / height, 1.0))
@@ -352,9 +365,12 @@ def _times(known: _Metadata) -> tuple[float | None, float | None]:
         if (exposed := moment(text)) is not None:
             return exposed.seconds, local
         known.refuse(f"{row.namespace}:{row.names}")
-    for zoned in map(moment, (stamp, stamp + (known.first("zone") or ""))):
+    zone = known.first("zone") or ""
+    for zoned in map(moment, (stamp, stamp + zone)):
         if zoned is not None and zoned.zoned:
             return zoned.seconds + part, local
+    if local is not None and (_ZONE.search(stamp) or re.search(r"\w", zone)):
+        known.refuse("exif:OffsetTimeOriginal")
     clock = known.raw("GPSTimeStamp")
     day, hours = moment(f"{text_of(known.raw('GPSDateStamp'))} 00:00:00"), degrees(clock)
     if clock is not None and (hours is None or not 0 <= hours < 24):
@@ -382,6 +398,8 @@ def set_times(photos: Sequence[Photo]) -> tuple[list[Frame], bool, list[str]]:
         late, name = lag + zone, f"UTC{zone / 3600:+g}" if zone else "UTC"
         if abs(late) > 2:
             notes.append(f"The camera's clock is {abs(late):.0f} s {'behind' if late > 0 else 'ahead of'} {name}.")
+        if (spread := lags[-1] - lags[0]) > 2:
+            notes.append(f"The camera's clock and UTC move apart by {spread:.0f} s during the flight.")
     if known.any() and not is_utc:
         times -= np.nanmin(times)
         notes.append("No photo has its time in UTC: times are seconds since the first photo.")

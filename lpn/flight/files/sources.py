@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
+import re
 import warnings
 from collections import Counter, defaultdict
 from collections.abc import Sequence
@@ -39,9 +41,14 @@ _KINDS = {
 _Files = dict[str, list[Path]]
 # The georeferencing tags of GeoTIFF.
 _GEOTIFF = (33550, 34264)
+# The beginning of a track by lpn locate: CSV, GeoJSON, or GPX.
+_OWN_TRACK = re.compile(
+    rb'(?:\xef\xbb\xbf)?frame,stage,state,|.*creator="lpn locate"|.*"properties":\s*\{\s*"frame":.*?"stage":.*?"state":',
+    re.DOTALL,
+)
 # Supported formats that replace unsupported kinds.
 _INSTEAD = {
-    **dict.fromkeys((".kml", ".kmz", ".geojson"), "GPX or CSV"), **dict.fromkeys((".ass", ".vtt"), "SRT"),
+    **dict.fromkeys((".kml", ".kmz"), "GPX or CSV"), **dict.fromkeys((".ass", ".vtt"), "SRT"),
     **dict.fromkeys((".bag", ".db3", ".mcap"), "CSV, .ulg, .tlog, or .bin"),
 }  # fmt: skip
 _NAMED = 5
@@ -162,12 +169,22 @@ def _read_logs(inputs: _Files) -> tuple[dict[Path, Log], list[str]]:
 
 
 def _refuse(files: Sequence[Path]) -> None:
-    """Raise DataError for a track or log of an unsupported kind."""
+    """Raise DataError for a track or log of an unsupported kind, and for a track by lpn locate."""
     for file in files:
         suffix = file.suffix.lower()
         if suffix in _INSTEAD:
             raise DataError(
                 f"{printable(str(file))} is {suffix.upper()}, which is not read; give the flight as {_INSTEAD[suffix]}."
+            )
+        if suffix not in (".csv", ".geojson", ".gpx"):
+            continue
+        head = b""
+        with contextlib.suppress(OSError), file.open("rb") as opened:  # its own reader tells why
+            head = opened.read(4096)
+        if _OWN_TRACK.match(head):
+            raise DataError(
+                f"{printable(file.name)} is a track of lpn locate: it has places found on a map, and a flight needs what the "
+                "drone told; give the photos, with the drone's own log if there is one, and open the track in a map program."
             )
 
 

@@ -8,7 +8,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import NamedTuple
 
-from lpn.core.csv_cells import decode_text
+from lpn.core import lists
 from lpn.core.errors import DataError
 from lpn.core.files import printable
 
@@ -90,8 +90,8 @@ def decoded(data: bytes, name: str) -> str:
         DataError: if it is no text.
     """
     try:
-        text = decode_text(data)
-    except UnicodeDecodeError:
+        text = lists.decoded(data, name)
+    except DataError:
         text = data.decode("cp1252", "replace")
     if "\x00" in text[:4000]:
         raise DataError(f"{printable(name)} is no text; expected lines of text, not a binary file.")

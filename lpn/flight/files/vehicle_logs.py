@@ -70,11 +70,13 @@ class Vehicle:
     Attributes:
         system: MAVLink id of the vehicle: of the first system that sends a position, or an attitude.
         others: ids of other systems that send positions, which are left out.
+        outside: number of positions that are none on the Earth.
     """
 
     def __init__(self, needs_position: bool = False) -> None:
         self.system: int | None = None
         self.others: set[int] = set()
+        self.outside = 0
         self._needs_position = needs_position
         # The time and value of what each system told last.
         self._held: defaultdict[int, dict[str, tuple[float, float]]] = defaultdict(dict)
@@ -96,12 +98,15 @@ class Vehicle:
             a receiver alone are left out while filtered ones come.
         """
         told = {what: float(value) for what, value in told_by(kind, message).items() if math.isfinite(value)}
-        if not told:
-            return None
         held = self._held[system]
         turn = told.pop("gimbal_turn", math.nan) + _recent(held, time).get("heading", math.nan)
         if "gimbal_heading" not in told and math.isfinite(turn):
             told["gimbal_heading"] = turn
+        # The angles of one gimbal's message belong together.
+        if not told.keys() >= set(_GIMBAL[:3]):
+            told = {what: value for what, value in told.items() if what not in _GIMBAL}
+        if not told:
+            return None
         held |= {what: (time, value) for what, value in told.items() if what not in _POSITION[:3]}
         has_position = bool(told.get("latitude") or told.get("longitude"))
         if self.system is None and (has_position or ("heading" in told and not self._needs_position)):
@@ -109,6 +114,7 @@ class Vehicle:
         if self.system not in (None, system):
             self.others |= {system} if has_position else set()
             return None
+        self.outside += abs(told.get("latitude", 0.0)) > 90 or abs(told.get("longitude", 0.0)) > 180
         entry = entry_of(time, clock, _recent(held, time) | told)
         if entry.latitude is None:
             if 0 <= time - self._placed < _HOLD:
@@ -230,6 +236,8 @@ def read_vehicle_log(file: Path) -> Log:
         notes.append(
             f"{name} has positions of several vehicles; those of system {vehicle.system} were used, and not those of {others}."
         )
+    if vehicle.outside:
+        notes.append(f"{vehicle.outside} positions of {name} are none on the Earth, and were left out.")
     utc = all(entry.clock is not None for entry in entries)
     if not utc:
         notes.append(f"{name} has no time of day; its times are counted from its start.")

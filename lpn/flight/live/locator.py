@@ -21,7 +21,7 @@ from lpn.core.files import printable
 from lpn.core.progress import Listener, listening
 from lpn.core.views import View
 from lpn.flight.files.base import Frame
-from lpn.flight.files.cut import cut_square
+from lpn.flight.files.cut import cut_size, cut_square
 from lpn.flight.locate.continuity import NEW_HEADING, other_turn
 from lpn.flight.locate.ground import MapFeatures
 from lpn.flight.locate.located import LocatedFrame, StageRecord
@@ -103,6 +103,8 @@ class LiveLocator:
         # Turns of the last registrations with whether they stand, and the time of the last one.
         self._turns: deque[tuple[float, bool]] = deque(maxlen=_TURNED)
         self._registered_at = math.nan
+        # True if the last registered place lies within a window's side of the map's border.
+        self.near_border = False
         # Flags: the last frame was registered; the user was told of frames of other ground.
         self._fresh = self._unfit_said = False
 
@@ -166,9 +168,12 @@ class LiveLocator:
         else:
             told = frame
         views = FrameViews.of(told, gallery.levels)
-        if not self._unfit_said and (notes := size_notes([frame], [views])):
+        if not self._unfit_said and size_notes([frame], [views]):
             self._unfit_said = True
-            self._say(notes[0])
+            self._say(
+                f"Frames show squares of {cut_size(frame):.0f} m now and are compared with windows of {views.level:.0f} m, so "
+                "their answers are poor; give the sides that the flight shows with --size."
+            )
         described = self._described(gallery, views, photo)
         gallery = self._gallery  # centred again, perhaps
         assert gallery is not None
@@ -274,6 +279,8 @@ class LiveLocator:
         if self._fresh:
             self._filter.weigh(self._likely(gallery, located, answer, self._beyond))
             self._prior.add(frame, answer)
+            (west, south, east, north), (x, y) = self.basemap.bounds, located.middle(answer)
+            self.near_border = bool(min(x - west, east - x, y - south, north - y) <= gallery.side)
 
     def _continuous(self, gallery: WindowGallery, located: LocatedFrame, answer: StageRecord) -> StageRecord:
         """Refuse a registration at another turn than earlier ones, or at a place that the drone can hardly have reached."""

@@ -182,9 +182,18 @@ class LiveRun:
     def _watch(self, fix: LiveFix) -> None:
         """Tell the user when many frames in a row have no usable place."""
         self._unplaced = 0 if fix.best.usable else self._unplaced + 1
-        if self._unplaced == _REFUSED:
-            last = f"{fix.best.summary}. {fix.best.reason}"
-            self._say(f"{_REFUSED} frames in a row have no certain place; the last one says: {last}")
+        if self._unplaced != _REFUSED:
+            return
+        if fix.best.answer.accepted and fix.best.doubt == ["tag"]:
+            self._say(
+                f"{_REFUSED} frames in a row have no certain place: details place the last one, and its GPS tag alone disagrees, "
+                "which may have drifted."
+            )
+            return
+        last = f"{fix.best.summary}. {fix.best.reason}"
+        if fix.located.stages["sequence"].code == "beyond" or self._locator.near_border:
+            last += " The last place is near the border of the map; the flight may have left it."
+        self._say(f"{_REFUSED} frames in a row have no certain place; the last one says: {last}")
 
 
 def live_answer(located: LocatedFrame) -> FrameVerdict:

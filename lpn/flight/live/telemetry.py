@@ -67,7 +67,7 @@ class LogTelemetry(LiveTelemetry):
             self._elapsed = Telemetry(read_subtitles(file).entries)
         else:
             log = read_any_log(file)
-            self._by_clock = Telemetry(logs.moments(log) if log.utc else [])
+            self._by_clock = Telemetry(logs.moments(log)[0] if log.utc else [])
             self._elapsed = Telemetry(logs.for_video(log, 0)[0])
         self._start = self._elapsed.entries[0].time
         self._first: float | None = None

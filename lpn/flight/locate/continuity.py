@@ -71,9 +71,8 @@ def _refuse_turned(frames: Sequence[LocatedFrame]) -> list[str]:
         return []
     by = " to ".join(dict.fromkeys(f"{f(found.values()):.1f}°" for f in (min, max)))
     return [
-        f"{len(found)} of {len(turned)} registrations are turned by {by} against their headings, "
-        "unlike the others, and are refused, as they may show equal buildings. "
-        f"Of each leg whose headings are off, up to {NEW_HEADING - 1} right photos may be among them."
+        f"Refused, as equal buildings may be shown: {len(found)} of {len(turned)} registrations, turned by {by} against their "
+        "headings, unlike the others. They may be right where the headings of a whole leg are off."
     ]
 
 

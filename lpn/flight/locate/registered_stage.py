@@ -38,7 +38,7 @@ from lpn.flight.locate.registration import (
     MIN_RATIO,
     MIN_SUPPORT,
     Expectation,
-    Place,
+    PhotoPlace,
     Registration,
     contested,
     proven,
@@ -366,7 +366,7 @@ def _tried(
     """Register a picture by each matcher at each width, until one is accepted; return the best answer, and its reach."""
     found: list[tuple[Registration, float]] = []
     searches: dict[tuple[float, str], tuple[Matcher, Ground]] = {}
-    rivals: list[Place] = []
+    rivals: list[PhotoPlace] = []
     tries = list(product(search.features, widths))
     for done, (kind, expected) in enumerate(tries):
         if search.on_progress is not None:

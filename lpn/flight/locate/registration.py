@@ -80,7 +80,7 @@ class Expectation:
 
 
 @dataclass(frozen=True, eq=False)
-class Place:
+class PhotoPlace:
     """A place of a photo: the similarity m = a u + b, see the module.
 
     Attributes:
@@ -108,7 +108,7 @@ class Place:
         """Metres from the matches to where the similarity puts them, (M,)."""
         return cast(Float64Array, np.abs(self.a * self.u + self.b - self.m))
 
-    def is_apart(self, other: Place) -> bool:
+    def is_apart(self, other: PhotoPlace) -> bool:
         """Tell whether another place lies beyond a quarter of this one's ground width."""
         return abs(other.b - self.b) > APART * abs(self.a)
 
@@ -144,7 +144,7 @@ class Registration:
     width: float | None = None
     turn: float | None = None
     covariance: Float64Array | None = None
-    places: tuple[Place, ...] = ()
+    places: tuple[PhotoPlace, ...] = ()
     ground: Ground | None = None
 
     @property
@@ -220,11 +220,11 @@ def register(
     """
     if len(ground.points) < 8:
         return Registration(Reason("no detail"), matcher.name)
-    seeds: list[Place] = []
-    places: list[Place] = []
-    refined: dict[Place, Place] = {}
+    seeds: list[PhotoPlace] = []
+    places: list[PhotoPlace] = []
+    refined: dict[PhotoPlace, PhotoPlace] = {}
     best = at_given = None
-    rival = rival_at_given = nowhere = Place(0j, 0j)
+    rival = rival_at_given = nowhere = PhotoPlace(0j, 0j)
     for turns, heading in _turns(matcher, expected):
         if heading is None and expected.heading is not None and best is not None and _doubt(best, rival) is None:
             at_given, rival_at_given = best, rival
@@ -253,7 +253,7 @@ def contested(
     answer: Registration,
     photo: PhotoView,
     searches: Sequence[tuple[Matcher, Ground]],
-    rivals: Sequence[Place],
+    rivals: Sequence[PhotoPlace],
 ) -> Registration:
     """Refuse an accepted answer if a place of other searches has nearly its support by all matchers together.
 
@@ -291,13 +291,13 @@ def proven(answer: Registration, photo: PhotoView, others: Sequence[tuple[Matche
     return replace(answer, refusal=Reason("anywhere", {"support": support, "needed": least}))
 
 
-def _total_support(place: Place, photo: PhotoView, searches: Sequence[tuple[Matcher, Ground]]) -> float:
+def _total_support(place: PhotoPlace, photo: PhotoView, searches: Sequence[tuple[Matcher, Ground]]) -> float:
     """Return the sum of a place's supports by guided matching, at least 0 each; 0 where the matches lead to another place."""
     total = 0.0
     for matcher, ground in searches:
         turn = float(-np.degrees(np.angle(place.a))) if matcher.tolerance < 90 else 0.0
         seen = photo.described(matcher, abs(place.a) / ground.resolution, turn)
-        there = _guided(Place(place.a, place.b, seen=seen), ground)
+        there = _guided(PhotoPlace(place.a, place.b, seen=seen), ground)
         total += 0.0 if place.is_apart(there) else max(there.support, 0.0)
     return total
 
@@ -318,7 +318,7 @@ def _turns(matcher: Matcher, expected: Expectation) -> Iterator[tuple[list[float
 
 def _seeds(
     matcher: Matcher, seen: Described, ground: Ground, expected: Expectation, heading: float | None
-) -> list[Place]:
+) -> list[PhotoPlace]:
     """Return the similarities at distinct places with the most support among the matches."""
     pairs = matcher.match(seen.descriptors, ground)
     if len(pairs) < 4:
@@ -328,24 +328,24 @@ def _seeds(
     if not len(a):
         return []
     support = np.concatenate([_support(a[i : i + 500], b[i : i + 500], u, m) for i in range(0, len(a), 500)])
-    seeds: list[Place] = []
+    seeds: list[PhotoPlace] = []
     while len(seeds) < _PLACES and support.max() > 0:
         i = int(support.argmax())
-        seeds.append(Place(complex(a[i]), complex(b[i]), float(support[i]), seen=seen))
+        seeds.append(PhotoPlace(complex(a[i]), complex(b[i]), float(support[i]), seen=seen))
         support[np.abs(b - b[i]) < APART * expected.width] = 0
     return seeds
 
 
-def _distinct(seeds: list[Place]) -> list[Place]:
+def _distinct(seeds: list[PhotoPlace]) -> list[PhotoPlace]:
     """Return the places with the most support that lie apart from one another."""
-    chosen: list[Place] = []
+    chosen: list[PhotoPlace] = []
     for seed in sorted(seeds, key=lambda seed: -seed.support):
         if len(chosen) < _PLACES and all(seed.is_apart(other) for other in chosen):
             chosen.append(seed)
     return chosen
 
 
-def _best(places: Sequence[Place]) -> Place | None:
+def _best(places: Sequence[PhotoPlace]) -> PhotoPlace | None:
     return max(places, key=lambda place: place.support, default=None)
 
 
@@ -374,7 +374,7 @@ def _support(a: Complex, b: Complex, u: Complex, m: Complex) -> Float64Array:
     return cast(Float64Array, np.maximum(1 - residuals, 0).sum(axis=1, dtype=np.float64))
 
 
-def _guided(seed: Place, ground: Ground) -> Place:
+def _guided(seed: PhotoPlace, ground: Ground) -> PhotoPlace:
     """Match features near their predicted places, and fit the similarity to them, three times."""
     seen, a, b = seed.seen, seed.a, seed.b
     near = np.abs(ground.points - (b.real, b.imag)).max(axis=1) < 0.8 * abs(a)
@@ -390,7 +390,7 @@ def _guided(seed: Place, ground: Ground) -> Place:
             # A random match lies within the radius with probability (radius / reach)^2, and then adds 1/2 in the mean.
             by_chance = 0.5 * len(u) * (_RADIUS / reach) ** 2
             support, matches = float(_support(np.array([a]), np.array([b]), u, m)[0]) - by_chance, len(u)
-    return Place(a, b, support, u, m, matches, seen)
+    return PhotoPlace(a, b, support, u, m, matches, seen)
 
 
 def _fitted(a: complex, b: complex, u: Complex, m: Complex) -> tuple[complex, complex]:
@@ -409,8 +409,8 @@ def _fitted(a: complex, b: complex, u: Complex, m: Complex) -> tuple[complex, co
 def _concluded(
     matcher: Matcher,
     photo: PhotoView,
-    best: Place,
-    rival: Place,
+    best: PhotoPlace,
+    rival: PhotoPlace,
     expected: Expectation,
     bounds: tuple[float, float, float, float] | None,
 ) -> Registration:
@@ -439,7 +439,7 @@ def _concluded(
     return replace(answer, refusal=Reason("off the map"))
 
 
-def _homography(best: Place, aspect: float) -> tuple[Float64Array, str, BoolArray]:
+def _homography(best: PhotoPlace, aspect: float) -> tuple[Float64Array, str, BoolArray]:
     """Return the homography from u to metres, its model, and its inliers; a similarity unless a homography is clearly better."""
     a, b, inliers, radius = best.a, best.b, best.residuals < best.limit, _TIGHT * best.limit
     plain = np.array([[a.real, -a.imag, b.real], [a.imag, a.real, b.imag], [0, 0, 1]]), "similarity", inliers
@@ -476,7 +476,9 @@ def _plausible(homography: Float64Array, width: float, aspect: float) -> bool:
     return max(scales) < 2 * min(scales) and float(np.linalg.norm(centre)) < 0.15 * width
 
 
-def _covariance(homography: Float64Array, model: str, best: Place, inliers: BoolArray, centre: complex) -> Float64Array:
+def _covariance(
+    homography: Float64Array, model: str, best: PhotoPlace, inliers: BoolArray, centre: complex
+) -> Float64Array:
     """Return the covariance of the centre in square metres, (2, 2), from residuals and geometry of the inliers.
 
     Relief and tilt make residuals of neighbours alike, so each cell of the grid counts as one observation.
@@ -499,7 +501,7 @@ def _covariance(homography: Float64Array, model: str, best: Place, inliers: Bool
     return variance * spread + np.outer(between, between)
 
 
-def _doubt(best: Place, rival: Place) -> Reason | None:
+def _doubt(best: PhotoPlace, rival: PhotoPlace) -> Reason | None:
     """Return the reason if the support is too low for a place, else None."""
     if best.support < MIN_SUPPORT:
         support = max(best.support, 0.0)
@@ -507,7 +509,7 @@ def _doubt(best: Place, rival: Place) -> Reason | None:
     return _rivalled(best, rival)
 
 
-def _rivalled(place: Place, rival: Place) -> Reason | None:
+def _rivalled(place: PhotoPlace, rival: PhotoPlace) -> Reason | None:
     """Return the reason if another place has nearly the support of a place, else None."""
     if place.support >= MIN_RATIO * rival.support:
         return None

@@ -344,7 +344,7 @@ def fitted(
         return ForwardFilter(places, motion, held=_HELD_STEPS)
 
     @cache
-    def likelihood(motion: MotionModel, temperature: float = _FIRST_TEMPERATURE) -> float:
+    def likelihood(motion: MotionModel, temperature: float) -> float:
         belief, total = forward(motion), 0.0
         belief.belief = None
         for t, of_frame in zip(chosen, of_frames, strict=True):
@@ -356,12 +356,12 @@ def fitted(
     usual = float(np.median(known)) if len(known) else math.inf
     headed = any(not np.isnan(headings[t]).any() for t in chosen)
     tried = [MotionModel(one, spacing, along, usual) for along in (0.0, ALONG)[: 1 + headed] for one in SPEEDS]
-    motion = max(tried, key=likelihood)
+    motion = max(tried, key=lambda one: likelihood(one, _FIRST_TEMPERATURE))
     factors = (1 / FINER, 1.0, FINER) if motion.along else (1.0,)
     tried += [
         replace(motion, speed=motion.speed * by, spacing=each) for by in factors for each in (spacing, spacing / 2)
     ]
-    motion = max(tried, key=likelihood)
+    motion = max(tried, key=lambda one: likelihood(one, _FIRST_TEMPERATURE))
     temperature = max(TEMPERATURES, key=lambda one: likelihood(motion, one))
     if not motion.along:
         return motion, temperature, 0.0

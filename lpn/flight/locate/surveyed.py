@@ -10,17 +10,17 @@ Latitude and longitude may replace easting and northing; their default CRS is WG
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePath
 from typing import Literal, NamedTuple
 
 import numpy as np
 
-from lpn.core.csv_cells import csv_bytes, unescape
+from lpn.core.csv_cells import csv_bytes, mixed_separators, unescape
 from lpn.core.errors import DataError, InputError
 from lpn.core.files import first_few, printable, write_atomic
-from lpn.core.lists import read_text, table
+from lpn.core.lists import read_text, separated
 from lpn.core.numbers import distance
 from lpn.flight.files.logs import path_parts
 from lpn.flight.locate.camera_place import below_camera
@@ -31,7 +31,7 @@ from lpn.flight.maps import LocalFrame, Map
 from lpn.flight.maps.sources import parse_crs
 
 SurveyedPoint = Literal["camera", "ground"]
-# Accepted names of columns.
+# Accepted names of columns, best first.
 _COLUMNS = {
     "photo": ("photo", "image", "frame", "file", "filename", "file_name", "name", "label"),
     "latitude": ("latitude", "lat"),
@@ -39,9 +39,10 @@ _COLUMNS = {
     "easting": ("easting", "easting_m", "east", "e", "x"),
     "northing": ("northing", "northing_m", "north", "n", "y"),
     "crs": ("crs", "epsg", "projected_crs"),
+    "point": ("point",),
 }
 _DEGREES, _METRES = ("latitude", "longitude"), ("easting", "northing")
-_EXPECTED = "photo and either latitude,longitude or easting,northing,epsg, and, if you like, point (camera or ground), each once"
+_EXPECTED = "expected photo and latitude,longitude or easting,northing,epsg, and, if you like, point (camera or ground)"
 # The default CRS of degrees.
 _WGS84 = "EPSG:4326"
 # Most names in one sentence.
@@ -109,58 +110,49 @@ def read_surveyed(file: Path, frame: LocalFrame, crs: str | None = None) -> list
         DataError: if the file cannot be read, or is no such table; the message names the line.
         InputError: if a CRS is invalid, does not fit the columns, is given twice, or is missing.
     """
-    name, keys = printable(file.name), {one: key for key, names in _COLUMNS.items() for one in names}
-    text, numbers = read_text(file, name), list[list[float]]()
-    header, rows = table(
-        text, name, _is_survey, _EXPECTED, _DEGREES + _METRES, lambda column: keys.get(column.lower(), column.lower())
-    )
-    degrees, named, systems = "latitude" in header, list[tuple[str, SurveyedPoint]](), set[str]()
-    for line, row in rows:
-        cells = {key: unescape(value) for key, value in row.items()}
+    name = printable(file.name)
+    decimal_comma, rows = separated(read_text(file, name), name, strict=True)
+    header = _header(next(rows, (0, []))[1], name)
+    degrees = "latitude" in header
+    photos, points, numbers, systems = list[str](), list[SurveyedPoint](), list[list[float]](), dict[str, str]()
+    lines = []
+    for number, values in rows:
+        line = f"Line {number} of {name}"
+        if len(values) <= max(header.values()):
+            raise DataError(
+                f"{line} has {len(values)} values, and its columns need {max(header.values()) + 1}; complete it."
+            )
+        cells = {key: unescape(values[column].strip()) for key, column in header.items()}
         point = cells.get("point", "").lower() or "camera"
         if not cells["photo"]:
             raise DataError(f"{line} has no photo; expected its file name.")
         if point not in ("camera", "ground"):
             raise DataError(f"{line} has the point {printable(point)[:100]!r}; expected camera or ground.")
-        # The frame takes the longitude of a geographic CRS first.
-        numbers.append([_number(cells[key], key, line) for key in (_DEGREES[::-1] if degrees else _METRES)])
-        # Spreadsheets may write EPSG codes as 32614.0.
-        systems.add(cells.get("crs", "").removesuffix(".0"))
-        named.append((cells["photo"], "ground" if point == "ground" else "camera"))
-    if not named:
+        # The frame takes the longitude of a geographic CRS first. Spreadsheets may write EPSG codes as 32614.0.
+        keys = _DEGREES[::-1] if degrees else _METRES
+        numbers.append([_number(cells[key], key, line, decimal_comma) for key in keys])
+        systems.setdefault(cells.get("crs", "").removesuffix(".0"), line)
+        photos.append(cells["photo"])
+        points.append("ground" if point == "ground" else "camera")
+        lines.append(line)
+    if not photos:
         raise DataError(f"{name} has no position below its first line; add a line for each photo.")
     placed = frame.from_crs(_system(systems, crs, degrees, name), np.array(numbers))
     if not np.isfinite(placed).all():
         raise DataError(
-            f"The CRS of {name} cannot be brought to the map's plane for all positions; check CRS and coordinates."
+            f"The CRS of {name} cannot be brought to the map's plane for all positions, from {lines[0]} on; check CRS and "
+            "coordinates."
         )
-    return [SurveyedPosition(photo, x, y, point) for (photo, point), (x, y) in zip(named, placed.tolist(), strict=True)]
+    return [SurveyedPosition(*row) for row in zip(photos, *placed.T.tolist(), points, strict=True)]
 
 
-def _is_survey(header: Sequence[str]) -> bool:
-    pairs = [[header.count(key) for key in pair] for pair in (_DEGREES, _METRES)]
-    return header.count("photo") == 1 and sorted(pairs) == [[0, 0], [1, 1]]
-
-
-def _number(text: str, key: str, line: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    most = {"latitude": 90.0, "longitude": 180.0}.get(key, math.inf)
-    if not (math.isfinite(value) and abs(value) <= most):
-        limits = f"degrees from {-most:g} to {most:g}" if math.isfinite(most) else "metres"
-        raise DataError(f"{line} has the {key} {printable(text)[:100]!r}; expected {limits}.")
-    return value
-
-
-def _system(told: Collection[str], crs: str | None, degrees: bool, file: str) -> object:
-    """Return the CRS of a table; `told` are those of its lines, "" for none."""
-    if crs and {*told} != {""}:
+def _system(told: Mapping[str, str], crs: str | None, degrees: bool, file: str) -> object:
+    """Return the CRS of a table; `told` maps each CRS in its column to its first line."""
+    if crs and set(told) != {""}:
         raise InputError(f"{file} tells its CRS in a column; leave --crs out, or take the column away.")
     if len(told) > 1:
-        both = " and ".join(printable(one)[:100] or "none" for one in sorted(told)[:2])
-        raise DataError(f"{file} has lines with the CRS {both}; expected one for the whole table.")
+        both = " and ".join(f"{printable(one)[:100] or 'none'} ({line})" for one, line in list(told.items())[:2])
+        raise DataError(f"{file} has the CRS {both}; expected one for the whole table.")
     text = crs or next(iter(told)) or (_WGS84 if degrees else "")
     if not text:
         raise InputError(
@@ -168,11 +160,44 @@ def _system(told: Collection[str], crs: str | None, degrees: bool, file: str) ->
         )
     system = parse_crs(text)
     if not (system.is_geographic if degrees else system.is_projected):
-        kind, keys = ("geographic", _DEGREES) if degrees else ("projected", _METRES)
+        columns, kind, such = ("eastings and northings", "projected", "EPSG:32614")
+        if degrees:
+            columns, kind, such = ("latitudes and longitudes", "geographic", _WGS84)
         raise InputError(
-            f"The CRS {printable(text)[:100]} is not {kind}, and {file} has {keys[0]} and {keys[1]}; give the CRS of these."
+            f"The CRS {printable(text)[:100]} is not {kind}, and {file} has {columns}; expected one such as {such}."
         )
     return system
+
+
+def _header(names: Sequence[str], file: str) -> dict[str, int]:
+    given = {name.strip().lower(): i for i, name in reversed(list(enumerate(names)))}
+    header = {
+        key: next(given[one] for one in known if one in given) for key, known in _COLUMNS.items() if {*known} & {*given}
+    }
+    pairs = [pair for pair in (_DEGREES, _METRES) if {*pair} <= {*header}]
+    if len(pairs) > 1:
+        both = " and ".join(",".join(names[header[key]].strip() for key in pair) for pair in pairs)
+        raise DataError(
+            f"The first line of {file} has {printable(both)[:200]}, and only one of the two can be the survey; take the other "
+            "one away."
+        )
+    if "photo" not in header or not pairs:
+        found = printable(",".join(names))[:200] or "empty"
+        raise DataError(f"The first line of {file} is {found}; {_EXPECTED}.{mixed_separators(found)}")
+    other = _METRES if pairs[0] is _DEGREES else _DEGREES
+    return {key: column for key, column in header.items() if key not in other}
+
+
+def _number(text: str, key: str, line: str, decimal_comma: bool) -> float:
+    try:
+        value = float(text.replace(",", ".", 1) if decimal_comma else text)
+    except ValueError:
+        value = math.nan
+    most = {"latitude": 90.0, "longitude": 180.0}.get(key, math.inf)
+    if not (math.isfinite(value) and abs(value) <= most):
+        limits = f"degrees from {-most:g} to {most:g}" if math.isfinite(most) else "metres"
+        raise DataError(f"{line} has the {key} {printable(text)[:100]!r}; expected {limits}.")
+    return value
 
 
 def match_surveyed(

@@ -43,8 +43,6 @@ class DataSource(TaskSource):
     def to_measure(self) -> list[Task]:
         from lpn.core.views import views_of
         from lpn.datasets import open_dataset
-        from lpn.descriptors import descriptor_reader
-        from lpn.tasks.changes import by_csls, calibrated
         from lpn.tasks.opening import lazy_task, no_task_error, offered_tasks, task_calibration
 
         options = self.options
@@ -55,10 +53,15 @@ class DataSource(TaskSource):
         first = options.task or tasks[0]
         swapped = views_of(first)[::-1]
         reverse = [name for name in tasks if options.task is None and views_of(name) == swapped != views_of(first)]
-        calibration, read = task_calibration(model, dataset, options.calibrate), descriptor_reader(dataset.root)
+        calibration = task_calibration(model, dataset, options.calibrate)
         return [
-            by_csls(
-                calibrated(lazy_task(model, dataset, name, read, model_name=options.name), calibration), options.csls
+            lazy_task(
+                model,
+                dataset,
+                name,
+                model_name=options.name,
+                calibration=calibration,
+                neighbours=options.csls,
             )
             for name in [first, *reverse]
         ]
@@ -94,7 +97,7 @@ def open_data(
         query_positions(names, dataset.queries(views_of(first)[0]), dataset.root.name)
     calibration = task_calibration(model, dataset, calibrate)
     tasks = [
-        describe_task(model, model_name, dataset, name, weights, {}, calibration, csls)
+        describe_task(model, model_name, dataset, name, weights, calibration, csls)
         for name in (offered_tasks(model, dataset) if every and task is None else [first])
     ]
     return OpenedSource(tasks, model if calibration is None else calibration.applied(model), model)

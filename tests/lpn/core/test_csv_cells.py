@@ -8,8 +8,9 @@ from random import Random
 
 import pytest
 
-from lpn.core.csv_cells import csv_bytes, delimited, escape_formula, unescape
+from lpn.core.csv_cells import csv_bytes, escape_formula, unescape
 from lpn.core.files import printable
+from lpn.core.lists import separated
 
 
 @pytest.mark.parametrize(
@@ -48,7 +49,7 @@ def test_any_text_is_read_back() -> None:
     rows = [["".join(rng.choices(letters, k=rng.randrange(8))) for _ in range(4)] for _ in range(2000)]
     data = csv_bytes(rows, own=True)
     assert list(csv.reader(io.StringIO(data.decode(), newline=""))) == [list(map(escape_formula, row)) for row in rows]
-    read = [[unescape(cell) for cell in values] for _, values in delimited("a,b,c,d\n" + data.decode()).rows][1:]
+    read = [[unescape(cell) for cell in values] for _, values in separated("a,b,c,d\n" + data.decode(), "a").rows][1:]
     assert read == [row for row in rows if any(map(str.strip, row))]
     # A table for other programs has no characters that control a terminal, see `printable`.
     shown = [[printable(cell, "\n\t") for cell in row] for row in rows]
@@ -62,7 +63,7 @@ def test_numbers_unknown_values_and_other_bytes() -> None:
     assert csv_bytes([["\u200f(1)\x07"]], keep="\u200f") == "\u200f(1)?\n".encode()
     assert csv_bytes([["caf\udce9"]]) == b"caf?\n"
     assert csv_bytes([["caf\udce9"]], own=True) == b"caf\xe9\n"
-    assert list(delimited('a,"b\nc"\n\nd\n').rows) == [(2, ["a", "b\nc"]), (4, ["d"])]
+    assert list(separated('a,"b\nc"\n\nd\n', "a").rows) == [(2, ["a", "b\nc"]), (4, ["d"])]
 
 
 def test_a_long_text_takes_no_time() -> None:

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import msgspec
-import numpy as np
 import onnx
 import pytest
 import torch
@@ -23,7 +22,6 @@ from lpn.core.errors import DataError, InputError, LPNError, ModelFileError, Sto
 from lpn.core.formats import is_newer
 from lpn.datasets import metadata
 from lpn.descriptors import open_store
-from lpn.doctor.verify import verify
 from lpn.index import DescriptorKind, create_index
 from lpn.models.checkpoints import load_torch
 from lpn.models.onnx_engine import Engine
@@ -126,33 +124,6 @@ def test_a_state_of_another_version_says_which_way(tmp_path: Path) -> None:
         torch.save({**values, "format": version}, file)
         with pytest.raises(ModelFileError, match=rf"has the format {version}, and this version of lpn knows \d"):
             read_state(file, recipe, "places")
-
-
-@pytest.fixture
-def index(tmp_path: Path) -> Path:
-    kind = DescriptorKind("0123456789abcdef", 2, 8)
-    vectors = np.full((20, 2, 8), 0.25, np.float32)
-    with create_index(tmp_path / "index", kind) as made:
-        made.add([f"tile {i}" for i in range(20)], vectors)
-        made.add(["tile 3"], vectors[:1])
-    return tmp_path / "index"
-
-
-def test_a_flipped_byte_is_found_in_every_file_of_an_index(index: Path, tmp_path: Path) -> None:
-    assert [(verdict.message, verdict.whole) for verdict in verify(tmp_path)] == [("is what was written", True)]
-    files = [path for path in index.rglob("*") if path.is_file()]
-    assert len(files) == 5
-    for file in files:
-        whole = file.read_bytes()
-        place = len(whole) - 3 if file.suffix != ".json" else whole.index(b"i")
-        file.write_bytes(whole[:place] + bytes([whole[place] ^ 1]) + whole[place + 1 :])
-        found = [verdict for verdict in verify(index.parent) if not verdict.whole]
-        assert len(found) == 1, file
-        assert "make" in found[0].message
-        file.write_bytes(whole)
-    missing = next(index.glob("part-*")) / "rows.json"
-    missing.unlink()
-    assert [verdict.whole for verdict in verify(index)] == [False]
 
 
 def test_measurements_are_read_and_those_of_a_later_version_are_left_alone(

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from lpn.core.numbers import rounded_to_sum, shown_difference, signed, upper_bound, wrap_degrees
+from lpn.core.texts import listed
 
 
 @pytest.mark.parametrize(
@@ -51,3 +52,12 @@ def test_parts_add_up_to_the_difference_of_two_numbers_that_are_shown_rounded() 
 
 def test_numbers_beside_one_that_is_not_finite_are_rounded_one_by_one() -> None:
     np.testing.assert_array_equal(rounded_to_sum([np.nan, 0.12349, -np.inf]), [np.nan, 0.123, -np.inf])
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [(["a"], "a"), (["a", "b"], "a or b"), (["a", "b", "c"], "a, b, or c"), ("abcd", "a, b, c, or d")],
+)
+def test_a_list_ends_with_its_conjunction(words: list[str], sentence: str) -> None:
+    assert listed(words, "or") == sentence
+    assert listed(words) == sentence.replace("or ", "and ")

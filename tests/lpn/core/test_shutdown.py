@@ -79,7 +79,7 @@ def test_a_training_keeps_whole_epochs_and_says_how_to_go_on(tmp_path: Path) -> 
             f"lpn: Stopped. The whole epochs in {out} are kept; go on with lpn train --out {out} --resume."
         )
         assert not half_written(out)
-        assert all(verdict.whole for verdict in verify(out))
+        assert all(verdict.healthy for verdict in verify(out))
         with Process(["train", "--out", out, "--resume"], tmp_path / "again") as again:
             again.until(lambda: "Resuming after epoch" in again.out and "Epoch" in again.out)
             again.terminate()
@@ -136,7 +136,7 @@ def test_an_index_is_as_it_was_before_the_add(model_file: Path, data: Path, tmp_
         assert process.ended()[0] == 143
         assert "has by now are kept; the same command goes on." in last_line(process)
         assert main.main([str(one) for one in given]) == 0
-        assert [verdict.whole for verdict in verify(tmp_path / "index")] == [True]
+        assert [verdict.healthy for verdict in verify(tmp_path / "index")] == [True]
 
 
 def test_a_second_signal_ends_at_once_whatever_is_being_written(tmp_path: Path) -> None:

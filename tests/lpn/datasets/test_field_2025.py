@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -19,23 +18,6 @@ from lpn.tasks.changes import averaged
 from lpn.tasks.opening import lazy_task
 from tools.fixtures import layouts
 from tools.fixtures.small_contracts import PartsModel, RegionModel
-
-
-def remove(path: str) -> Callable[[Path], None]:
-    def harm(root: Path) -> None:
-        if (root / path).is_dir():
-            shutil.rmtree(root / path)
-        else:
-            (root / path).unlink()
-
-    return harm
-
-
-def write(path: str, text: str) -> Callable[[Path], None]:
-    def harm(root: Path) -> None:
-        (root / path).write_text(text)
-
-    return harm
 
 
 def test_world_uav_has_splits_regions_and_tiles_of_each_region(
@@ -92,47 +74,6 @@ def test_one_region_of_world_uav_has_all_its_flights_as_queries(tmp_path: Path) 
     truth = region.truth("drone-to-satellite")
     assert truth is not None
     assert not any(len(one.junk) for one in truth)
-
-
-@pytest.mark.parametrize(
-    ("harm", "file", "why"),
-    [
-        (remove("Terrain/Desert/a/DB/img/1_0.png"), "Terrain/Desert/a/DB/img/1_0.png", "is not there"),
-        (
-            remove("Terrain/Desert/a/query/height100_rot45/footage/height100_rot45_01.jpeg"),
-            *("Terrain/Desert/a/query/height100_rot45/footage/height100_rot45_01.jpeg", "is not there"),
-        ),
-        (remove("Terrain/Lake/c/positive.json"), "Terrain/Lake/c/positive.json", "is not there"),
-        (remove("Terrain/Lake/c"), "Terrain/Lake/c", "is not there"),
-        (remove("Terrain/Desert/a/query"), "Terrain/Desert/a/query", "has no flights"),
-    ],
-)
-def test_files_that_world_uav_lists_and_lacks_are_named(
-    tmp_path: Path, harm: Callable[[Path], None], file: str, why: str
-) -> None:
-    root = layouts.world_uav(tmp_path / "World-UAV")
-    harm(root)
-    dataset = open_dataset(root / "terrain")
-    assert [(item.file, item.why) for item in dataset.left_out] == [(file, why)]
-    assert not check_dataset(dataset, decode=False).healthy
-
-
-@pytest.mark.parametrize(
-    ("harm", "message"),
-    [
-        (write("Index/test.txt", "../x\n"), "Line 1 of Index/test.txt names the file '../x'; expected a path below"),
-        (write("Terrain/Desert/a/positive.json", "{"), "Terrain/Desert/a/positive.json is not JSON"),
-        (write("Terrain/Desert/a/positive.json", '{"00": "a.png"}'), "positive.json is not an object of lists"),
-    ],
-)
-def test_damaged_lists_of_world_uav_are_named_in_one_sentence(
-    tmp_path: Path, harm: Callable[[Path], None], message: str
-) -> None:
-    root = layouts.world_uav(tmp_path / "set")
-    harm(root)
-    with pytest.raises(DataError, match=message) as raised:
-        open_dataset(root / "terrain")
-    assert "\n" not in str(raised.value)
 
 
 def test_a_split_of_world_uav_that_is_not_there_is_refused(tmp_path: Path) -> None:

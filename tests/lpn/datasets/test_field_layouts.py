@@ -1,9 +1,10 @@
-"""SUES-200, DenseUAV, GTA-UAV, UAV-VisLoc, and VIGOR, written small in their real forms."""
+"""SUES-200, DenseUAV, GTA-UAV, UAV-VisLoc, and VIGOR, and damage of these and World-UAV, written small in their real forms."""
 
 from __future__ import annotations
 
 import json
 import math
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -175,13 +176,8 @@ def test_vigor_has_areas_cities_and_half_true_tiles(
 
 def spoil(path: str) -> Callable[[Path], None]:
     def remove(root: Path) -> None:
-        for file in sorted(root.glob(path), reverse=True):
-            if file.is_dir():
-                for inner in sorted(file.rglob("*"), reverse=True):
-                    inner.rmdir() if inner.is_dir() else inner.unlink()
-                file.rmdir()
-            else:
-                file.unlink()
+        for file in root.glob(path):
+            shutil.rmtree(file) if file.is_dir() else file.unlink()
 
     return remove
 
@@ -226,6 +222,9 @@ def without_key(text: str) -> str:
         (layouts.vigor, spoil("splits/Seattle/satellite_list.txt"), "splits/Seattle/satellite_list.txt cannot be read"),
         (layouts.vigor, edit("splits/Seattle/same_area_balanced_test.txt", lambda t: t.replace(" 0 0", " 0")), "Line 1 of spl"),
         (layouts.vigor, edit("splits/Seattle/satellite_list.txt", lambda t: t.replace("1002", "9")), "is not in satellite_list"),
+        (layouts.world_uav, edit("Index/test.txt", lambda _: "../x\n"), "Line 1 of Index/test.txt names the file '../x'; exp"),
+        (layouts.world_uav, edit("Terrain/Desert/a/positive.json", lambda _: "{"), "Terrain/Desert/a/positive.json is not JSON"),
+        (layouts.world_uav, edit("Terrain/Desert/a/positive.json", lambda _: '{"00": "a.png"}'), "is not an object of lists"),
     ],
 )  # fmt: skip
 def test_an_incomplete_layout_is_told_in_one_sentence(
@@ -238,17 +237,30 @@ def test_an_incomplete_layout_is_told_in_one_sentence(
     assert "\n" not in str(raised.value)
 
 
-def test_missing_pictures_are_left_out_and_named(tmp_path: Path) -> None:
-    for make, lost in (
-        (layouts.gta, "drone/images/200_0001_0000000001.png"),
-        (layouts.gta, "satellite/4_0_1_0.png"),
-        (layouts.vigor, "Seattle/satellite/satellite_43.1001_-83.5000.png"),
-    ):
-        root = make(tmp_path / lost.replace("/", "_"))
-        (root / lost).unlink()
-        dataset = open_dataset(root)
-        assert [item.file for item in dataset.left_out] == [lost]
-        assert not check_dataset(dataset, decode=False).healthy
+@pytest.mark.parametrize(
+    ("make", "lost", "why"),
+    [
+        (layouts.gta, "drone/images/200_0001_0000000001.png", "is not there"),
+        (layouts.gta, "satellite/4_0_1_0.png", "is not there"),
+        (layouts.vigor, "Seattle/satellite/satellite_43.1001_-83.5000.png", "is not there"),
+        (layouts.world_uav, "Terrain/Desert/a/DB/img/1_0.png", "is not there"),
+        (
+            *(layouts.world_uav, "Terrain/Desert/a/query/height100_rot45/footage/height100_rot45_01.jpeg"),
+            "is not there",
+        ),
+        (layouts.world_uav, "Terrain/Lake/c/positive.json", "is not there"),
+        (layouts.world_uav, "Terrain/Lake/c", "is not there"),
+        (layouts.world_uav, "Terrain/Desert/a/query", "has no flights"),
+    ],
+)
+def test_missing_files_are_left_out_and_named(
+    tmp_path: Path, make: Callable[[Path], Path], lost: str, why: str
+) -> None:
+    root = make(tmp_path / "set")
+    spoil(lost)(root)
+    dataset = open_dataset(root)
+    assert [(item.file, item.why) for item in dataset.left_out] == [(lost, why)]
+    assert not check_dataset(dataset, decode=False).healthy
 
 
 def test_a_query_whose_true_tiles_are_missing_is_left_out_and_named(tmp_path: Path) -> None:

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from lpn.core.csv_cells import decode_text, delimited
 from lpn.core.errors import DataError
+from lpn.core.lists import decoded, separated
 from lpn.datasets import open_dataset
 from lpn.datasets.geo import Position, Positions, read_positions
 from lpn.datasets.listed_paths import FilesBelow, by_name, listed_path, name_of, plain_path
@@ -86,12 +86,12 @@ def test_files_are_found_in_another_case_and_with_letters_composed_otherwise(tmp
 @pytest.mark.parametrize("lines", ["\n", "\r\n"])
 def test_text_of_any_editor_is_decoded(encoding: str, lines: str) -> None:
     text = f"path\tlatitude{lines}test/ä.jpg\t30,25{lines}{lines}\t{lines}"
-    table = delimited(decode_text(text.encode(encoding)))
+    table = separated(decoded(text.encode(encoding), "a"), "a")
     assert (table.decimal_comma, list(table.rows)) == (True, [(1, ["path", "latitude"]), (2, ["test/ä.jpg", "30,25"])])
-    assert list(delimited(f"sep=\t{lines}a,b\tc{lines}").rows) == [(2, ["a,b", "c"])]
-    table = delimited(decode_text(f"path;latitude{lines}a.jpg;30,25{lines}".encode(encoding)))
+    assert list(separated(f"sep=\t{lines}a,b\tc{lines}", "a").rows) == [(2, ["a,b", "c"])]
+    table = separated(decoded(f"path;latitude{lines}a.jpg;30,25{lines}".encode(encoding), "a"), "a")
     assert (table.decimal_comma, list(table.rows)) == (True, [(1, ["path", "latitude"]), (2, ["a.jpg", "30,25"])])
-    assert list(delimited(f"a;b,c{lines}").rows) == [(1, ["a;b", "c"])]
+    assert list(separated(f"a;b,c{lines}", "a").rows) == [(1, ["a;b", "c"])]
 
 
 Change = Callable[[str], str]
@@ -161,85 +161,48 @@ def test_notes_of_another_system_keep_their_queries(tmp_path: Path) -> None:
     }
 
 
-def contents(root: Path) -> dict[str, list[tuple[str, int, str]]]:
-    """What a data set gives, by list: the file, place, and group of each picture."""
-    lists = open_dataset(root).lists()
-    return {
+def contents(root: Path) -> tuple[dict[str, list[tuple[str, int, str]]], list[list[tuple[list[int], list[int]]]]]:
+    """What a data set gives: the file, place, and group of each picture by list, and the listed tiles of each task."""
+    dataset = open_dataset(root)
+    lists = {
         name: [(picture.path.relative_to(root).as_posix(), picture.label, picture.group) for picture in of]
-        for name, of in lists.items()
+        for name, of in dataset.lists().items()
     }
+    truths = [dataset.truth(task) or [] for task in dataset.tasks()]
+    return lists, [[(of.good.tolist(), of.semi.tolist()) for of in truth] for truth in truths]
 
 
 def rewrite(file: Path, text: str) -> None:
     file.write_bytes(text.encode("utf-16"))
 
 
-@BOTH
-def test_pairs_of_another_system_are_the_same(tmp_path: Path, change: Change) -> None:
-    rows = [
-        ("tiles/a.jpg", "drones/1.jpg", "train"),
-        ("tiles/a.jpg", "drones/2.jpg", "train"),
-        ("b.jpg", "3.jpg", "test"),
-    ]
-    header = "satellite,drone,split\n"
-    root = layouts.pairs(tmp_path / "mine", header + "".join(f"{','.join(row)}\n" for row in rows))
-    right = contents(root)
-    changed = "".join(f"{change(tile)},{change(photo)},{split}\n" for tile, photo, split in rows)
-    rewrite(root / "pairs.csv", header + changed)
-    assert contents(root) == right
-    # Two spellings of one tile are one place.
-    spelt = f"tiles/a.jpg,drones/1.jpg,train\n{CHANGES['another case']('tiles/a.jpg')},drones/2.jpg,train\n"
-    rewrite(root / "pairs.csv", header + spelt)
-    assert len({label for _, label, _ in contents(root)["train/drone"]}) == 1
+PAIRS = "satellite,drone,split\ntiles/a.jpg,drones/1.jpg,train\ntiles/a.jpg,drones/2.jpg,train\nb.jpg,3.jpg,test\n"
 
 
-@BOTH
-def test_cvusa_of_another_system_is_the_same(tmp_path: Path, change: Change) -> None:
-    root = layouts.cvusa(tmp_path / "cvusa")
-    right = contents(root)
+def respell_pairs(root: Path, change: Change) -> None:
+    header, *rows = PAIRS.splitlines()
+    changed = ([*map(change, row.split(",")[:2]), row.split(",")[2]] for row in rows)
+    rewrite(root / "pairs.csv", "\n".join([header, *map(",".join, changed), ""]))
+
+
+def respell_cvusa(root: Path, change: Change) -> None:
     for file in (root / "splits").iterdir():
         rows = [line.split(",") for line in file.read_text().splitlines()]
         rewrite(file, "".join(f"{change(a)},{change(b)},{c}\n" for a, b, c in rows))
-    assert contents(root) == right
 
 
-def test_cvact_finds_pictures_in_another_case(tmp_path: Path) -> None:
-    root = layouts.cvact(tmp_path / "cvact")
-    right = contents(root)
-    for file in [*root.rglob("*.jpg")]:
-        file.rename(file.with_suffix(".JPG"))
-    assert [len(of) for of in contents(root).values()] == [len(of) for of in right.values()]
-
-
-@BOTH
-def test_vigor_of_another_system_is_the_same(tmp_path: Path, change: Change) -> None:
-    root = layouts.vigor(tmp_path / "vigor")
-    right = contents(root)
-    truth = [(of.good.tolist(), of.semi.tolist()) for of in open_dataset(root).truth("street-to-satellite") or ()]
+def respell_vigor(root: Path, change: Change) -> None:
     for file in (root / "splits").rglob("*.txt"):
-        city = file.parent.name
-        rows = [line.split() for line in file.read_text().splitlines()]
-        whole = file.name == "satellite_list.txt"
-        folders = [f"{city}/satellite/" if whole or at % 3 == 1 else f"{city}/panorama/" for at in range(13)]
-        names = [
-            [
-                change(folders[at] + word).strip() if whole or at in (0, 1, 4, 7, 10) else word
-                for at, word in enumerate(row)
-            ]
-            for row in rows
-        ]
-        rewrite(file, "".join(f"{' '.join(row)}\n" for row in names))
-    assert contents(root) == right
-    assert [
-        (of.good.tolist(), of.semi.tolist()) for of in open_dataset(root).truth("street-to-satellite") or ()
-    ] == truth
+        whole, city, lines = file.name == "satellite_list.txt", file.parent.name, []
+        for row in map(str.split, file.read_text().splitlines()):
+            for at in range(len(row)) if whole else (0, *range(1, len(row), 3)):
+                folder = "satellite" if whole or at else "panorama"
+                row[at] = change(f"{city}/{folder}/{row[at]}").strip()
+            lines.append(" ".join(row))
+        rewrite(file, "\n".join(lines))
 
 
-@BOTH
-def test_gta_uav_of_another_system_is_the_same(tmp_path: Path, change: Change) -> None:
-    root = layouts.gta(tmp_path / "gta")
-    right = contents(root)
-    truth = [(of.good.tolist(), of.semi.tolist()) for of in open_dataset(root).truth("drone-to-satellite") or ()]
+def respell_gta(root: Path, change: Change) -> None:
     for file in root.glob("*.json"):
         entries = json.loads(file.read_text())
         for entry in entries:
@@ -249,10 +212,39 @@ def test_gta_uav_of_another_system_is_the_same(tmp_path: Path, change: Change) -
             for key in ("pair_pos_sate_img_list", "pair_pos_semipos_sate_img_list"):
                 entry[key] = [change(f"satellite/{name}") for name in entry[key]]
         file.write_text(json.dumps(entries))
+
+
+@BOTH
+@pytest.mark.parametrize(
+    ("make", "respell"),
+    [
+        (lambda root: layouts.pairs(root, PAIRS), respell_pairs),
+        (layouts.cvusa, respell_cvusa),
+        (layouts.vigor, respell_vigor),
+        (layouts.gta, respell_gta),
+    ],
+    ids=["pairs", "cvusa", "vigor", "gta"],
+)
+def test_lists_of_another_system_are_the_same(
+    tmp_path: Path, make: Callable[[Path], Path], respell: Callable[[Path, Change], None], change: Change
+) -> None:
+    root = make(tmp_path / "set")
+    right = contents(root)
+    respell(root, change)
     assert contents(root) == right
-    assert [
-        (of.good.tolist(), of.semi.tolist()) for of in open_dataset(root).truth("drone-to-satellite") or ()
-    ] == truth
+
+
+def test_two_spellings_of_one_tile_are_one_place(tmp_path: Path) -> None:
+    root = layouts.pairs(tmp_path / "mine", PAIRS.replace("tiles/a.jpg,drones/2", "tiles/a.JPG,drones/2"))
+    assert len({picture.label for picture in open_dataset(root).train("drone")}) == 1
+
+
+def test_cvact_finds_pictures_in_another_case(tmp_path: Path) -> None:
+    root = layouts.cvact(tmp_path / "cvact")
+    right = contents(root)
+    for file in [*root.rglob("*.jpg")]:
+        file.rename(file.with_suffix(".JPG"))
+    assert [len(of) for of in contents(root)[0].values()] == [len(of) for of in right[0].values()]
 
 
 @pytest.mark.parametrize("change", (CHANGES | ABSOLUTE).values(), ids=CHANGES | ABSOLUTE)

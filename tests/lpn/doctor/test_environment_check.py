@@ -24,7 +24,7 @@ from lpn.core.demo import DEMO
 from lpn.core.errors import OutputError
 from lpn.core.files import cache_folder
 from lpn.doctor import environment_check
-from lpn.doctor.environment_check import Finding, healthy
+from lpn.doctor.environment_check import Finding
 from lpn.tasks import ranking_cache
 from tools.fixtures.tasks import descriptor_task
 
@@ -75,7 +75,7 @@ def test_a_damaged_demo_is_a_problem(what: str, tmp_path: Path) -> None:
     file.write_bytes(whole)
     found = of("demo", lambda: environment_check._demo(demo))
     assert (found.level, "git checkout" in found.remedy) == ("problem", True), found
-    assert not healthy([found])
+    assert not found.healthy
 
 
 def test_a_package_out_of_range_or_missing_is_a_problem(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -134,13 +134,22 @@ def pixels(data: bytes) -> UInt8Array:
     return np.asarray(Image.open(io.BytesIO(data)).convert("RGB"))
 
 
+@pytest.fixture
+def titles(monkeypatch: pytest.MonkeyPatch) -> list[list[str]]:
+    """The titles of the panels of each figure that is drawn."""
+    drawn: list[list[str]] = []
+
+    def encode(figure: Any, dpi: int) -> bytes:
+        drawn.append([cell.get_title() for cell in figure.axes])
+        return plots.encode(figure, dpi)
+
+    monkeypatch.setattr(network_figures, "encode", encode)
+    return drawn
+
+
 def test_the_network_is_drawn_with_a_panel_for_each_part(
-    model_file: Path, one_part_model_file: Path, monkeypatch: pytest.MonkeyPatch
+    model_file: Path, one_part_model_file: Path, titles: list[list[str]]
 ) -> None:
-    titles: list[list[str]] = []
-    encode = plots.encode
-    noted = lambda figure, dpi: (titles.append([cell.get_title() for cell in figure.axes]), encode(figure, dpi))[1]  # noqa: E731
-    monkeypatch.setattr(network_figures, "encode", noted)
     widths = {}
     for file in (model_file, one_part_model_file):
         model = lpn.load(file)
@@ -153,16 +162,14 @@ def test_the_network_is_drawn_with_a_panel_for_each_part(
     assert widths == {4: (460, 1470), 1: (460, 840)}
 
 
-def test_partitions_are_drawn_side_by_side_and_the_model_s_is_named(
-    model_file: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    titles: list[str] = []
-    encode = plots.encode
-    noted = lambda figure, dpi: (titles.extend(cell.get_title() for cell in figure.axes), encode(figure, dpi))[1]  # noqa: E731
-    monkeypatch.setattr(network_figures, "encode", noted)
+def test_partitions_are_drawn_side_by_side_and_the_model_s_is_named(model_file: Path, titles: list[list[str]]) -> None:
     model = lpn.load(model_file)
     drawn = pixels(network_figures.partitions(model, described(model)))
-    assert titles[:3] == ["drone, square rings (this model)", "drone, sequential: columns", "drone, sequential: rows"]
+    assert titles[0][:3] == [
+        "drone, square rings (this model)",
+        "drone, sequential: columns",
+        "drone, sequential: rows",
+    ]
     # The three panels show the same picture under other borders.
     thirds = np.array_split(drawn[:230], 3, axis=1)
     assert len({third.tobytes() for third in thirds}) == 3

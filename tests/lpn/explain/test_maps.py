@@ -14,10 +14,10 @@ from lpn.core.arrays import Float32Array
 from lpn.core.demo import DEMO
 from lpn.datasets import open_dataset
 from lpn.explain import occlusion
-from lpn.explain.centre import centre_box, centre_share, centre_shares
 from lpn.library.matching_turn import relative_turn
 from lpn.models.partition import Partition
 from lpn.models.trace import Trace
+from lpn.reproduce.measure import centre_box, centre_share, centre_shares
 from lpn.retrieval import scoring
 from tools.fixtures import small_worlds
 from tools.fixtures.faithfulness import centre_first, curve, curves

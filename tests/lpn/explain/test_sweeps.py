@@ -27,7 +27,7 @@ from lpn.explain.sweeps import SweepPoint, SweepResult, changes_over, sweep_poin
 from lpn.models.base import Model
 from lpn.retrieval import scoring
 from tools.fixtures import small_worlds
-from tools.fixtures.rankings import ranked_in
+from tools.fixtures.tasks import ranked_in
 
 
 @pytest.fixture(scope="module")

@@ -60,6 +60,8 @@ def test_the_file_that_released_code_would_read(case: str, tmp_path: Path) -> No
             ("weights_e1_0.95.pth", "weights_end.pth"),
             r"run holds 2 models \(weights_e1_0\.95\.pth, weights_end\.pth\); name the file that is meant\.",
         ),
+        (("lpn.onnx", "lpn.safetensors"), r"run holds 2 models \(lpn\.onnx, lpn\.safetensors\); name the file"),
+        (("lpn.onnx", "lpn.v2.pth"), r"run holds 2 models \(lpn\.onnx, lpn\.v2\.pth\); name the file"),
         (
             ("train.py", "a/b/c/net_119.pth"),
             r"run holds no model file \(net_\*\.pth, .*\); name the file, or the folder that",

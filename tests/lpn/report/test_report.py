@@ -31,6 +31,7 @@ from lpn.library.analyser import QueryAnalyser, QueryRequest, describe_tile
 from lpn.report import Options, OwnPicture, _rendering
 from lpn.retrieval import Ranking
 from lpn.tasks.notes import NAME as NOTES
+from lpn.tasks.notes import read_notes
 from lpn.tasks.opening import describe_task
 from lpn.tasks.task import Task
 from lpn.tasks.verdict import judge
@@ -206,7 +207,8 @@ def test_markup_in_names_notes_and_metadata_is_escaped(data: Path, model_file: P
     path = next((root / "test" / "query_drone").rglob("*.png")).relative_to(root).as_posix()
     (root / "metadata.csv").write_text(f'path,<b>mood</b>\n{path},"{evil}"\n'.replace("<b>mood</b>", "mood & tone"))
     (root / NOTES).write_text(f'path,tags,note\n{path},odd,"{evil} & more"\n')
-    made = describe_task(lpn.load(model_file), "<i>m</i>.onnx", open_dataset(root))
+    plain = describe_task(lpn.load(model_file), "<i>m</i>.onnx", open_dataset(root))
+    made = replace(plain, notes=read_notes(root / NOTES))
     found = report.build(made, [made.table.paths.index(path)], Options(selection="<u>mine</u>"))
     page = Page(found)
     assert b"<script" not in found

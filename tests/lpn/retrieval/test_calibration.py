@@ -26,6 +26,7 @@ from lpn.descriptors.cache import cached_descriptors, temporary_descriptors
 from lpn.descriptors.transforms import Change
 from lpn.library.analyser import OwnPicture, QueryAnalyser, QueryRequest, describe_tile
 from lpn.models.base import Model, normalise
+from lpn.models.onnx_engine import Engine
 from lpn.report import Options
 from lpn.report.cases import Cases
 from lpn.retrieval.calibration import PRIOR, STEP, Calibration, calibrate, centred, ground_ratio
@@ -36,6 +37,7 @@ from lpn.tasks.opening import alike_calibrations, describe_task, lazy_task, new_
 from lpn.tasks.task import scored_key
 from tests.conftest import MakeOnce
 from tools.fixtures import small_worlds
+from tools.fixtures.published_results import save_result
 
 TASK = "drone-to-satellite"
 PLACES = 24
@@ -199,6 +201,17 @@ def test_models_are_compared_plain_and_calibrated(model_file: Path, wide: Path, 
     assert main(["compare", str(wide), "--model", str(model_file), "--csls", "-1"]) == 2
 
 
+def test_beside_a_result_a_data_set_is_ranked_plain(
+    model_file: Path, wide: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("lpn.tasks.opening.shipped_calibration", new_calibration)
+    saved, table = tmp_path / "r.mat", tmp_path / "table.json"
+    save_result(saved, wide, model_file)
+    given = ["--model", str(model_file), "--task", TASK, "--json", str(table)]
+    assert main(["compare", str(wide), str(saved), *given]) == 0
+    assert [row["name"] for row in json.loads(table.read_bytes())["models"]] == ["model.onnx", "r.mat"]
+
+
 @pytest.mark.slow
 def test_a_task_searches_shows_and_explains_calibrated_pictures(model: Model, wide: Path) -> None:
     dataset = open_dataset(wide)
@@ -348,6 +361,10 @@ def test_the_demo_is_ranked_by_the_calibration_that_ships(monkeypatch: pytest.Mo
     for asked, scoring, recall in ((None, "calibrated", 84.7), (True, "calibrated", 84.7), (False, "plain", 70.1)):
         task = lpn.open_task(DEMO, TASK, calibrate=asked)
         assert (task.scoring, round(task.metrics["recall@1"], 1)) == (scoring, recall)
+    # The command needs no network: the calibrated descriptors ship, too.
+    monkeypatch.setattr(Engine, "run", None)
+    for given in ({}, {"csls": 3}):
+        assert lpn.evaluate(DEMO / "lpn.onnx", DEMO, **given).recall["1"] >= 84.7  # type: ignore[arg-type]
     # No calibration of the other model ships: compared models are ranked alike.
     models = [lpn.load(DEMO / name) for name in ("lpn.onnx", "baseline.onnx")]
     assert alike_calibrations(models, open_dataset(DEMO)) == [None, None]

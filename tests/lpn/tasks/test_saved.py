@@ -62,20 +62,6 @@ def test_a_saved_result_gives_the_figures_of_its_model(data: Path, model_file: P
         assert "descriptors as saved" in found.sentence
 
 
-def test_the_command_reads_it_without_model_and_data(data: Path, model_file: Path, tmp_path: Path) -> None:
-    savemat(tmp_path / "r.mat", contents(data, model_file))
-    figures = []
-    for arguments in (
-        [str(tmp_path / "r.mat"), "--n-parts", "4", "--parts", "2"],
-        [str(data), "--model", str(model_file), "--parts", "2"],
-    ):
-        assert main(["evaluate", *arguments, "--json", str(tmp_path / "f.json")]) == 0
-        figures.append(json.loads((tmp_path / "f.json").read_text()))
-    one, other = ({k: v for k, v in f.items() if k not in ("seconds", "protocol", "ap")} for f in figures)
-    assert one == other
-    assert figures[0]["ap"] == pytest.approx(figures[1]["ap"], abs=1e-9)
-
-
 def test_a_saved_result_is_centred_part_by_part_only(
     data: Path, model_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -68,7 +68,7 @@ def _of_words(column: Column) -> PointColours:
     palette = [theme.css(theme.part_colour(code)) for code in range(min(len(order), OTHER))]
     labels = [str(words[i]) for i in order[:OTHER]]
     if len(order) > OTHER:
-        palette.append(theme.css(theme.DIM))
+        palette.append(theme.css(theme.DARK.dim))
         labels.append(f"{len(order) - OTHER} others")
     return PointColours(code_of[which.ravel()], palette, labels)
 

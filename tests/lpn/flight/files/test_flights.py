@@ -85,12 +85,17 @@ def test_the_command_prints_what_is_known(tmp_path: Path, capsys: pytest.Capture
     assert len(open_flight(tmp_path / "monday").frames) == 3
 
 
-def test_a_track_that_lpn_locate_wrote_is_no_log(tmp_path: Path) -> None:
+@pytest.mark.parametrize("suffix", [".csv", ".geojson", ".gpx"])
+def test_a_track_that_lpn_locate_wrote_is_no_log(tmp_path: Path, suffix: str) -> None:
     write_photo(tmp_path / "photos" / "a.jpg", exif(47.0, 8.0))
     point = {"frame": "a.jpg", "stage": "registration", "state": "accepted", "latitude": 47.0, "longitude": 8.0}
-    write_track(tmp_path / "track.csv", "monday", [point])
-    with pytest.raises(DataError, match=r"^track\.csv is a track of lpn locate: .* give the photos, with the"):
-        make_flight([tmp_path / "photos", tmp_path / "track.csv"], tmp_path / "monday")
+    track = tmp_path / f"track{suffix}"
+    if suffix == ".gpx":  # of earlier versions
+        track.write_text('<?xml version="1.0"?>\n<gpx version="1.1" creator="lpn locate"></gpx>')
+    else:
+        write_track(track, "monday", [point])
+    with pytest.raises(DataError, match=rf"^track\{suffix} is a track of lpn locate: .* give the photos, with the"):
+        make_flight([tmp_path / "photos", track], tmp_path / "monday")
     assert not (tmp_path / "monday").exists()
 
 

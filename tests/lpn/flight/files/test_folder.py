@@ -51,6 +51,17 @@ def test_files_that_lpn_flight_did_not_write_are_not_replaced(tmp_path: Path, na
     assert sorted(path.name for path in tmp_path.iterdir()) == sorted(["a.jpg", "flight", name])
 
 
+def test_a_table_is_only_replaced_if_it_is_ours_itself(tmp_path: Path) -> None:
+    folder = written(tmp_path)
+    flight = open_flight(folder)
+    (folder / "flight.json").unlink()
+    write_flight(flight, folder)
+    (folder / "flight.csv").write_text("my,own\ntable,1\n")
+    with pytest.raises(OutputError, match=r"flight\.csv was not written by lpn flight"):
+        write_flight(flight, folder)
+    assert (folder / "flight.csv").read_text() == "my,own\ntable,1\n"
+
+
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [

@@ -112,7 +112,32 @@ def test_a_log_does_not_change_the_field_of_view_of_a_known_lens(tmp_path: Path)
     assert any("keeps the field of view of its lens, and not that in the log" in note for note in flight.notes)
 
 
-@pytest.mark.parametrize("text", [OPENCV, ROS, f"---\n{ROS}", ODM], ids=["opencv", "ros", "ros with a mark", "odm"])
+ROWS = {
+    "image_width": "1000", "image_height": 750, "camera_matrix": [[700.0, 0, 509.5], [0, 710.0, 369.5], [0, 0, 1]],
+    "distortion_coefficients": [[-0.12, 0.02, 0.001, -0.002, -0.01]],
+}  # fmt: skip
+# As PyYAML writes it.
+BLOCKS = """camera_matrix:
+- - 700.0
+  - 0.0
+  - 509.5
+- - 0.0
+  - 710.0
+  - '369.5'
+- [0, 0, 1]
+distortion_coefficients:
+  data:
+  - -0.12
+  - 0.02
+  - 0.001
+  - -0.002
+  - -0.01
+image_height: 750
+image_width: 1000
+"""
+
+
+@pytest.mark.parametrize("text", [OPENCV, ROS, f"---\n{ROS}", ODM, json.dumps(ROWS), BLOCKS])
 def test_a_camera_s_file_gives_its_lens_to_the_flight(
     tmp_path: Path, text: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -129,11 +154,18 @@ def test_a_camera_s_file_gives_its_lens_to_the_flight(
     assert frame.fov == pytest.approx(lens.fov)
 
 
+def test_a_camera_without_coefficients_has_no_distortion(tmp_path: Path) -> None:
+    (tmp_path / "camera.yaml").write_text(OPENCV.partition("distortion_coefficients")[0])
+    assert read_camera(tmp_path / "camera.yaml")[0].coefficients.tolist() == [0.0] * 5
+
+
 @pytest.mark.parametrize(
     ("text", "sentence"),
     [
         ("", "has other contents; expected YAML or JSON by OpenCV, ROS, or ODM"),
-        ("a: [", "has other contents"),
+        ("a: [", "has no readable line 1 (Missing , between the elements); expected YAML or JSON"),
+        ("x: 1\n\ty: 2\n", "has no readable line 2 (Tabs"),
+        (OPENCV.replace("cols: 3", "cols"), "has no readable line 7 ("),
         ("{}", "lacks 'width'"),
         ("a: " + 2000 * "[", "has too many brackets"),
         (ROS.replace("plumb_bob", "equidistant"), "has the model equidistant"),
@@ -141,7 +173,7 @@ def test_a_camera_s_file_gives_its_lens_to_the_flight(
         (ROS.replace("0., 1. ]", "1. ]"), "has 8 numbers in camera_matrix and not 9"),
         (OPENCV.replace(" 700.", " 7.").replace(" 710.", " 7.1"), "has focal lengths of 0.007 and 0.0071 widths"),
         (OPENCV.replace("image_width: 1000\n", ""), "lacks 'image_width'"),
-        (OPENCV.replace("width: 1000", "width: 0"), "has other contents"),
+        (OPENCV.replace("width: 1000", "width: 0"), "has a width of 0"),
         (json.dumps({"v2 dji": {}, "zoom": {"width": 1}}), "has 2 cameras (v2 dji, zoom), of which only"),
     ],
 )

@@ -265,7 +265,6 @@ def test_files_that_are_no_tracks_are_refused_in_one_sentence(text: str, message
     ("name", "instead"),
     [
         ("track.kml", "GPX or CSV"),
-        ("track.geojson", "GPX or CSV"),
         ("flight.bag", "CSV, .ulg, .tlog, or .bin"),
         ("CLIP.ASS", "SRT"),
     ],
@@ -346,12 +345,55 @@ def test_the_first_row_of_a_moment_counts_and_fractions_of_seconds_come_from_the
     log = read_log(
         written(tmp_path, f"datetime(utc),lat,lon\n{noon}0,,8\n{noon}0,47.0,8\n{noon}0,47.9,8\n{noon}1,47.1,8")
     )
-    for entries in (moments(log), for_video(log, 0)[0]):
+    said = (
+        "1 of 2 moments of log.csv are listed more than once with different positions; the first row of each was used."
+    )
+    for entries, notes in (moments(log), for_video(log, 0)):
         assert [entry.latitude for entry in entries] == [47.0, 47.1]
+        assert notes[-1] == said
     # Airdata has ten rows a second, whole seconds of UTC, and milliseconds from the start, here 0.3 s past a second.
     rows = [f"{100 * i},{noon}{(3 + i) // 10},{47 + i / 1000},8" for i in range(30)]
-    entries = moments(read_log(written(tmp_path, "time(millisecond),datetime(utc),lat,lon\n" + "\n".join(rows))))
+    entries, notes = moments(read_log(written(tmp_path, "time(millisecond),datetime(utc),lat,lon\n" + "\n".join(rows))))
+    assert not notes
     assert [round(entry.time - NOON, 3) for entry in entries[:3]] == [0.3, 0.4, 0.5]
+
+
+def test_logs_that_were_joined_have_the_line_of_names_again(tmp_path: Path) -> None:
+    log = read_log(written(tmp_path, "name,lat,lon\na.jpg,47.3,8.5\nname,lat,lon\nb.jpg,47.4,8.5\n"))
+    assert [(row.file, row.entry.latitude, row.line) for row in log.rows] == [("a.jpg", 47.3, 2), ("b.jpg", 47.4, 4)]
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("geo.txt", "EPSG:4326\na.jpg,8.1,47.1,400\n"),
+        ("geo.txt", "EPSG:4326\na.jpg, 8.1, 47.1, 400, 10, 0, 0, 0.5, 0.5\n"),
+        ("geo.txt", "EPSG:4326\na.jpg\t8.1\t47.1\t400\n"),
+        ("log.csv", "name,lat,lon,alt,note;a;b;c;d;e\na.jpg,47.1,8.1,400,x\n"),
+        ("log.csv", "name;lat;lon;alt;a, b, c, d, e\na.jpg;47,1;8,1;400;x\n"),
+    ],
+)
+def test_the_signs_between_values_are_found(tmp_path: Path, name: str, text: str) -> None:
+    (row,) = read_log(written(tmp_path, text, name)).rows
+    assert (row.file, row.entry.latitude, row.entry.longitude, row.entry.altitude) == ("a.jpg", 47.1, 8.1, 400.0)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("EPSG:4326\n8.1,47.1,400,10,20,a.jpg,gcp1\n", "log.csv is a list of ground control points"),
+        ("name,lat,lon" + ",x" * 200_000, "log.csv begins with 'name,lat,lon,x"),
+    ],
+)
+def test_tables_without_known_columns_are_refused(tmp_path: Path, text: str, message: str) -> None:
+    with pytest.raises(DataError, match=message):
+        read_log(written(tmp_path, text))
+
+
+def test_a_geojson_is_left_out_and_the_run_goes_on(tmp_path: Path) -> None:
+    area = written(tmp_path, '{"type": "FeatureCollection", "features": []}', "area.geojson")
+    notes = make_flight([write_photo(tmp_path / "a.jpg"), area], tmp_path / "flight").notes
+    assert "Left out, because their kind is not supported: area.geojson." in notes
 
 
 def test_text_that_is_no_log_is_left_out_and_the_run_goes_on(tmp_path: Path) -> None:

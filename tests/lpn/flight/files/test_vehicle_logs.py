@@ -112,6 +112,11 @@ def test_satellite_files_of_djis_cards_are_left_out_and_named(tmp_path: Path, co
         # A gimbal counts before the aircraft while it is recent.
         ([("ATT", ANGLES, 0.0), ("MNT", {"R": 0, "P": -90, "YB": 20}, 0.0), ("POS", PLACE, 0.5)],
          {"heading": 10.0, "heading_source": "gimbal", "pitch": -90.0}),
+        # Angles of two of its messages never mix.
+        ([("MNT", {"R": 0, "P": -90, "YE": 20}, 0.0), ("MNT", {"R": 0, "P": -30, "YB": 5}, 0.4), ("POS", PLACE, 0.5)],
+         {"heading": 20.0, "heading_source": "gimbal", "pitch": -90.0}),
+        ([("MNT", {"R": 0, "P": -90, "YB": 20}, 0.0), ("POS", PLACE, 0.5)], {"heading": None, "pitch": None}),
+        ([("MNT", {"R": 0, "P": -90, "YB": 20}, 0.0)], None),
         ([("ATT", ANGLES, 0.0), ("POS", PLACE, 5.0)], {"heading": None}),
         # Positions of the receiver alone give way to filtered ones, and return.
         ([("POS", PLACE, 0.0), ("GPS", {**PLACE, "Status": 3}, 1.0)], None),
@@ -142,6 +147,15 @@ def test_an_attitude_selects_the_vehicle_only_where_no_position_is_needed() -> N
         assert vehicle.system == system
         assert (entry is not None) == needs_position
         assert vehicle.others == (set() if needs_position else {9})
+
+
+def test_positions_off_the_earth_are_counted() -> None:
+    vehicle = Vehicle()
+    entries = [
+        vehicle.take("POS", {**PLACE, "Lat": latitude}, time) for time, latitude in enumerate((47.0, 147.0, -91.0))
+    ]
+    assert [entry is None for entry in entries] == [False, False, False]
+    assert vehicle.outside == 2
 
 
 def check(entry: TelemetryEntry | None, expected: dict[str, object] | None) -> None:

@@ -16,7 +16,7 @@ from lpn.flight.locate.ground import MapFeatures
 from lpn.flight.locate.levelled import PhotoView
 from lpn.flight.locate.matchers import Ground, SiftMatcher, open_matchers
 from lpn.flight.locate.own_photo import register_own_photo
-from lpn.flight.locate.registration import Place, Registration
+from lpn.flight.locate.registration import PhotoPlace, Registration
 from lpn.flight.maps import Map, Window, open_map
 from tests.lpn.flight.locate.scenery import ground_to_photo, land, photo_of, write_map
 
@@ -92,7 +92,7 @@ def test_all_matchers_together_must_support_a_photo_of_anywhere(
     own: float, others: list[float], accepted: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(registration, "_total_support", lambda *_: sum(others))
-    of_flight = Registration(None, "XFeat", support=own, places=(Place(70 + 0j, 20 - 30j),))
+    of_flight = Registration(None, "XFeat", support=own, places=(PhotoPlace(70 + 0j, 20 - 30j),))
     nothing = Ground(np.zeros((0, 2)), np.zeros((0, 1), np.float32), 1.0)
     answer = registration.proven(of_flight, PhotoView.plain(photo()), [(SiftMatcher(), nothing) for _ in others])
     assert answer.accepted == accepted

@@ -34,7 +34,7 @@ from lpn.flight.locate.matchers import Ground, SiftMatcher
 from lpn.flight.locate.options import LocateOptions
 from lpn.flight.locate.pipeline import locate
 from lpn.flight.locate.registered_stage import FlightPrior
-from lpn.flight.locate.registration import Expectation, Place, Registration, contested, register
+from lpn.flight.locate.registration import Expectation, PhotoPlace, Registration, contested, register
 from lpn.flight.locate.retrieval import FrameViews, MapRetrieval, WindowGallery, WindowRecord, pyramid_sizes
 from lpn.flight.locate.sequence import SequencePoint
 from lpn.flight.locate.tags import tags_on_map
@@ -473,7 +473,7 @@ def test_a_place_that_earlier_matches_hardly_support_is_no_rival(town: Map) -> N
     assert described is not None
     found = register(SiftMatcher(), photo, described, Expectation(width, 0.0))
     searches = [(SiftMatcher(), described), (_MutualMatcher(), described)]
-    away = Place(complex(width), -40 - 30j)
+    away = PhotoPlace(complex(width), -40 - 30j)
     assert found.accepted
     assert contested(found, photo, searches, [away]).accepted
     assert contested(found, photo, searches, [found.places[0]]) is found
@@ -520,7 +520,7 @@ def test_a_radius_holds_the_errors_of_the_map_and_of_an_aircrafts_tilt(
         None,
         "SIFT",
         support=30.0,
-        places=(Place(WIDTH + 0j, complex(*place)),),
+        places=(PhotoPlace(WIDTH + 0j, complex(*place)),),
         homography=laid,
         centre=np.array(place),
         width=WIDTH,

@@ -12,7 +12,7 @@ from lpn.core.homography import apply_homography
 from lpn.flight.locate import registration
 from lpn.flight.locate.levelled import PhotoView
 from lpn.flight.locate.matchers import Features, Ground, Matcher, SiftMatcher, mutual_within, open_matchers
-from lpn.flight.locate.registration import Expectation, Place, Registration, is_turned_over, register
+from lpn.flight.locate.registration import Expectation, PhotoPlace, Registration, is_turned_over, register
 from tests.lpn.flight.locate.scenery import BOUNDS, CORNER, RESOLUTION, ground_to_photo, land, photo_of
 
 SIZE = (400, 300)
@@ -95,12 +95,12 @@ def _forced(monkeypatch: pytest.MonkeyPatch, given: dict[float, float], others: 
     """Have places found with their supports by metres to the east, at the given heading, and at others; return a photo."""
     u = np.array([x + 1j * y for x in np.linspace(-0.45, 0.45, 7) for y in np.linspace(-0.3, 0.3, 7)])
 
-    def seeds(*arguments: object) -> list[Place]:
+    def seeds(*arguments: object) -> list[PhotoPlace]:
         places = others if arguments[-1] is None else given
-        return [Place(80 + 0j, complex(east), support) for east, support in places.items()]
+        return [PhotoPlace(80 + 0j, complex(east), support) for east, support in places.items()]
 
-    def guided(seed: Place, _: Ground) -> Place:
-        return Place(seed.a, seed.b, seed.support, u, seed.a * u + seed.b, len(u))
+    def guided(seed: PhotoPlace, _: Ground) -> PhotoPlace:
+        return PhotoPlace(seed.a, seed.b, seed.support, u, seed.a * u + seed.b, len(u))
 
     monkeypatch.setattr(registration, "_seeds", seeds)
     monkeypatch.setattr(registration, "_guided", guided)

@@ -91,28 +91,26 @@ def test_positions_are_read_in_degrees_and_in_any_system_in_metres(tmp_path: Pat
 @pytest.mark.parametrize(
     ("lines", "sentence"),
     [
-        (("photo,height", "a,1"), r"first line of survey.csv is photo,height; expected photo and either latitude"),
+        (("photo,height", "a,1"), r"first line of survey.csv is photo,height; expected photo and latitude"),
         (("photo;lat;lon,height", "a;1;2,3"), r"separate all values by the same character"),
         (("photo,lat,lon",), r"no position below its first line"),
         (("photo,lat,lon", "a,95,2"), r"Line 2 of survey.csv has the latitude '95'; expected degrees from -90 to 90"),
-        (("photo,lat,lon", "a,5"), r"Line 2 of survey.csv has 2 values; expected 3: photo,latitude,longitude"),
+        (("photo,lat,lon", "a,5"), r"Line 2 of survey.csv has 2 values, and its columns need 3"),
         (("photo,lat,lon,point", "a,5,6,roof"), r"has the point 'roof'; expected camera or ground"),
         (("photo,lat,lon", ",5,6"), r"has no photo"),
         (("photo,easting,northing", "a,5,6"), r"without their CRS; add a column epsg"),
         (("photo,easting,northing,epsg", "a,5,6,no"), r"There is no CRS 'no'"),
-        (("photo,lat,lon", '"a,5,6'), r"Line 2 of survey.csv has 1 values"),
-        (
-            ("photo,Lat,lon,x,y", "a,5,6,7,8"),
-            r"photo,latitude,longitude,easting,northing; expected photo and either latitude",
-        ),
-        (("photo,lat,lon,epsg", "a,5,6,32614"), r"The CRS 32614 is not geographic, and survey.csv has latitude and"),
-        (("photo,e,n,epsg", "a,5,6,4326"), r"The CRS 4326 is not projected, and survey.csv has easting and"),
+        (("photo,lat,lon", '"a,5,6'), r"Line 2 of survey.csv is not comma-separated values"),
+        (("photo,lat,lon,note", 'a,5,6,"bad', "b,5,6,ok"), r"Line 2 of survey.csv is not comma-separated values"),
+        (("photo,Lat,lon,x,y", "a,5,6,7,8"), r"has Lat,lon and x,y, and only one of the two can be the survey"),
+        (("photo,lat,lon,epsg", "a,5,6,32614"), r"The CRS 32614 is not geographic, and survey.csv has latitudes"),
+        (("photo,e,n,epsg", "a,5,6,4326"), r"The CRS 4326 is not projected, and survey.csv has eastings"),
         (("photo,lat,lon,epsg", "a,5,6,4978"), r"The CRS 4978 is not geographic"),
         (
             ("photo,e,n,epsg", "a,500000,3338000,32614", "b,9e9,9e9,32614", "c,9e9,9e9,32614"),
             r"The CRS of survey.csv cannot be brought to the map's plane for all positions",
         ),
-        (("photo,e,n,epsg", "a,5,6,32614", "b,5,6,32615"), r"has lines with the CRS 32614 and 32615"),
+        (("photo,e,n,epsg", "a,5,6,32614", "b,5,6,32615"), r"has the CRS 32614 \(Line 2 .*\) and 32615 \(Line 3 of"),
     ],
 )
 def test_a_bad_table_gets_one_sentence(tmp_path: Path, lines: tuple[str, ...], sentence: str) -> None:
