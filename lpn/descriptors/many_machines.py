@@ -20,7 +20,7 @@ import socket
 import tempfile
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
@@ -32,12 +32,13 @@ from lpn.core import images
 from lpn.core.arrays import Float32Array
 from lpn.core.csv_cells import csv_bytes
 from lpn.core.errors import InputError, LPNError, PictureError, StoreError
+from lpn.core.files import exclusive_lock
 from lpn.core.progress import report_progress
 from lpn.core.resources import usable_cores
 from lpn.core.views import View
 from lpn.datasets.integrity import DAMAGED, stream_error
 from lpn.descriptors.parallel_inference import describe_each
-from lpn.descriptors.places import Place, first_line
+from lpn.descriptors.places import Storage, first_line
 from lpn.descriptors.store import (
     MANIFEST,
     ROWS,
@@ -47,10 +48,13 @@ from lpn.descriptors.store import (
     PartEntry,
     Precision,
     Row,
+    check_replaceable,
     encode,
     entry_of,
     parts_of,
     rows_of_part,
+    unwritable,
+    vectors_size,
     write_part,
 )
 from lpn.descriptors.transforms import UNCHANGED
@@ -121,57 +125,71 @@ def describe_by_many(
         if number is not None and number < 1:
             raise InputError(f"The number of {name} is {number}; expected 1 or more.")
     kind = DescriptorKind.of_model(Engine(model, threads=1).in_role(view, role), view, UNCHANGED, precision)
-    source, target = Place(pictures), Place(out)
+    source, target = Storage(pictures), Storage(out)
     rows = source.rows()
-    entries, missing, number = _held(target, kind, rows)
-    summary, there, stage = Summary(len(rows)), len(rows) - len(missing), f"Describing {view} pictures"
-    report_progress(stage, there, len(rows))
-    if missing:
-        tasks = [
-            {"number": number + i, "rows": json.dumps(missing[start : start + size])}
-            for i, start in enumerate(range(0, len(missing), size))
-        ]
-        files = {path.name: path.read_bytes() for path in graph_files(model, list(Engine(model).contract.groups))}
-        task = WorkerTask(source.where, target.where, kind, model.name, threads)
-        with _ray_session(address, workers, threads) as (ray, count):
-            for result in _results(ray, worker or DescribeWorker, task, tasks, files, min(count, len(tasks))):
-                if result["error"]:
-                    raise StoreError(str(result["error"]))
-                summary.computed += int(result["described"])
-                summary.broken |= json.loads(result["broken"])
-                report_progress(stage, there + summary.computed + len(summary.broken), len(rows))
-        entries, missing, _ = _held(target, kind, rows)
-    if lost := [row.file for row in missing if row.file not in summary.broken]:
-        raise StoreError(
-            f"{len(lost)} of {len(rows)} pictures are in no part in {target.where} that this machine sees; on a cluster give a "
-            "folder that all machines share, or object storage."
-        )
-    manifest = Manifest(kind=kind, parts=tuple(entries))
-    if "://" in target.where:
-        target.write(MANIFEST, manifest.encoded())
-    else:
-        manifest.write(Path(target.where))
-    target.write(BROKEN, csv_bytes([("name", "reason"), *sorted(summary.broken.items())]))
+    local = None if "://" in target.where else Path(target.where)
+    # The end of another run would delete the parts of this one.
+    with nullcontext() if local is None else _locked(local):
+        entries, missing, number = _held(target, kind, rows)
+        summary, there, stage = Summary(len(rows)), len(rows) - len(missing), f"Describing {view} pictures"
+        report_progress(stage, there, len(rows))
+        if missing:
+            tasks = [
+                {"number": number + i, "rows": json.dumps(missing[start : start + size])}
+                for i, start in enumerate(range(0, len(missing), size))
+            ]
+            files = {path.name: path.read_bytes() for path in graph_files(model, list(Engine(model).contract.groups))}
+            task = WorkerTask(source.where, target.where, kind, model.name, threads)
+            with _ray_session(address, workers, threads) as (ray, count):
+                for result in _results(ray, worker or DescribeWorker, task, tasks, files, min(count, len(tasks))):
+                    if result["error"]:
+                        raise StoreError(str(result["error"]))
+                    summary.computed += int(result["described"])
+                    summary.broken |= json.loads(result["broken"])
+                    report_progress(stage, there + summary.computed + len(summary.broken), len(rows))
+            entries, missing, _ = _held(target, kind, rows)
+        if lost := [row.file for row in missing if row.file not in summary.broken]:
+            raise StoreError(
+                f"{len(lost)} of {len(rows)} pictures are in no part in {target.where} that this machine sees; on a cluster give "
+                "a folder that all machines share, or object storage."
+            )
+        manifest = Manifest(kind=kind, parts=tuple(entries))
+        if local is None:
+            target.write(MANIFEST, manifest.encoded())
+        else:
+            manifest.write(local)
+        target.write(BROKEN, csv_bytes([("name", "reason"), *sorted(summary.broken.items())]))
     return summary
 
 
-def _held(target: Place, kind: DescriptorKind, rows: Sequence[Row]) -> tuple[list[PartEntry], list[Row], int]:
+@contextmanager
+def _locked(folder: Path) -> Iterator[None]:
+    """Make a folder, and lock it against other runs; StoreError if it cannot be made."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise unwritable(folder, error) from error
+    with exclusive_lock(folder, wait=True):
+        yield
+
+
+def _held(target: Storage, kind: DescriptorKind, rows: Sequence[Row]) -> tuple[list[PartEntry], list[Row], int]:
     """Return the parts of a place that hold some of the rows, each row once; the rows in none; and the next part's number.
 
     Raises:
-        StoreError: if the place holds other descriptors.
+        StoreError: if the place holds other descriptors, or is an index.
     """
     left, found, number = {row: i for i, row in enumerate(rows)}, [], 1
     with tempfile.TemporaryDirectory(prefix="lpn-") as name, suppress(FileNotFoundError):
         folder = Path(name)
-        target.copy(folder, vectors=False)
+        sizes = target.copy(folder, vectors=False)
         with suppress(FileNotFoundError):
             (folder / MANIFEST).write_bytes(target.read(MANIFEST))
-            if (held := Manifest.read(folder).kind) != kind:
-                raise StoreError(f"{target.where} holds {held}, and these would be {kind}; choose another place.")
+            check_replaceable(folder, kind, target.where)
         for part in parts_of(folder):
             number = int(part.name.split("-")[1]) + 1
-            if (described := rows_of_part(part, kind)) is not None:
+            described = rows_of_part(part, kind)
+            if described is not None and sizes.get(f"{part.name}/{VECTORS}") == vectors_size(kind, len(described)):
                 places = [left.pop(row, -1) for row in described]
                 if max(places, default=-1) >= 0:
                     unused = tuple(i for i, place in enumerate(places) if place < 0)
@@ -234,7 +252,7 @@ class DescribeWorker:
         import ray
 
         cv2.setNumThreads(1)
-        self.task, self.images, self.out = task, Place(task.images), Place(task.out)
+        self.task, self.images, self.out = task, Storage(task.images), Storage(task.out)
         self.view = cast(View, task.kind.view)
         with tempfile.TemporaryDirectory(prefix="lpn-") as folder:
             for name, data in ray.get(files).items():

@@ -14,7 +14,7 @@ from lpn.descriptors.store import MANIFEST, ROWS, VECTORS, Row, row_of
 from lpn.descriptors.writer import pictures_below
 
 
-class Place:
+class Storage:
     """A folder, or a prefix in object storage such as s3://bucket/prefix; InputError if no package opens it."""
 
     def __init__(self, where: str | Path) -> None:
@@ -64,15 +64,21 @@ class Place:
                 f"{name} cannot be written to {self.where} ({first_line(error)}); check its space and your rights there."
             ) from error
 
-    def copy(self, folder: Path, *, vectors: bool = True) -> None:
-        """Copy the store here to a folder of this machine; without vectors, only what lists its rows."""
+    def copy(self, folder: Path, *, vectors: bool = True) -> dict[str, int]:
+        """Copy the store here to a folder of this machine; without vectors, only what lists its rows.
+
+        Returns:
+            The size of each file here, by its path below this place.
+        """
         names = (MANIFEST, ROWS, VECTORS) if vectors else (ROWS,)
-        there = self._files.find(self._root) if self._files.exists(self._root) else []
+        there = self._files.find(self._root, detail=True) if self._files.exists(self._root) else {}
+        sizes = {path.removeprefix(self._root).lstrip("/"): int(info["size"] or 0) for path, info in there.items()}
         paths = [path for path in there if path.rpartition("/")[2] in names]
         here = [folder / path.removeprefix(self._root).lstrip("/") for path in paths]
         for file in here:
             file.parent.mkdir(parents=True, exist_ok=True)
         self._files.get(paths, list(map(str, here)))  # many at once, as storage is slow to answer
+        return sizes
 
 
 @contextmanager
@@ -82,7 +88,7 @@ def local_store(where: str) -> Iterator[Path]:
         yield Path(where)
         return
     with tempfile.TemporaryDirectory(prefix="lpn-") as folder:
-        Place(where).copy(Path(folder))
+        Storage(where).copy(Path(folder))
         yield Path(folder)
 
 

@@ -16,6 +16,7 @@ Resuming, adding, replacing, sharing the work among machines, searching, and ver
 from __future__ import annotations
 
 import hashlib
+import io
 import json
 import re
 import secrets
@@ -24,7 +25,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Any, BinaryIO, Literal, NamedTuple
 
 import msgspec
 import numpy as np
@@ -33,7 +34,7 @@ from msgspec import Meta
 from lpn.core.arrays import AnyArray, Float32Array, Float64Array, Int64Array, IntegerArray
 from lpn.core.checksums import crc_of_values
 from lpn.core.errors import InputError, NewerStoreError, PictureError, StoreError
-from lpn.core.files import open_memmap, space_remedy, unreadable_error, write_atomic
+from lpn.core.files import open_memmap, raise_open_file_limit, space_remedy, unreadable_error, write_atomic
 from lpn.core.formats import decode_json, is_newer, newer_version
 from lpn.core.views import View
 from lpn.descriptors.transforms import UNCHANGED, Change
@@ -44,9 +45,11 @@ FORMAT = "lpn-store/1"
 MANIFEST, VECTORS, ROWS = "store.json", "vectors.npy", "rows.json"
 Precision = Literal["float32", "float16", "int8"]
 CropBox = tuple[float, float, float, float]
+# Rows that are checked at a time.
+_STEP = 4096
 _Count = Annotated[int, Meta(gt=0, lt=2**31)]
+UNFINISHED = "its description was not finished; give the same lpn describe command again, without --part"
 _PART = re.compile(r"part-(\d{7,})-[0-9a-f]{6}")
-_AGAIN = "describe the pictures again, or make the index again"
 
 
 class Row(NamedTuple):
@@ -200,7 +203,7 @@ class Manifest(msgspec.Struct, frozen=True, kw_only=True):
                 raise ValueError("the checksum does not match")
             return manifest
         except (FileNotFoundError, NotADirectoryError) as error:
-            unfinished = " (its description was not finished; run lpn describe again)" if parts_of(folder) else ""
+            unfinished = f" ({UNFINISHED})" if parts_of(folder) else ""
             raise StoreError(
                 f"{folder} has no {MANIFEST}, so it is not a store of descriptors and not an index{unfinished}."
             ) from error
@@ -208,8 +211,8 @@ class Manifest(msgspec.Struct, frozen=True, kw_only=True):
             raise unreadable_error(folder / MANIFEST, error) from error
         except (ValueError, RecursionError, InputError) as error:
             raise StoreError(
-                f"{MANIFEST} in {folder} is damaged or not of the format {FORMAT}; {_AGAIN}, after you delete that file, or in "
-                "another folder."
+                f"{MANIFEST} in {folder} is damaged or not of the format {FORMAT}; describe the pictures again after you delete "
+                "that file, or make the index again in another folder."
             ) from error
 
     def encoded(self) -> bytes:
@@ -225,7 +228,7 @@ class Manifest(msgspec.Struct, frozen=True, kw_only=True):
             if path.name in named or path.is_symlink():
                 continue
             if _PART.fullmatch(path.name):
-                _delete(path)
+                delete_part(path)
             elif _PART.fullmatch(path.stem) and path.suffix == ".faiss":
                 path.unlink(missing_ok=True)
 
@@ -367,6 +370,15 @@ class Store:
         return self._joined([part.positions for part in self.parts], np.zeros((0, 2)))
 
     @cached_property
+    def places(self) -> Int64Array:
+        """The place of each row among the rows of all parts, replaced ones included, (N,)."""
+        gone = [
+            start + np.array(entry.replaced, int)
+            for start, entry in zip(self.starts, self.manifest.parts, strict=False)
+        ]
+        return np.delete(np.arange(self.starts[-1]), np.concatenate([np.zeros(0, int), *gone]))
+
+    @cached_property
     def descriptors(self) -> AnyArray:
         """The descriptors (N, n, D) in the store's precision; those of a single part are memory-mapped, read-only."""
         empty = np.zeros((0, self.kind.n_parts, self.kind.embedding), self.kind.precision)
@@ -384,7 +396,17 @@ class Store:
 
     def some(self, rows: IntegerArray) -> Float32Array:
         """Return some rows in float32 without reading the others."""
-        return to_float32(self.descriptors[rows])
+        places = self.places[rows]
+        found = np.empty((len(places), self.kind.n_parts, self.kind.embedding), np.float32)
+        for number, mine in self.by_part(places):
+            found[mine] = to_float32(self.parts[number].vectors[places[mine] - self.starts[number]])
+        return found
+
+    def by_part(self, places: Int64Array) -> Iterator[tuple[int, Int64Array]]:
+        """Yield the number of each part that holds some of the places, and their indices."""
+        owners = np.searchsorted(self.starts, places, "right") - 1
+        for number in np.unique(owners).tolist():
+            yield number, np.flatnonzero(owners == number)
 
     def find(self, names: Sequence[str]) -> Int64Array:
         """Return the place of each name among the rows of all parts, (B,), -1 for a name that is in none."""
@@ -400,14 +422,24 @@ class Store:
         """Compare all files with their checksums; return the number of unfinished parts beside the store's.
 
         Raises:
-            StoreError: if a file is damaged.
+            StoreError: if a file is damaged, or holds values that are not finite.
         """
         for part, entry in zip(self.parts, self.manifest.parts, strict=True):
             _check_sum(part.folder / ROWS, entry.sum)
             _check_sum(part.folder / VECTORS, part.notes.sum)
+            for start in range(0, len(part.vectors), _STEP):
+                self.check_finite(part.vectors[start : start + _STEP])
         if self.manifest.codes is not None:
             _check_sum(self.folder / self.manifest.codes.name, self.manifest.codes.sum)
         return len({path.name for path in parts_of(self.folder)} - {entry.name for entry in self.manifest.parts})
+
+    def check_finite(self, values: AnyArray) -> None:
+        """Raise StoreError if descriptors or scores are not finite."""
+        if not np.isfinite(values).all():
+            raise StoreError(
+                f"{self.folder} holds values that are not finite; delete that folder, and describe the pictures again, or make "
+                "the index again."
+            )
 
     def _joined(self, arrays: Sequence[AnyArray], empty: AnyArray) -> AnyArray:
         found = [one if some is None else one[some] for one, some in zip(arrays, self.kept, strict=True)]
@@ -423,10 +455,33 @@ def open_store(folder: str | Path, known: Mapping[str, Part] | None = None) -> S
     Raises:
         StoreError: if the folder is not a complete store, or its files do not match.
     """
+    raise_open_file_limit()
     folder = Path(folder)
     manifest, known = Manifest.read(folder), known or {}
     parts = [known.get(one.name) or Part.open(folder / one.name, manifest.kind, one.rows) for one in manifest.parts]
     return Store(folder, manifest, parts)
+
+
+def check_replaceable(folder: Path, kind: DescriptorKind, where: object) -> bool:
+    """Return whether there is a store, which a description may replace.
+
+    Args:
+        where: its name in messages.
+
+    Raises:
+        StoreError: if it holds other descriptors, or is an index, whose tiles no description gives back.
+    """
+    if not (folder / MANIFEST).exists():
+        return False
+    held = Manifest.read(folder)
+    if held.kind != kind:
+        raise StoreError(
+            f"{where} holds {held.kind}, and these would be {kind}; choose another folder, or delete that one."
+        )
+    rows = (row for part in held.parts for row in rows_of_part(folder / part.name, kind) or [])
+    if held.engine != "exact" or not all(row.size or row.time_ns for row in rows):
+        raise StoreError(f"{where} is an index, which descriptors would replace; choose another folder for them.")
+    return True
 
 
 def write_part(
@@ -449,10 +504,8 @@ def write_part(
     part = folder / f"part-{number:07d}-{secrets.token_hex(3)}"
     part.mkdir()
     try:
-        header = {"descr": np.lib.format.dtype_to_descr(np.dtype(kind.precision)), "fortran_order": False}
         with (part / VECTORS).open("wb") as file:
-            shape = (len(rows), kind.n_parts, kind.embedding)
-            np.lib.format.write_array_header_1_0(file, header | {"shape": shape})
+            _write_header(file, kind, len(rows))
             for block in blocks:
                 file.write(block.tobytes())
         known = [] if positions is None or np.isnan(positions).all() else positions.tolist()
@@ -468,9 +521,20 @@ def write_part(
         data = json.dumps(msgspec.to_builtins(notes), separators=(",", ":")).encode()
         (part / ROWS).write_bytes(data)
     except OSError:
-        _delete(part)
+        delete_part(part)
         raise
     return PartEntry(part.name, len(rows), hashlib.sha256(data).hexdigest())
+
+
+def vectors_size(kind: DescriptorKind, rows: int) -> int:
+    """Return the size in bytes of the vectors.npy of a part of so many rows."""
+    _write_header(header := io.BytesIO(), kind, rows)
+    return len(header.getvalue()) + rows * kind.numbers * np.dtype(kind.precision).itemsize
+
+
+def _write_header(file: BinaryIO, kind: DescriptorKind, rows: int) -> None:
+    described = {"descr": np.lib.format.dtype_to_descr(np.dtype(kind.precision)), "fortran_order": False}
+    np.lib.format.write_array_header_1_0(file, described | {"shape": (rows, kind.n_parts, kind.embedding)})
 
 
 def parts_of(folder: Path) -> list[Path]:
@@ -549,20 +613,27 @@ def readable(file: Path) -> Iterator[None]:
     try:
         yield
     except FileNotFoundError as error:
-        raise StoreError(f"{file} is missing; {_AGAIN}.") from error
+        raise StoreError(f"{file} is missing; {_again(file.parent)}.") from error
     except OSError as error:
         raise unreadable_error(file, error) from error
     except (ValueError, RecursionError) as error:
-        raise StoreError(f"{file.name} in {file.parent} is damaged; {_AGAIN}.") from error
+        raise StoreError(f"{file.name} in {file.parent} is damaged; {_again(file.parent)}.") from error
 
 
 def _check_sum(file: Path, wanted: str) -> None:
     with readable(file):
         if sum_of(file) != wanted:
-            raise StoreError(f"{file.name} in {file.parent} does not match its checksum; delete it, and {_AGAIN}.")
+            again = _again(file.parent)
+            raise StoreError(f"{file.name} in {file.parent} does not match its checksum; delete it, and {again}.")
 
 
-def _delete(part: Path) -> None:
+def _again(folder: Path) -> str:
+    """Return what to do about a damaged file in a store's folder or in its part."""
+    folder = folder.parent if _PART.fullmatch(folder.name) else folder
+    return f"describe the pictures again, or delete the folder {folder} and make the index again"
+
+
+def delete_part(part: Path) -> None:
     """Delete a part's files, and its folder if nothing else is in it."""
     for name in (ROWS, VECTORS):
         # Some systems cannot delete files that another process has open.

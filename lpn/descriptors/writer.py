@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import errno
 import time
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -18,16 +20,17 @@ from lpn.datasets import files_below, unread_below, warn_left_out
 from lpn.datasets.integrity import check_whole
 from lpn.descriptors.parallel_inference import describe_each
 from lpn.descriptors.store import (
-    MANIFEST,
     VECTORS,
     CropBox,
     DescriptorKind,
     Manifest,
     Part,
     PartEntry,
+    PartRows,
     Precision,
     Row,
     Store,
+    check_replaceable,
     encode,
     entry_of,
     is_sound,
@@ -104,11 +107,19 @@ def describe_share(
     """
     model.check_view(view)
     out, (i, n) = Path(out), share
+    kind = DescriptorKind.of_model(model, view, UNCHANGED, precision)
+    _before(out, kind)
+    for part in parts_of(out):
+        with suppress(OSError, ValueError, RecursionError):  # a part that is cut off will be deleted
+            if PartRows.read(part).kind != kind.digest:
+                raise StoreError(
+                    f"{part} holds other descriptors than {kind}; give all shares the same options, or choose another folder."
+                )
     files = files[(i - 1) * len(files) // n : i * len(files) // n]
     rows = [row_of(file, root, None) for file in files]
     try:
         out.mkdir(parents=True, exist_ok=True)
-        partial = PartialStore(out, DescriptorKind.of_model(model, view, UNCHANGED, precision), rows)
+        partial = PartialStore(out, kind, rows)
         _fill(partial, _describer(model, files, rows, view, UNCHANGED))
     except OSError as error:
         raise unwritable(out, error) from error
@@ -266,17 +277,17 @@ def _before(out: Path, kind: DescriptorKind) -> Store | None:
     """Return the store in a folder; None if there is none, or its arrays are damaged.
 
     Raises:
-        StoreError: if it holds other descriptors, or its store.json is not ours.
+        StoreError: if it holds other descriptors, is an index, cannot be read, or its store.json is not ours.
     """
-    if not (out / MANIFEST).exists():
+    if not check_replaceable(out, kind, out):
         return None
-    held = Manifest.read(out).kind
-    if held != kind:
-        raise StoreError(f"{out} holds {held}, and these would be {kind}; choose another folder, or delete that one.")
     try:
         store = open_store(out)
         _ = store.rows
-    except StoreError:
+    except StoreError as error:
+        cause = error.__cause__
+        if isinstance(cause, OSError) and cause.errno in (errno.EMFILE, errno.ENFILE):
+            raise
         return None
     return store
 

@@ -10,7 +10,7 @@ from lpn.core.checksums import check_entries, check_seal
 from lpn.core.errors import InputError, LPNError
 from lpn.core.files import printable
 from lpn.descriptors import open_store
-from lpn.descriptors.store import MANIFEST, parts_of
+from lpn.descriptors.store import MANIFEST, UNFINISHED, parts_of
 
 _MODELS = (".onnx", ".safetensors", ".pth", ".pt")
 _AGAIN = "copy it again from where it came, or make it again"
@@ -23,18 +23,20 @@ class VerifiedFile:
     Attributes:
         path: the file or folder.
         message: the end of a sentence about it.
-        healthy: False if it is damaged, or holds nothing.
+        healthy: False if it is damaged or unfinished, or holds nothing.
+        flaw: the word for what is not healthy.
     """
 
     path: Path
     message: str
     healthy: bool
+    flaw: str = "DAMAGED"
 
     @property
     def line(self) -> str:
         """The result as one line of text."""
         name = printable(str(self.path))
-        return f"{name} {self.message}." if self.healthy else f"DAMAGED: {name}: {self.message}"
+        return f"{name} {self.message}." if self.healthy else f"{self.flaw}: {name}: {self.message}"
 
 
 def verify(path: Path) -> Iterator[VerifiedFile]:
@@ -56,6 +58,8 @@ def verify(path: Path) -> Iterator[VerifiedFile]:
 
 
 def _verify_store(folder: Path) -> VerifiedFile:
+    if not (folder / MANIFEST).exists():
+        return VerifiedFile(folder, f"{UNFINISHED}.", False, "UNFINISHED")
     store = open_store(folder)
     unfinished = store.check()
     left = "an unfinished run has left parts beside it, so give its command again" if unfinished else ""

@@ -136,6 +136,7 @@ class FaissIndex(FolderIndex):
         try:
             self._faiss.write_index(index, str(file))
         except RuntimeError as error:
+            file.unlink(missing_ok=True)
             raise StoreError(f"{file} cannot be written; free space or choose another folder.") from error
 
 

@@ -9,7 +9,7 @@ Any number of processes may search while one adds, and see the new tiles at thei
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Self
 
@@ -18,7 +18,7 @@ import numpy as np
 
 from lpn.core.arrays import AnyArray, Float32Array, Float64Array, Int64Array
 from lpn.core.errors import InputError, OutputError, StoreError
-from lpn.core.files import exclusive_lock, raise_open_file_limit, unreadable_error
+from lpn.core.files import exclusive_lock, printable, unreadable_error
 from lpn.descriptors.store import (
     MANIFEST,
     DescriptorKind,
@@ -26,8 +26,8 @@ from lpn.descriptors.store import (
     PartEntry,
     Row,
     Store,
+    delete_part,
     open_store,
-    parts_of,
     to_float32,
     unwritable,
     write_part,
@@ -62,7 +62,6 @@ class FolderIndex(Index):
 
     def __init__(self, folder: str | Path) -> None:
         self.folder = Path(folder)
-        raise_open_file_limit()
         self._store: Store | None = None
         store = self._current()
         self.kind = store.kind
@@ -87,10 +86,11 @@ class FolderIndex(Index):
             if not (folder / MANIFEST).exists():  # a whole index may lie in a folder that cannot be written
                 with exclusive_lock(folder, wait=True):
                     if not (folder / MANIFEST).exists():
-                        if parts_of(folder):
+                        # A process that was killed before it wrote store.json leaves at most its temporary file.
+                        if others := [one.name for one in folder.iterdir() if not one.name.startswith(f"{MANIFEST}.")]:
                             raise StoreError(
-                                f"{folder} holds parts of a store and no {MANIFEST}; choose another folder for the index, or "
-                                "delete them."
+                                f"{folder} holds other files, such as {printable(min(others))}, and no {MANIFEST}; choose "
+                                "another folder for the index."
                             )
                         wanted.write(folder)
         except (OSError, OutputError) as error:
@@ -124,7 +124,12 @@ class FolderIndex(Index):
                 kept = _replaced(store, names)
                 entry = write_part(self.folder, self.kind, list(map(Row, names)), [vectors], places)
                 changed = msgspec.structs.replace(store.manifest, parts=(*kept, entry))
-                self._with_codes(changed).write(self.folder)
+                try:
+                    changed = self._with_codes(changed)
+                except Exception:
+                    delete_part(self.folder / entry.name)
+                    raise
+                changed.write(self.folder)
         except (OSError, OutputError) as error:
             raise unwritable(self.folder, error) from error
 
@@ -217,6 +222,7 @@ def scored(
             found = _flat(vectors[rows]) @ query
         else:
             found = _products(vectors, query)[rows]
+        store.check_finite(found)
         places.append(store.starts[number] + rows)
         scores.append(found)
     return np.concatenate(places), np.concatenate(scores)
@@ -257,7 +263,7 @@ def _tiles_at(store: Store, places: Int64Array) -> Tiles:
     """Return the tiles at places among all rows."""
     vectors = np.empty((len(places), store.kind.n_parts, store.kind.embedding), np.float32)
     positions, names = np.empty((len(places), 2)), [""] * len(places)
-    for number, mine in _by_part(store, places):
+    for number, mine in store.by_part(places):
         part, rows = store.parts[number], places[mine] - store.starts[number]
         vectors[mine], positions[mine] = to_float32(part.vectors[rows]), part.positions[rows]
         for i, row in zip(mine.tolist(), rows.tolist(), strict=True):
@@ -265,19 +271,12 @@ def _tiles_at(store: Store, places: Int64Array) -> Tiles:
     return names, vectors, positions
 
 
-def _by_part(store: Store, places: Int64Array) -> Iterator[tuple[int, Int64Array]]:
-    """Yield each part that holds some of the places, and their indices."""
-    owners = np.searchsorted(store.starts, places, "right") - 1
-    for number in np.unique(owners).tolist():
-        yield number, np.flatnonzero(owners == number)
-
-
 def _replaced(store: Store, names: list[str]) -> list[PartEntry]:
     """Return the entries of parts after tiles of these names are replaced, without those that keep no row."""
     places = store.find(names)
     places = places[places >= 0]
     entries = list(store.manifest.parts)
-    for number, mine in _by_part(store, places):
+    for number, mine in store.by_part(places):
         gone = {*entries[number].replaced, *(places[mine] - store.starts[number]).tolist()}
         entries[number] = msgspec.structs.replace(entries[number], replaced=tuple(sorted(gone)))
     covered = () if store.manifest.codes is None else store.manifest.codes.parts

@@ -55,6 +55,10 @@ class MilvusIndex(Index):
                 f"{self._url} is not the address of a Milvus collection; expected milvus://host:port/collection, its name of "
                 "letters, digits, and underscores."
             )
+        if parts.query not in ("", "hnsw"):
+            raise InputError(
+                f"{self._url} ends in ?{parts.query}; expected ?hnsw, or nothing after the collection's name."
+            )
         uri = f"http://{parts.netloc.rpartition('@')[2]}"
         token = f"{unquote(parts.username)}:{unquote(parts.password or '')}" if parts.username else ""
         with self._told():
@@ -93,6 +97,8 @@ class MilvusIndex(Index):
             built = client.prepare_index_params()
             built.add_index("vector", metric_type="IP", **(hnsw if self._hnsw else {"index_type": "FLAT"}))
             client.create_index(name, built, **_CALL)
+        elif self._hnsw and client.describe_index(name, client.list_indexes(name)[0])["index_type"] != "HNSW":
+            raise StoreError(f"{self._url} was made without ?hnsw; leave it out, or choose another collection.")
         return held
 
     def _add(self, names: list[str], vectors: Float32Array, places: Float64Array) -> None:

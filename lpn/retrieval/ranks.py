@@ -11,9 +11,8 @@ and Stability of Numerical Algorithms", 3.1). Numbers far from 1 are multiplied 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import partial
 from itertools import groupby
 
 import numpy as np
@@ -241,52 +240,49 @@ def rank(scores: Scores, ground_truth: GroundTruth, rows: slice, block: Float32A
     # Queries with several true tiles, and those with many close tiles, one by one.
     for i in np.flatnonzero(crowded | (counts > 1)).tolist():
         own, query, values = slice(begins[i], begins[i] + counts[i]), rows.start + i, block[i]
-        few = -1 if crowded[i] else most
-        found = _ranks_of(partial(scores.exact, query), tile[own], score[own], values, gap[i], few)
+        found = None if crowded[i] else _ranks_of(scores, query, tile[own], score[own], values, gap[i], most)
         if found is None:
             exact = scores.exact(query, np.arange(len(values)))
             values = np.where(values > -np.inf, exact, -np.inf)
             false[i] = np.argmax(values)
-            found = _ranks_of(exact.__getitem__, tile[own], exact[tile[own]], values, 0.0, block.size)
-        if found is not None:
-            ranks, true[i] = found
+            values[tile[own]] = exact[tile[own]]
+            order = np.argsort(-values, kind="stable")
+            ranks = np.flatnonzero(np.isin(order, tile[own]))
+            found = ranks, int(order[ranks[0]]) if len(ranks) else -1
+        ranks, true[i] = found
+        if len(ranks):
             first[i], precision[i] = ranks[0], average_precision(ranks, bool(trapezoid[i]))
     return Ranked(first, true, np.where(top > -np.inf, false, -1), precision, lead)
 
 
 def _ranks_of(
-    exact_of: Callable[[Int64Array], Float64Array],
-    tiles: Int64Array,
-    score: Float64Array,
-    line: AnyArray,
-    gap: float,
-    most: int,
+    scores: Scores, query: int, tiles: Int64Array, score: Float64Array, line: Float32Array, gap: float, most: int
 ) -> tuple[Int64Array, int] | None:
     """Return the ascending ranks of a query's true tiles, and the nearest of them; None if more than `most` are close.
 
     Args:
-        exact_of: returns the exact scores of tiles.
         score: scores of the true tiles, (T,).
         line: scores of the false tiles, (G,), -inf for others.
         gap: scores that differ by more are in their true order.
     """
-    low, high = score - gap, score + gap
-    near = (line >= low.min(initial=np.inf)).nonzero()[0]
+    # NumPy 1 compares a number with an array in single precision, so these are rounded outwards.
+    low, high = _rounded(score - gap, -np.inf), _rounded(score + gap, np.inf)
+    near = (line >= low.min()).nonzero()[0]
     order = near[line[near].argsort()]
     ordered = line[order]
     start, stop = ordered.searchsorted(low, "left"), ordered.searchsorted(high, "right")
     above, counts = len(ordered) - stop, stop - start
-    if not len(tiles) or counts.sum() > most:
+    if counts.sum() > most:
         return None
     unsure, nearest = counts.nonzero()[0], (score >= score.max() - gap).nonzero()[0]
     exact = np.zeros(len(tiles))
     recomputed = np.union1d(unsure, nearest) if len(nearest) > 1 else unsure
     if len(recomputed):
-        exact[recomputed] = exact_of(tiles[recomputed])
+        exact[recomputed] = scores.exact(query, tiles[recomputed])
         owner = np.arange(len(tiles)).repeat(counts)
         close = order[np.arange(len(owner)) + (start - counts.cumsum() + counts).repeat(counts)]
         others, place = np.unique(close, return_inverse=True)
-        before = _before(exact[owner], tiles[owner], exact_of(others)[place], close)
+        before = _before(exact[owner], tiles[owner], scores.exact(query, others)[place], close)
         above += np.bincount(owner[before], minlength=len(above))
     above.sort()
     return above + np.arange(len(above)), int(tiles[nearest[exact[nearest].argmax()]])

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import errno
 import os
 import shutil
 import signal
@@ -205,7 +206,11 @@ def test_machines_share_the_pictures_and_the_last_makes_the_store(
     assert count.described == 13
     with pytest.raises(StoreError, match="not finished"):
         descriptors.open_store(out)
+    with pytest.raises(StoreError, match=r"holds other descriptors than .* give all shares the same options"):
+        descriptors.describe_share(model, files, "drone", out, folder, (2, 3), "float16")
     assert main(given) == 0
+    with pytest.raises(StoreError, match="and these would be"):
+        descriptors.describe_share(model, files, "drone", out, folder, (2, 3), "float16")
     assert count.described == 20
     np.testing.assert_allclose(descriptors.open_store(out).descriptors, whole, atol=1e-6)
     assert_one_part(out)
@@ -359,6 +364,20 @@ def test_damaged_stores_are_refused_in_words_and_described_again(model: Model, f
         if damage in ("cut", "shape", "rows"):
             assert len(descriptors.describe(model, files, "drone", store)) == 3
             assert_one_part(store)
+
+
+def test_too_many_open_files_are_not_called_damage(
+    model: Model, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    files = descriptors.pictures_below(folder)[:2]
+    descriptors.describe(model, files, "drone", tmp_path / "store")
+
+    def refused(_: Path) -> None:
+        raise OSError(errno.EMFILE, os.strerror(errno.EMFILE))
+
+    monkeypatch.setattr("lpn.descriptors.store.open_memmap", refused)
+    with pytest.raises(StoreError, match="let more files be open at once"):
+        descriptors.describe(model, files, "drone", tmp_path / "store")
 
 
 def test_a_store_that_cannot_be_read_is_not_called_damaged(model: Model, folder: Path, tmp_path: Path) -> None:

@@ -11,6 +11,7 @@ import sys
 import time
 import warnings
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from pathlib import Path
 from types import SimpleNamespace
@@ -24,10 +25,11 @@ pytest.importorskip("ray", reason="the extra cluster is not installed")
 from lpn import descriptors
 from lpn.cli.main import main
 from lpn.core.errors import DataError, InputError, LPNError, StoreError
+from lpn.core.files import exclusive_lock
 from lpn.core.progress import listening
 from lpn.descriptors import many_machines
 from lpn.descriptors.many_machines import DescribeWorker, Summary, describe_by_many
-from lpn.index import open_index
+from lpn.index import create_index, open_index
 from lpn.models.onnx_engine import Engine
 from tests.lpn.models.test_own_models import graph
 from tools.fixtures import small_worlds
@@ -82,7 +84,9 @@ def assert_equal(store: descriptors.Store, alone: descriptors.Store) -> None:
     np.testing.assert_allclose(store.descriptors[order], alone.descriptors, atol=1e-6)
 
 
-def test_two_workers_say_what_one_machine_says(model_file: Path, folder: Path, tmp_path: Path) -> None:
+def test_two_workers_say_what_one_machine_says(
+    model_file: Path, folder: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     out, counts = tmp_path / "store", list[tuple[int, int]]()
     with listening(lambda _, *count: counts.append(count)):
         summary = describe(model_file, folder, out, workers=2)
@@ -96,8 +100,25 @@ def test_two_workers_say_what_one_machine_says(model_file: Path, folder: Path, t
     before = {path: path.stat().st_mtime_ns for path in out.glob("part-*/*")}
     assert describe(model_file, folder, out).computed == 0
     assert {path: path.stat().st_mtime_ns for path in out.glob("part-*/*")} == before
-    with pytest.raises(StoreError, match="choose another place"):
+    with pytest.raises(StoreError, match=r"and these would be .*; choose another folder"):
         describe(model_file, folder, out, precision="float16")
+    # A part without whole vectors is described again, and another run waits for this one.
+    lost, cut, *_ = sorted(out.glob("part-*/vectors.npy"))
+    lost.unlink()
+    cut.write_bytes(cut.read_bytes()[:-1])
+    assert describe(model_file, folder, out).computed == 16
+    assert_equal(descriptors.open_store(out), alone)
+    with ThreadPoolExecutor(1) as other:
+        with exclusive_lock(out, wait=True):
+            waiting = other.submit(describe, model_file, folder, out)
+            while "waiting for it" not in caplog.text:
+                assert not waiting.done()
+                time.sleep(0.02)
+        assert waiting.result().computed == 0
+    with create_index(tmp_path / "index", alone.kind) as index:
+        index.add(alone.names, alone.float32)
+    with pytest.raises(StoreError, match="is an index, which descriptors would replace"):
+        describe(model_file, folder, tmp_path / "index")
 
 
 @pytest.mark.slow
@@ -182,7 +203,7 @@ def test_a_killed_driver_leaves_what_was_done(model_file: Path, folder: Path, tm
     finally:
         driver.kill()
         driver.wait()
-    with pytest.raises(StoreError, match="was not finished; run lpn describe again"):
+    with pytest.raises(StoreError, match="was not finished; give the same lpn describe command"):
         descriptors.open_store(out)
     summary = describe(model_file, folder, out)
     assert 0 < summary.computed < PICTURES

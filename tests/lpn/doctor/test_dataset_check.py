@@ -213,8 +213,8 @@ def test_an_index_says_if_it_is_empty_whole_or_has_unfinished_parts_beside_it(
         assert said(capsys, place) == (0, f"{place} is what was written; {left}.")
     (place / "store.json").unlink()
     (verdict,) = verify(tmp_path)
-    assert not verdict.healthy
-    assert "its description was not finished; run lpn describe again" in verdict.message
+    unfinished = "its description was not finished; give the same lpn describe command again, without --part."
+    assert (verdict.healthy, verdict.flaw, verdict.message) == (False, "UNFINISHED", unfinished)
 
 
 def test_files_are_compared_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from lpn.core.errors import StoreError
 from lpn.index import DegreeBox
 from lpn.index.faiss import FaissIndex
 from lpn.models.base import normalise
@@ -171,6 +172,21 @@ def test_an_index_made_anew_in_the_same_place_is_searched_by_its_own_codes(tmp_p
         make(slice(5000, 10_000)).close()
         for row in (5003, 7777, 9990):
             assert reader.search(tiles.descriptors[row], None, 1).ids == [tiles.names[row]]
+
+
+def test_a_full_disk_leaves_neither_half_codes_nor_a_part(
+    tmp_path: Path, tiles: Tiles, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(_: Any, file: str) -> None:
+        Path(file).write_bytes(b"half")
+        raise RuntimeError("write error")
+
+    with FaissIndex.create(tmp_path / "index", KIND) as index:
+        with monkeypatch.context() as patch:
+            patch.setattr("faiss.write_index", full)
+            with pytest.raises(StoreError, match=r"\.faiss cannot be written; free space"):
+                tiles.add_to(index, COUNT)
+        assert [path.name for path in (tmp_path / "index").iterdir()] == ["store.json"]
 
 
 def test_many_small_adds_learn_once_in_many_tiles(tiles: Tiles, tmp_path: Path) -> None:

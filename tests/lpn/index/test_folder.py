@@ -14,7 +14,8 @@ import numpy as np
 import pytest
 
 from lpn.core.errors import StoreError
-from lpn.descriptors.store import Part
+from lpn.descriptors import open_store, write_store
+from lpn.descriptors.store import Part, Row, Store
 from lpn.doctor.verify import verify
 from lpn.index import Index, WindowsRecord, create_index, open_index
 from tests.lpn.index.test_index import KIND, Tiles
@@ -36,6 +37,24 @@ def regions(path: Path, count: int) -> tuple[Index, Tiles]:
 
 def files_below(path: Path) -> list[str]:
     return sorted(str(file.relative_to(path)) for file in path.rglob("*"))
+
+
+def test_a_folder_of_somebody_else_is_left_as_it_is(tmp_path: Path) -> None:
+    pictures = tmp_path / "tiles"
+    for name in ("0000001", "0000002"):
+        (pictures / name).mkdir(parents=True)
+        (pictures / name / "photo.jpg").write_bytes(b"a picture")
+    before = files_below(pictures)
+    with pytest.raises(StoreError) as told:
+        create_index(pictures, KIND)
+    assert str(told.value) == (
+        f"{pictures} holds other files, such as 0000001, and no store.json; choose another folder for the index."
+    )
+    assert files_below(pictures) == before
+    # A process that was killed before it wrote store.json leaves this.
+    (tmp_path / "killed").mkdir()
+    (tmp_path / "killed" / "store.json.12-34.part").touch()
+    create_index(tmp_path / "killed", KIND).close()
 
 
 def test_a_store_that_has_lost_its_manifest_is_left_as_it_is(tmp_path: Path) -> None:
@@ -134,6 +153,40 @@ def test_more_files_than_may_be_open_are_allowed_or_told_as_that(tmp_path: Path)
     assert int(count) == 35 * EACH
     assert said.startswith(str(tmp_path / "index" / "part-00000"))
     assert said.endswith("cannot be read (Too many open files); let more files be open at once (ulimit -n).")
+
+
+def test_some_rows_are_read_from_their_parts_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    index, tiles = regions(tmp_path / "index", 3)
+    index.add(tiles.names[5:40:7], tiles.descriptors[5:40:7])
+    index.close()
+    store = open_store(tmp_path / "index")
+    rows = np.random.default_rng(0).permutation(len(store))
+    expected = store.float32[rows]
+    monkeypatch.setattr(Store, "descriptors", None)
+    np.testing.assert_array_equal(store.some(rows), expected)
+    assert store.some(rows[:0]).shape == (0, *expected.shape[1:])
+
+
+@pytest.mark.parametrize("engine", ["exact", "faiss"])
+def test_descriptors_never_replace_an_index(engine: str, tmp_path: Path) -> None:
+    if engine == "faiss":
+        pytest.importorskip("faiss")
+    with create_index(tmp_path / "index", KIND, engine) as index:
+        Tiles.draw(20).add_to(index)
+    before = files_below(tmp_path / "index")
+    with pytest.raises(StoreError, match="is an index, which descriptors would replace; choose another folder"):
+        write_store(tmp_path / "index", KIND, [Row("a.jpg", 1, 1)], lambda _: None)
+    assert files_below(tmp_path / "index") == before
+
+
+def test_values_that_are_not_finite_are_told(tmp_path: Path) -> None:
+    vectors = Tiles.draw(10).descriptors
+    vectors[3] = np.nan
+    rows = [Row(f"{i}.jpg", 1, 1) for i in range(10)]
+    write_store(tmp_path / "store", KIND, rows, lambda partial: partial.put(range(10), vectors))
+    assert "holds values that are not finite; delete that folder" in next(iter(verify(tmp_path / "store"))).message
+    with open_index(tmp_path / "store") as index, pytest.raises(StoreError, match="values that are not finite"):
+        index.search(vectors[0], None, 3)
 
 
 def test_a_limit_that_cannot_be_raised_is_left(monkeypatch: pytest.MonkeyPatch) -> None:

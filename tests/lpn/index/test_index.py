@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -374,6 +375,9 @@ def test_what_is_no_index_is_told_in_a_sentence(tmp_path: Path) -> None:
                 open_index(tmp_path / "index").holds(["any"])
             file.write_bytes(whole)
     open_index(tmp_path / "index").close()
+    shutil.rmtree(part)
+    with pytest.raises(StoreError, match=f"or delete the folder {tmp_path / 'index'} and make the index again"):
+        create_index(tmp_path / "index", KIND)
     for text in ("", "[]", '{"format": "lpn-store/1"}', '{"format": "lpn-index/2", "settings": {}}'):
         (tmp_path / "index" / "store.json").write_text(text)
         with pytest.raises(StoreError, match="not of the format lpn-store/1"):

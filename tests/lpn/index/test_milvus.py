@@ -25,6 +25,15 @@ def test_an_address_is_of_a_collection(url: str) -> None:
         open_index(url)
 
 
+def test_a_collection_is_exact_or_hnsw(client: type[FakeMilvusClient]) -> None:
+    with pytest.raises(InputError, match=r"ends in \?hnws; expected \?hnsw, or nothing"):
+        create_index(f"{COLLECTION}?hnws", KIND)
+    with pytest.raises(StoreError, match=r"was made without \?hnsw; leave it out, or choose another collection"):
+        create_index(f"{COLLECTION}?hnsw", KIND)
+    client.structure = "HNSW"
+    create_index(f"{COLLECTION}?hnsw", KIND).close()
+
+
 def test_errors_are_one_sentence_and_no_connection_is_left_open(client: type[FakeMilvusClient]) -> None:
     from pymilvus.exceptions import MilvusException
 

@@ -123,6 +123,14 @@ def test_a_network_that_has_collapsed_is_ranked_as_in_double_precision(
     assert sum(pairs) <= 25 * (60 + 2 * most + 5)
 
 
+@pytest.mark.parametrize("queries", [1, 3])
+@pytest.mark.parametrize("good", [0, 1, 2, 54])
+def test_a_few_queries_to_equal_tiles_are_ranked_in_gallery_order(queries: int, good: int) -> None:
+    tiles, asked = np.full((2000, 16), 0.25, np.float32), np.full((queries, 16), 0.25, np.float32)
+    truth = [Truth(np.arange(100, 100 + good), np.arange(50))] * queries
+    same(metrics.retrieve(asked, None, tiles, None, truth), plainly(asked, tiles, truth))
+
+
 def test_weighted_queries_are_ranked_by_what_they_are_weighted_to() -> None:
     rng = np.random.default_rng(3)
     queries, tiles = alike(rng, 25, 40, 32)
