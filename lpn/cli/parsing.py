@@ -13,7 +13,7 @@ from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, Pri
 from lpn.core.errors import InputError
 from lpn.sources.options import ADVANCED
 
-Number = TypeVar("Number", int, float)
+_Number = TypeVar("_Number", int, float)
 
 HELP, HELP_ALL = "--help", "--help-all"
 # tyro's mark of an option that help omits.
@@ -77,7 +77,7 @@ def part_values(text: str | None) -> list[float] | None:
     return numbers(text, float, "weights", "a number for each part, such as 1,1,0,1")
 
 
-def numbers(text: str | None, kind: Callable[[str], Number], noun: str, expected: str) -> list[Number] | None:
+def numbers(text: str | None, kind: Callable[[str], _Number], noun: str, expected: str) -> list[_Number] | None:
     """Parse numbers separated by commas; None for None."""
     try:
         return None if text is None else [kind(item) for item in text.split(",")]

@@ -6,7 +6,7 @@ import csv
 import io
 import json
 import re
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -126,6 +126,12 @@ def separated(text: str, name: str, strict: bool = False) -> SeparatedValues:
     return SeparatedValues(separator != ",", rows())
 
 
+def mixed_separators(header: Sequence[str]) -> str:
+    """Return a remark for the error about an unreadable first line, if it contains semicolons; else ""."""
+    mixed = " Semicolons stand beside commas or tabs in it; separate all values by the same character."
+    return mixed if any(";" in column for column in header) else ""
+
+
 def table(
     text: str,
     name: str,
@@ -152,9 +158,9 @@ def table(
     header = [tidy(column.strip()) for column in next(lines, (0, []))[1]]
     if not fits(header):
         found = printable(",".join(header)[:_SHOWN])
-        mixed = " Semicolons stand beside commas or tabs in it; separate all values by the same character."
-        mixed = mixed if any(";" in column for column in header) else ""
-        raise DataError(f"The first line of {name} is {found or 'empty'}; expected {expected}.{mixed}")
+        raise DataError(
+            f"The first line of {name} is {found or 'empty'}; expected {expected}.{mixed_separators(header)}"
+        )
 
     def rows() -> Iterator[tuple[str, dict[str, str]]]:
         for number, values in lines:

@@ -17,10 +17,10 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from lpn.core.csv_cells import csv_bytes, mixed_separators, unescape
+from lpn.core.csv_cells import csv_bytes, unescape
 from lpn.core.errors import DataError, InputError
 from lpn.core.files import first_few, printable, write_atomic
-from lpn.core.lists import read_text, separated
+from lpn.core.lists import mixed_separators, read_text, separated
 from lpn.core.numbers import distance
 from lpn.flight.files.logs import path_parts
 from lpn.flight.locate.camera_place import below_camera
@@ -183,7 +183,7 @@ def _header(names: Sequence[str], file: str) -> dict[str, int]:
         )
     if "photo" not in header or not pairs:
         found = printable(",".join(names))[:200] or "empty"
-        raise DataError(f"The first line of {file} is {found}; {_EXPECTED}.{mixed_separators(found)}")
+        raise DataError(f"The first line of {file} is {found}; {_EXPECTED}.{mixed_separators(names)}")
     other = _METRES if pairs[0] is _DEGREES else _DEGREES
     return {key: column for key, column in header.items() if key not in other}
 
