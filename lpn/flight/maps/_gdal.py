@@ -25,6 +25,8 @@ _DRIVERS = [
 # PROJ parameters that open files, and a path in them. A bare name is a file of PROJ's folders; a CRS name has blanks around "/".
 _GRIDS = re.compile(r'grids\s*=(?!@null(?:["\s]|$))|(?:file|model|init)\s*=|PROJ4_GRIDS|PARAMETERFILE', re.IGNORECASE)
 _PATH = re.compile(r"(?<! )[/\\]|[/\\](?! )")
+# GDAL takes a name with one of these for the address of another file, or for a list of files.
+_OTHER_FILE = re.compile(r"\?|<(?:VRT|GDAL|WCS|WM[ST]|TileMap|Services|Capabilities)", re.IGNORECASE)
 # Variables that are set already take precedence. GDAL_CACHEMAX is in megabytes; GDAL's default is 5 % of the memory. The others
 # keep GDAL from servers, from code in a VRT, and from databases (GeoPackage, MBTiles) that open other files as tables.
 _ENVIRONMENT = {
@@ -169,7 +171,7 @@ def vrt_name(path: Path, driver: str) -> str:
     Raises:
         DataError: if a VRT cannot hold the path.
     """
-    if re.search("[?<]", str(path.absolute())):
+    if _OTHER_FILE.search(str(path.absolute())):
         raise DataError(
             f"{printable(str(path))} has ? or < in its path, by which GDAL would open another file; rename it."
         )
