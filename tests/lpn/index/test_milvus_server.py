@@ -91,7 +91,8 @@ def built(server: MilvusServer) -> dict[str, tuple[Index, Tiles]]:
 
     def make(structure: str) -> tuple[Index, Tiles]:
         tiles = Tiles.draw(6000)
-        index = create_index(f"{server.url}/built_{structure}?{structure}", KIND)
+        ending = "" if structure == "flat" else f"?{structure}"
+        index = create_index(f"{server.url}/built_{structure}{ending}", KIND)
         tiles.add_to(index, 3000)
         indexed(server.client(), f"built_{structure}", structure)
         return index, tiles
