@@ -199,7 +199,7 @@ class CompareCommand:
             off = {"calibrate": False} if "calibrate" in source.takes else {}
             changes: list[dict[str, Any]] = [{"csls": 0, **off}, {"csls": 0}, {}]
             sources = [(name, source_of(replace(source.options, **change))) for change in changes]
-        _check_count(sources)
+        _check_count(sources, ", or one with --calibrate or --csls")
         tasks = [(name, source.to_measure()[0]) for name, source in sources]
         if several and not all(task.calibration for _, task in tasks):  # all models are then ranked plain
             for place, (name, task) in enumerate(tasks):
@@ -261,11 +261,9 @@ class CompareCommand:
         print(f"{page}: {len(board.facts)} models, {tables}")
 
 
-def _check_count(sources: Sized) -> None:
+def _check_count(sources: Sized, also: str = "") -> None:
     if len(sources) < 2:
-        raise InputError(
-            f"A comparison takes two models or more, or one with --calibrate or --csls; found {len(sources)}."
-        )
+        raise InputError(f"A comparison takes two models or more{also}; found {len(sources)}.")
 
 
 def _write(result: Leaderboard | ModelTable, page: Path | None, json: Path | None) -> None:

@@ -290,12 +290,12 @@ def test_registrations_turned_unlike_the_others_are_refused_where_headings_are_c
     answers = [located.stages["registration"] for located in found.frames]
     refused = [i for i, answer in enumerate(answers) if not answer.accepted]
     assert refused == ([16, 17, 18, 19] if source == "gimbal" else [])
-    told = [note for note in found.notes if "are turned by" in note]
+    told = [note for note in found.notes if "turned by" in note]
     assert len(told) == bool(refused)
     if refused:
         assert told[0] == (
-            "4 of 20 registrations are turned by 9.0° against their headings, unlike the others, and are refused, as they may "
-            "show equal buildings. Of each leg whose headings are off, up to 9 right photos may be among them."
+            "Refused, as equal buildings may be shown: 4 of 20 registrations, turned by 9.0° against their headings, unlike the "
+            "others. They may be right where the headings of a whole leg are off."
         )
         assert "turned by 9.0° from where its heading and those of the other frames have it" in answers[16].sentence
         assert answers[16].homography == answers[0].homography
