@@ -107,7 +107,7 @@ def describe_by_many(
         model: an exported model, `.onnx`; only this machine needs the file.
         pictures, out: folders, or addresses such as s3://bucket/prefix; all machines must see them.
         address: of a Ray cluster, "auto" for this machine's; None starts workers on this machine.
-        workers: number of workers; by default as many as fit the cores.
+        workers: number of workers; by default the number that the cores allow.
         threads: cores of a worker; each worker has its own copy of the model.
         role: of the branch, see `Model.in_role`.
         size: pictures of a part.

@@ -527,7 +527,7 @@ def write_part(
 
 
 def vectors_size(kind: DescriptorKind, rows: int) -> int:
-    """Return the size in bytes of the vectors.npy of a part of so many rows."""
+    """Return the size in bytes of the vectors.npy of a part with this number of rows."""
     _write_header(header := io.BytesIO(), kind, rows)
     return len(header.getvalue()) + rows * kind.numbers * np.dtype(kind.precision).itemsize
 
@@ -628,7 +628,7 @@ def _check_sum(file: Path, wanted: str) -> None:
 
 
 def _again(folder: Path) -> str:
-    """Return what to do about a damaged file in a store's folder or in its part."""
+    """Return the remedy for a damaged file in a store's folder or in a part's folder."""
     folder = folder.parent if _PART.fullmatch(folder.name) else folder
     return f"describe the pictures again, or delete the folder {folder} and make the index again"
 

@@ -100,7 +100,7 @@ def describe_share(
 ) -> int:
     """Describe the i-th of n equal shares of files, for a share (i, n), so that n machines share the work.
 
-    The rows become parts in `out`, of which a later `describe` of all files makes a store; see there for arguments and errors.
+    The rows become parts in `out`; a later `describe` of all files makes the store. Arguments and errors are those of `describe`.
 
     Returns:
         The number of files in the share.

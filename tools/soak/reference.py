@@ -1,4 +1,4 @@
-"""What a client's page must show: the direct computation of every answer with `lpn.retrieval`, without any code of the app."""
+"""The expected answer of each page, computed directly with `lpn.retrieval`, without any code of the app."""
 
 from __future__ import annotations
 

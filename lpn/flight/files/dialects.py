@@ -161,7 +161,7 @@ class LogColumn(NamedTuple):
 
     Attributes:
         place: its index in a row.
-        name: as it is written, printable.
+        name: its name in the file, printable.
         factor: from its unit to metres, degrees, or seconds; None if the unit is unknown.
         has_unit: whether the header or the program's dialect names its unit.
     """

@@ -169,7 +169,7 @@ def _order(lists: Sequence[list[str]], chosen: GpsOrder | None, name: str) -> tu
 
 
 def _told(text: str, items: Sequence[str], order: GpsOrder) -> dict[str, float | None]:
-    """Return what one subtitle tells, named as in `lpn.flight.files.dialects.UNITS`; `items` are those of its GPS list."""
+    """Return the values of one subtitle, named as in `lpn.flight.files.dialects.UNITS`; `items` are those of its GPS list."""
     named = {key.strip(): number for inside in _BRACKET.findall(text) for key, number in _NAMED.findall(inside)}
     told: dict[str, float | None] = {}
     if items:

@@ -40,7 +40,7 @@ _ATTITUDE = ("bank", "nose", "heading")
 _GIMBAL = ("gimbal_roll", "gimbal_pitch", "gimbal_heading", "gimbal_turn")
 _POSITION = ("latitude", "longitude", "altitude", "height_above_takeoff")
 _PLAIN, _INTEGERS = (1.0,) * 4, (1e-7, 1e-7, 1e-3, 1e-3)
-# What messages tell, their fields for it, and the factors to degrees and metres.
+# For each kind of message the names of its values, its fields, and their factors to degrees and metres.
 _FIELDS: dict[str, tuple[tuple[str, ...], tuple[str, ...], tuple[float, ...]]] = {
     # MAVLink
     "ATTITUDE": (_ATTITUDE, ("roll", "pitch", "yaw"), (math.degrees(1),) * 3),
@@ -137,7 +137,7 @@ def _recent(held: Mapping[str, tuple[float, float]], time: float) -> dict[str, f
 
 
 def told_by(kind: str, message: Mapping[str, Any]) -> dict[str, float]:
-    """Return what a message tells in metres and degrees, by the names in `lpn.flight.files.dialects.UNITS`; NaN where unknown.
+    """Return the values of a message in metres and degrees, by the names in `lpn.flight.files.dialects.UNITS`; NaN where unknown.
 
     `gimbal_turn` is a gimbal's yaw from the aircraft's nose.
     """

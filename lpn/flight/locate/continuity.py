@@ -115,7 +115,7 @@ def top_speeds(times: Float64Array, places: Float64Array, tags: Float64Array | N
     """Return the metres a second that the drone can fly from each position to the next, (N - 1,); None if they are too few.
 
     The speed is a multiple of the 80th percentile of the speeds between neighbours, and of the largest speed of the tags near by.
-    Tags of which half repeat tell nothing.
+    Tags are ignored if half of them repeat the tag before.
 
     Args:
         times: seconds, ascending, (N,).

@@ -162,7 +162,7 @@ def test_notes_of_another_system_keep_their_queries(tmp_path: Path) -> None:
 
 
 def contents(root: Path) -> tuple[dict[str, list[tuple[str, int, str]]], list[list[tuple[list[int], list[int]]]]]:
-    """What a data set gives: the file, place, and group of each picture by list, and the listed tiles of each task."""
+    """Return file, place, and group of each picture of a data set by list, and the listed tiles of each task."""
     dataset = open_dataset(root)
     lists = {
         name: [(picture.path.relative_to(root).as_posix(), picture.label, picture.group) for picture in of]

@@ -15,6 +15,7 @@ from lpn.models.checkpoints import TorchModel, WeightType, exact_inference, load
 from lpn.models.lpn import LPN
 from lpn.models.spec import ModelSpec
 from tools.fixtures import seeded, small_worlds
+from tools.fixtures.small_models import refusal_of
 
 
 @pytest.mark.parametrize("case", ["n4", pytest.param("n1_baseline", marks=pytest.mark.slow)])
@@ -79,30 +80,21 @@ def test_cvusa_pairs_the_outer_ring_with_the_top_strip() -> None:
     assert not satellite.align_corners
 
 
-def _refused(path: Path) -> str:
-    with pytest.raises(ModelFileError) as caught:
-        lpn.load(path)
-    message = str(caught.value)
-    assert "\n" not in message
-    assert "Traceback" not in message
-    return message
-
-
 def test_missing_and_misshapen_entries_are_named(tmp_path: Path) -> None:
     state = small_worlds.make_network().state_dict()
     lacking = {k: v for k, v in state.items() if k != "classifier2.add_block.1.running_mean"}
     torch.save(lacking, tmp_path / "lacking.pth")
-    assert "classifier2.add_block.1.running_mean" in _refused(tmp_path / "lacking.pth")
+    assert "classifier2.add_block.1.running_mean" in refusal_of(tmp_path / "lacking.pth")
     torch.save({k: v for k, v in state.items() if not k.startswith("classifier1.")}, tmp_path / "headless.pth")
-    assert "classifier0, classifier2, classifier3" in _refused(tmp_path / "headless.pth")
+    assert "classifier0, classifier2, classifier3" in refusal_of(tmp_path / "headless.pth")
     last = {k: v for k, v in state.items() if k != "classifier3.add_block.0.weight"}
     torch.save(last, tmp_path / "last.pth")
-    assert "classifier3.add_block.0.weight" in _refused(tmp_path / "last.pth")
+    assert "classifier3.add_block.0.weight" in refusal_of(tmp_path / "last.pth")
     torch.save(dict(state) | {"classifier0.add_block.0.weight": torch.tensor(1.0)}, tmp_path / "scalar.pth")
-    assert "classifier0.add_block.0.weight" in _refused(tmp_path / "scalar.pth")
+    assert "classifier0.add_block.0.weight" in refusal_of(tmp_path / "scalar.pth")
     wrong = dict(state) | {"classifier0.add_block.0.weight": torch.zeros(512, 99)}
     torch.save(wrong, tmp_path / "wrong.pth")
-    assert "(512, 99)" in _refused(tmp_path / "wrong.pth")
+    assert "(512, 99)" in refusal_of(tmp_path / "wrong.pth")
 
 
 def test_the_same_weights_read_with_other_options_are_another_model(tmp_path: Path) -> None:
@@ -154,7 +146,7 @@ def test_a_model_in_fewer_bits_is_small_and_opens_and_fills_a_backbone(
 
 
 @pytest.mark.parametrize("fault", ["no kernels", "floats", "shape"])
-def test_scales_that_fit_no_kernels_are_refused(fault: str, tmp_path: Path) -> None:
+def test_scales_that_fit_no_kernels_arerefusal_of(fault: str, tmp_path: Path) -> None:
     tensors = {"model.weight": torch.ones(2, 3, 1, 1, dtype=torch.int8), "model.weight.scale": torch.ones(2, 1, 1, 1)}
     if fault == "no kernels":
         del tensors["model.weight"]

@@ -24,10 +24,10 @@ from torch import Tensor, nn
 from torch.distributed._shard.sharded_tensor import ShardedTensor
 
 import lpn
-from lpn.core.errors import ModelFileError
 from lpn.models import file_contents
 from lpn.models.checkpoints import TorchModel, read_state
 from tools.fixtures import seeded, small_worlds
+from tools.fixtures.small_models import refusal_of
 from tools.fixtures.without_torch import run_without_torch
 
 State = dict[str, Tensor]
@@ -77,7 +77,7 @@ def lightning(prefix: str) -> Callable[[State], object]:
     }
 
 
-# What trainings save beside or around the weights.
+# Forms in which training programs save weights: the further entries, and the wrappers.
 OPENS: dict[str, Callable[[State], object]] = {
     "numbers of NumPy": lambda state: {
         "model": state,
@@ -176,15 +176,6 @@ def test_bytes_and_not_an_ending_tell_a_file(case: str, weights: tuple[State, An
     np.testing.assert_array_equal(lpn.load(tmp_path / name).descriptors(PICTURES, "drone"), weights[1])
 
 
-def refused(path: Path) -> str:
-    with pytest.raises(ModelFileError) as caught:
-        lpn.load(path)
-    message = str(caught.value)
-    assert "\n" not in message
-    assert "Traceback" not in message
-    return message
-
-
 class _Net(nn.Module):
     def __init__(self) -> None:
         super().__init__()
@@ -206,7 +197,7 @@ class _Calls:
         return self.call
 
 
-# What is saved beside tensors, and the first name that may run code.
+# Values other than tensors in a file, and the first name in it that may run code.
 MORE: dict[str, tuple[Any, str]] = {
     "namespace": (argparse.Namespace(lr=0.01), "argparse.Namespace"),
     "defaultdict": (collections.defaultdict(list), "collections.defaultdict"),
@@ -227,7 +218,7 @@ def test_a_file_of_more_than_tensors_is_refused_with_what_it_names(
     monkeypatch.chdir(tmp_path)
     value, name = MORE[case]
     torch.save({"more": value, "state_dict": {"a": torch.ones(2)}}, "net.pth", _use_new_zipfile_serialization=zipped)
-    assert refused(Path("net.pth")) == (
+    assert refusal_of(Path("net.pth")) == (
         f"net.pth holds more than tensors: it names {name}, which may run code, so it was not opened; save the network's "
         "state_dict by torch.save where it was trained."
     )
@@ -241,7 +232,7 @@ def test_a_class_of_a_package_that_is_not_installed_is_named(tmp_path: Path, mon
     with monkeypatch.context() as patch:
         patch.setitem(sys.modules, "omegaconf", home)
         torch.save({"state_dict": {"a": torch.ones(2)}, "config": found()}, tmp_path / "net.pth")
-    assert "it names omegaconf.DictConfig, which may run code" in refused(tmp_path / "net.pth")
+    assert "it names omegaconf.DictConfig, which may run code" in refusal_of(tmp_path / "net.pth")
 
 
 NO_PLAIN = (
@@ -249,7 +240,7 @@ NO_PLAIN = (
 )
 LOOPED: dict[str, Any] = {}
 LOOPED["model"] = LOOPED
-# What holds no state dict, or one that is none of a model's, and how the sentence begins.
+# Files without a model's state dict, and the beginning of the sentence about each.
 EMPTY: dict[str, tuple[Callable[[State], object], str]] = {
     "an optimizer": (
         lambda _: {"state": {}, "param_groups": [{"lr": 0.1}]},
@@ -295,7 +286,7 @@ EMPTY: dict[str, tuple[Callable[[State], object], str]] = {
 def test_what_holds_no_plain_weights_says_what_it_holds(case: str, weights: tuple[State, Any], tmp_path: Path) -> None:
     make, sentence = EMPTY[case]
     torch.save(make(weights[0]), tmp_path / "net.pth")
-    assert refused(tmp_path / "net.pth").startswith(sentence)
+    assert refusal_of(tmp_path / "net.pth").startswith(sentence)
 
 
 def hole(state: State) -> bytes:
@@ -326,7 +317,7 @@ def second_half(state: State) -> bytes:
 
 PAGE = b"<!DOCTYPE html>\n<html><head><title>%s</title></head><body>Sign in</body></html>"
 LFS = b"version https://git-lfs.github.com/spec/v1\noid sha256:" + b"0" * 64 + b"\nsize 198600000\n"
-# Of any file whose name ends in whatever: its bytes, and how the sentence about it goes on behind its name.
+# The bytes of files that are no models, and the continuation of the sentence after the file's name.
 FOREIGN: dict[str, tuple[bytes, str]] = {
     "Git LFS": (
         LFS,
@@ -399,7 +390,7 @@ def test_a_file_of_a_report_is_named(
     monkeypatch.chdir(tmp_path)
     name, make, sentence = BYTES[case]
     (tmp_path / name).write_bytes(make(weights[0]))
-    assert sentence in refused(tmp_path / name)
+    assert sentence in refusal_of(tmp_path / name)
     assert not (tmp_path / "ran").exists()
 
 
@@ -408,7 +399,7 @@ def test_a_file_of_another_kind_is_named_whatever_its_ending(case: str, tmp_path
     data, sentence = FOREIGN[case]
     for ending in (".pth", ".onnx", ".safetensors", ".bin"):
         (tmp_path / f"net_119{ending}").write_bytes(data)
-        assert refused(tmp_path / f"net_119{ending}").startswith(f"net_119{ending} {sentence}")
+        assert refusal_of(tmp_path / f"net_119{ending}").startswith(f"net_119{ending} {sentence}")
 
 
 def test_a_file_of_another_kind_is_named_without_torch(tmp_path: Path) -> None:
@@ -432,7 +423,7 @@ for name in sys.argv[1:]:
 def test_a_file_cut_anywhere_and_a_missing_one_get_one_sentence(
     weights: tuple[State, Any], tmp_path: Path, model_file: Path
 ) -> None:
-    assert "no model file" in refused(tmp_path / "absent.pth")
+    assert "no model file" in refusal_of(tmp_path / "absent.pth")
     whole = {
         "cut.pth": saved(weights[0]),
         "cut.safetensors": model_file.with_suffix(".safetensors").read_bytes(),
@@ -441,16 +432,16 @@ def test_a_file_cut_anywhere_and_a_missing_one_get_one_sentence(
     for name, data in whole.items():
         for length in (10, len(data) // 2, len(data) - 100):
             (tmp_path / name).write_bytes(data[:length])
-            refused(tmp_path / name)
+            refusal_of(tmp_path / name)
 
 
 def test_a_graph_and_weights_under_each_others_endings(tmp_path: Path, model_file: Path) -> None:
     (tmp_path / "lpn.pth").write_bytes(model_file.read_bytes())
     sentence = "lpn.pth is an ONNX graph under another ending; rename it to lpn.onnx."
-    assert refused(tmp_path / "lpn.pth") == sentence
+    assert refusal_of(tmp_path / "lpn.pth") == sentence
     (tmp_path / "lpn.onnx").write_bytes(saved({"a": torch.zeros(1)}))
     sentence = "lpn.onnx is a PyTorch file under another ending; rename it to lpn.pth."
-    assert refused(tmp_path / "lpn.onnx") == sentence
+    assert refusal_of(tmp_path / "lpn.onnx") == sentence
     assert file_contents.is_model_name("net_119.PTH")
     assert not file_contents.is_model_name("._net_119.pth")
 
@@ -467,7 +458,7 @@ def test_tensors_of_several_processes_are_named(tmp_path: Path) -> None:
         torch.save({"model": {"a": tensor}}, tmp_path / "net.pth")
     finally:
         distributed.destroy_process_group()
-    sentence = refused(tmp_path / "net.pth")
+    sentence = refusal_of(tmp_path / "net.pth")
     assert sentence.startswith("In net.pth, a is a torch.distributed.")
     assert "DTensor; expected plain tensors, so save" in sentence
 
