@@ -40,7 +40,7 @@ _ENVIRONMENT = {
 # A hyperspectral camera has some hundred bands. A damaged header may name 65,535, and rasterio takes seconds to list these.
 _MAX_BANDS = 4096
 # Pixels a minute, measured while overviews of an empty file of three bands were built, and the most minutes of work on a file.
-PIXELS_PER_MINUTE, _MOST_MINUTES = 1.3e9, 10
+_PIXELS_PER_MINUTE, _MOST_MINUTES = 1.3e9, 10
 # `warnings.catch_warnings` changes the filters of all threads, so one thread at a time uses it.
 _opening = threading.Lock()
 
@@ -78,11 +78,13 @@ def failures(*others: type[Exception]) -> tuple[type[Exception], ...]:
     return rasterio().errors.RasterioError, CPLE_BaseError, UnicodeDecodeError, *others
 
 
-def open_raster(path: Path) -> Any:
-    """Open a raster file of a user for reading, by the drivers of the list.
+@contextmanager
+def opened(path: Path) -> Iterator[Any]:
+    """Open a raster file of a user for reading, by the drivers of the list, and close it.
 
     Raises:
-        DataError: if it is missing, has a format that is not read here, or takes pixels from another folder.
+        DataError: if it is missing, has a format that is not read here, or takes pixels from another folder; also if GDAL fails
+            while the file is open.
     """
     name = printable(str(path))
     if not path.is_file():
@@ -101,10 +103,13 @@ def open_raster(path: Path) -> Any:
             raise DataError(
                 f"{name} {_begins(path)}cannot be read as a map ({_reason(error, path)}); {next(remedies, _CONVERT)}."
             ) from error
-    if flaw:
-        file.close()
-        raise DataError(f"{name} {flaw}")
-    return file
+    with file:
+        if flaw:
+            raise DataError(f"{name} {flaw}")
+        try:
+            yield file
+        except failures() as error:
+            raise damaged(path, error) from error
 
 
 @contextmanager
@@ -178,23 +183,9 @@ def vrt_name(path: Path, driver: str) -> str:
     return f"vrt://{path.absolute()}?if={driver}"
 
 
-@contextmanager
-def opened(path: Path) -> Iterator[Any]:
-    """Open a raster file, and close it.
-
-    Raises:
-        DataError: see `open_raster`; also if GDAL fails while the file is open.
-    """
-    with open_raster(path) as file:
-        try:
-            yield file
-        except failures() as error:
-            raise damaged(path, error) from error
-
-
 def check_work(file: Any, path: Path) -> None:
     """Refuse a raster if reading all pixels of its coarsest overview would take too long."""
-    minutes = file.width * file.height / max([1, *file.overviews(1)]) ** 2 / PIXELS_PER_MINUTE
+    minutes = file.width * file.height / max([1, *file.overviews(1)]) ** 2 / _PIXELS_PER_MINUTE
     if minutes > _MOST_MINUTES:
         raise DataError(
             f"{printable(str(path))} has {file.width} x {file.height} pixels, and a first look at it would take "

@@ -27,6 +27,7 @@ from lpn.flight.maps.elevation import ElevationFile
 from lpn.flight.maps.folder import build_map, check_new
 from lpn.flight.maps.frame import LocalFrame
 from lpn.flight.maps.map import Map, MapPlace
+from lpn.flight.maps.sheet import bounds_of
 from lpn.flight.maps.sources import MapOptions
 
 # Fewest photos of a map, and most names in a sentence.
@@ -81,8 +82,7 @@ def build_from_photos(
         # Heights of another place are refused before the long work.
         known = tags[~np.isnan(tags).any(axis=1)]
         frame = LocalFrame(*known.mean(axis=0).tolist())
-        places = frame.xy(*known.T)
-        elevation.box(frame, (*places.min(axis=0).tolist(), *places.max(axis=0).tolist()))
+        elevation.box(frame, bounds_of(frame.xy(*known.T)))
     with TemporaryDirectory(prefix=".", dir=out.parent) as folder:
         file = Path(folder) / f"{out.resolve().name}.tif"
         with _steps(len(photos), on_progress):

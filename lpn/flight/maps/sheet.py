@@ -70,9 +70,7 @@ class Sheet:
     def locate(self, frame: LocalFrame) -> None:
         """Compute bounds and resolution in a frame; DataError if a pixel has no possible size on the ground."""
         self.frame = frame
-        xy = frame.xy(*self.outline.T)
-        (west, south), (east, north) = xy.min(0).tolist(), xy.max(0).tolist()
-        self.bounds: Bounds = (west, south, east, north)
+        self.bounds = bounds_of(frame.xy(*self.outline.T))
         width, height = self.raster.width, self.raster.height
         cross = self._ground(np.array([(1, 2), (3, 2), (2, 1), (2, 3)]) / 4 * (width, height))
         across, down = (cross[1] - cross[0]) / (width / 2), (cross[3] - cross[2]) / (height / 2)
@@ -162,6 +160,12 @@ class Sheet:
             f"{longitude:.4f} on Earth. If that is not the map's place, the picture lost its position, or the CRS is another one "
             "(--crs)."
         )
+
+
+def bounds_of(points: Float64Array) -> Bounds:
+    """Return the bounds of points of a frame, (N, 2)."""
+    (west, south), (east, north) = points.min(axis=0).tolist(), points.max(axis=0).tolist()
+    return west, south, east, north
 
 
 def cells_of(crs: Any, matrix: Float64Array, width: int, frame: LocalFrame, xy: Float64Array) -> Float64Array:
