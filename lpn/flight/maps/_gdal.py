@@ -11,10 +11,13 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from lpn.core.errors import DataError
 from lpn.core.files import first_few, printable
+
+if TYPE_CHECKING:
+    from lpn.core.arrays import Float64Array
 
 # Formats that surveys deliver. VRT, WMS, KML, NITF, and netCDF are left out: they open files that their contents name, as HFA
 # does.
@@ -202,16 +205,19 @@ def damaged(path: Path, error: Exception) -> DataError:
     )
 
 
-def transform(source: Any, target: Any, x: Any, y: Any) -> tuple[Any, Any]:
-    """Transform coordinates (N,) between two CRS; longitude comes before latitude, and undefined results are inf or NaN."""
+def epsg(code: int) -> Any:
+    """Return the CRS of an EPSG code."""
+    return rasterio().crs.CRS.from_epsg(code)
+
+
+def transform(source: Any, target: Any, points: Float64Array) -> Float64Array:
+    """Transform points, (N, 2), between two CRS; longitude comes before latitude, and undefined results are inf or NaN."""
     import numpy as np
 
-    library = rasterio()
     try:
-        xs, ys = library.warp.transform(source, target, x, y)
+        return np.stack(rasterio().warp.transform(source, target, *points.T), axis=1).astype(np.float64)
     except failures():  # no operation between the two
-        return np.full(len(x), np.inf), np.full(len(x), np.inf)
-    return np.array(xs, np.float64), np.array(ys, np.float64)
+        return np.full(points.shape, np.inf)
 
 
 def _head(path: Path) -> bytes:

@@ -182,7 +182,6 @@ def middles_and_tags(
 ) -> tuple[Float64Array, Float64Array]:
     """Return the middles of the map's photos and their tags, (N, 2) each, in metres of its coordinate reference system."""
     middles, places = [], []
-    library = _gdal.rasterio()
     for photo, tag in zip(photos, tags, strict=True):
         camera = report["cameras"].get(photo.name)
         if camera is None or np.isnan(tag).any():
@@ -193,9 +192,8 @@ def middles_and_tags(
                 width, height = height, width
         middles.append(np.array(camera["affine"]) @ [(width - 1) / 2, (height - 1) / 2, 1.0])
         places.append(tag)
-    latitudes, longitudes = np.array(places).T
-    metres = library.warp.transform("EPSG:4326", f"EPSG:{report['epsg']}", longitudes.tolist(), latitudes.tolist())
-    return np.array(middles), np.stack(metres, axis=1)
+    longitudes_first = np.array(places)[:, ::-1]
+    return np.array(middles), _gdal.transform(_gdal.epsg(4326), _gdal.epsg(report["epsg"]), longitudes_first)
 
 
 def place_error(middles: Float64Array, tags: Float64Array) -> float | None:

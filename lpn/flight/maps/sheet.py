@@ -111,8 +111,7 @@ class Sheet:
     def _degrees(self, cells: Float64Array) -> Float64Array:
         """Convert columns and rows, (N, 2), to latitude and longitude, (N, 2)."""
         xy = np.column_stack([cells, np.ones(len(cells))]) @ self.matrix.T
-        longitude, latitude = _gdal.transform(self.crs, _gdal.rasterio().crs.CRS.from_epsg(4326), xy[:, 0], xy[:, 1])
-        return np.stack([latitude, longitude], axis=1)
+        return np.ascontiguousarray(_gdal.transform(self.crs, _gdal.epsg(4326), xy)[:, ::-1])
 
     def _outline(self) -> Float64Array:
         side = np.linspace(0, 1, _OUTLINE)
@@ -175,7 +174,7 @@ def cells_of(crs: Any, matrix: Float64Array, width: int, frame: LocalFrame, xy: 
         crs, matrix: see `Sheet`.
         width: of the raster in pixels.
     """
-    x, y = _gdal.transform(frame.crs, crs, xy[:, 0], xy[:, 1])
+    x, y = _gdal.transform(frame.crs, crs, xy).T
     if crs.is_geographic:
         # Longitudes of a raster may pass 180 degrees.
         middle = float(matrix[0] @ (width / 2, 0, 1))
