@@ -243,9 +243,9 @@ def test_a_white_border_of_tiles_has_no_data(tmp_path: Path) -> None:
         open_map(path, MapOptions(bands=(1,)))
 
 
-@pytest.mark.parametrize("metadata", [METADATA, METADATA | {"scheme": "tms"}, {}])
-def test_an_mbtiles_is_read_by_its_tiles(tmp_path: Path, same: Map, metadata: dict[str, str]) -> None:
-    assert check(open_map(write_mbtiles(tmp_path / "town.mbtiles", PICTURE, metadata)), same) == []
+@pytest.mark.parametrize(("metadata", "view"), [(METADATA | {"scheme": "tms"}, False), (METADATA, True), ({}, False)])
+def test_an_mbtiles_is_read_by_its_tiles(tmp_path: Path, same: Map, metadata: dict[str, str], view: bool) -> None:
+    assert check(open_map(write_mbtiles(tmp_path / "town.mbtiles", PICTURE, metadata, view=view)), same) == []
 
 
 @pytest.mark.parametrize(
