@@ -57,7 +57,7 @@ def check_folder(settings: Settings | FlightSettings, file: Path, form: str) -> 
 
 
 @contextmanager
-def progress(total: int) -> Iterator[tuple[Path, Callable[[float], None]]]:
+def progress(total: int) -> Iterator[tuple[Path, Callable[[], None]]]:
     """Show the progress of `total` pictures, Blender's reports kept quiet; yields a scratch folder and a call to advance."""
     from tools.world import render
 
@@ -68,4 +68,4 @@ def progress(total: int) -> Iterator[tuple[Path, Callable[[float], None]]]:
         TemporaryDirectory(prefix="lpn-world-") as folder,
     ):
         task = bar.add_task("Rendering", total=total)
-        yield Path(folder), lambda steps: bar.advance(task, steps)
+        yield Path(folder), lambda: bar.advance(task)
