@@ -40,15 +40,8 @@ def own_photo(
         if job is not None and job.error is None:
             tries = f" {job.done} of {job.total} tries" if job.total else ""
             headline = f"Being compared with the map ...{tries}"
-        card: dict[str, Any] = {
-            "what": "",
-            "at": "",
-            "link": "",
-            "stage": None,
-            "state": "unknown",
-            "mark": "?",
-            "headline": headline,
-        }
+        card: dict[str, Any] = {"state": "unknown", "mark": "?", "headline": headline, "stage": None}
+        card |= dict.fromkeys(("what", "at", "link"), "")
         lines = [None if job is None else job.error, tagged]
     else:
         located, answer = own.located, own.answer

@@ -19,11 +19,10 @@ from lpn.core.errors import InputError, LPNError
 from lpn.flight.locate import corrections
 from lpn.flight.locate.corrections import Correction
 from lpn.flight.locate.coverage import Outline, outline
-from lpn.flight.locate.errors import Errors
 from lpn.flight.locate.located import LocatedFlight
 from lpn.flight.locate.tags import enter_corrections
 from lpn.flight.locate.tracks import best_track, track_bytes
-from lpn.flight.locate.verdict import FrameVerdict, judge, placed_errors
+from lpn.flight.locate.verdict import FrameVerdict, judge
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,10 +65,6 @@ class FlightSnapshot:
     def lag(self) -> float | None:
         """Seconds by which the tags of the flight are late; None if they are not."""
         return None if self.flight.tags_without_lag is None or self.flight.audit is None else self.flight.audit.lag
-
-    def errors(self, flight: LocatedFlight) -> Errors | None:
-        """Return the errors of the placed photos against the tags of a flight; None if no placed photo has one."""
-        return placed_errors(flight.frames, self.verdicts)
 
 
 class SharedFlight:

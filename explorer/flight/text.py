@@ -13,7 +13,7 @@ from lpn.core.arrays import Float64Array
 from lpn.core.numbers import SIGMA, distance, error_figure, upper_bound
 from lpn.flight.locate.errors import CONFIRMED_SHARE, RIGHT_CALIBRATION
 from lpn.flight.locate.located import LocatedFlight, LocatedFrame
-from lpn.flight.locate.verdict import SIGMAS, FrameVerdict, on_what
+from lpn.flight.locate.verdict import SIGMAS, FrameVerdict, on_what, placed_errors
 from lpn.flight.maps.named_window import describe_offset
 from lpn.flight.maps.orthophoto import placing_sentence
 
@@ -116,9 +116,9 @@ def accuracy(seen: FlightSnapshot) -> list[tuple[str, str, str]]:
     elif figure:
         source = "The error that lpn map --error keeps."
     rows.append(("On Earth", figure, source))
-    if (errors := seen.errors(seen.measured)) is not None:
+    if (errors := placed_errors(seen.measured.frames, seen.verdicts)) is not None:
         name, with_lag = "GPS tags", ""
-        if seen.lag is not None and (as_told := seen.errors(flight)) is not None:
+        if seen.lag is not None and (as_told := placed_errors(flight.frames, seen.verdicts)) is not None:
             name, with_lag = f"{name} without their lag of {seen.lag:.1f} s", f" With it {as_told.median:.1f} m."
         bounds = f", 95 % of them within {upper_bound(errors.ce95)} m" if errors.photos >= _FEWEST else ""
         bounds += f", at most {upper_bound(errors.largest)} m"

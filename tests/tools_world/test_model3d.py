@@ -17,7 +17,7 @@ from tools.fixtures.glb_parts import Points, header, parts
 from tools.world import model3d
 from tools.world.atlas import Atlas, Settings, make_atlas
 from tools.world.cameras import Site
-from tools.world.city import City
+from tools.world.city import City, Window
 from tools.world.geometry import turned, within
 from tools.world.glb import Primitive, glb
 
@@ -33,14 +33,14 @@ def city(atlas: Atlas) -> City:
 
 
 @pytest.fixture(scope="module")
-def window(city: City) -> model3d.PlanBounds:
+def window(city: City) -> Window:
     """Around the first building for testing."""
     x, y = next((b.x, b.y) for b in (city.buildings[t.building] for t in city.targets if t.split == "test"))
     return x - 180, y - 200, x + 200, y + 180
 
 
 @pytest.fixture(scope="module")
-def data(atlas: Atlas, window: model3d.PlanBounds) -> bytes:
+def data(atlas: Atlas, window: Window) -> bytes:
     return model3d.city_model(atlas.city, atlas.site, window)
 
 
@@ -54,9 +54,7 @@ def test_the_model_is_small_whole_and_says_where_it_stands(atlas: Atlas, data: b
     assert read.origin == Position(atlas.site.latitude, atlas.site.longitude)
 
 
-def test_buildings_stand_where_and_as_high_as_they_were_planned(
-    city: City, window: model3d.PlanBounds, data: bytes
-) -> None:
+def test_buildings_stand_where_and_as_high_as_they_were_planned(city: City, window: Window, data: bytes) -> None:
     built = np.concatenate([places for name, places in parts(data).items() if name.startswith(("walls", "plain"))])
     west, south, east, north = window
     tested = 0
@@ -80,9 +78,7 @@ def _box(ring: Points) -> Points:
     return np.array([(west, south), (east, south), (east, north), (west, north)])
 
 
-def test_the_ground_lies_at_its_height_and_fills_the_window(
-    city: City, window: model3d.PlanBounds, data: bytes
-) -> None:
+def test_the_ground_lies_at_its_height_and_fills_the_window(city: City, window: Window, data: bytes) -> None:
     ground = parts(data)["ground"]
     np.testing.assert_allclose(ground[:, 2], city.terrain(ground[:, :2]), atol=0.1)
     west, south, east, north = window
@@ -98,7 +94,7 @@ def test_what_the_explorer_s_map_covers_is_every_test_tile_and_no_other(atlas: A
         assert inside == (target.split == "test")
 
 
-def test_trees_have_roots_in_the_ground_and_their_height(city: City, window: model3d.PlanBounds, data: bytes) -> None:
+def test_trees_have_roots_in_the_ground_and_their_height(city: City, window: Window, data: bytes) -> None:
     crowns = parts(data)["trees"].reshape(-1, 6, 3)  # lowest point, four around, top
     west, south, east, north = window
     trees = city.trees
@@ -124,7 +120,7 @@ def test_the_ground_is_painted_north_up_and_light_enough_to_see(city: City) -> N
 
 
 @pytest.mark.slow
-def test_less_room_is_less_detail_and_too_little_is_said(atlas: Atlas, window: model3d.PlanBounds, data: bytes) -> None:
+def test_less_room_is_less_detail_and_too_little_is_said(atlas: Atlas, window: Window, data: bytes) -> None:
     limit = len(data) // 2
     smaller = model3d.city_model(atlas.city, atlas.site, window, limit)
     assert 0.6 * limit < len(smaller) <= limit

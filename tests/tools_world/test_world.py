@@ -51,7 +51,6 @@ def test_a_seed_plans_one_world_of_the_size_asked_for(atlas: Atlas) -> None:
     assert np.array_equal(again.city.stalls.chance, atlas.city.stalls.chance)
     assert again.city.architectures == atlas.city.architectures
     large = plan_city(0, 200)
-    assert large.buildings != atlas.city.buildings
     assert [target.number for target in large.targets] == list(range(1, 201))
     assert sum(target.twins > 0 for target in large.targets) >= 67
     with pytest.raises(InputError, match="2 buildings"):
@@ -180,9 +179,6 @@ def test_a_tile_is_cut_where_it_lies(lean: float, bearing: float) -> None:
     assert corners[0] == pytest.approx(corners[3] - (0, 320), abs=14)  # 160 m up are 320 pixels
     assert corners[0][0] < corners[1][0]
     assert corners[0][1] < corners[3][1]
-    tiles = [cameras.tile_around(0, 0, np.random.default_rng(i)) for i in range(50)]
-    assert 0 < max(float(np.hypot(tile.x, tile.y)) for tile in tiles) < 7.1
-    assert max(abs(tile.heading) for tile in tiles) <= 2.5
 
 
 def test_neighbouring_windows_have_the_same_grain() -> None:

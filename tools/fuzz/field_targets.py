@@ -154,7 +154,7 @@ def maps(folder: Path) -> list[FuzzCase]:
     metadata = {"bounds": small_tiles.bounds_text(), "scheme": "tms", "minzoom": "18"}
     database = folder / "a.mbtiles"
     databases = [small_tiles.write_mbtiles(database, tiles, metadata, side=32).read_bytes()]
-    databases.append(small_tiles.write_mbtiles(database, tiles, {}, side=32, schema="view").read_bytes())
+    databases.append(small_tiles.write_mbtiles(database, tiles, {}, side=32, view=True).read_bytes())
     small_tiles.write_folder(folder / "tiles", tiles, side=32)
     first = next(path for path in sorted((folder / "tiles").rglob("*.png")))
     small_tiles.write_folder(folder / "south", tiles, side=32)

@@ -25,16 +25,36 @@ ItemShape = Literal["box", "cylinder", "skylight", "solar"]
 
 
 @dataclass(frozen=True)
-class Volume:
-    """A volume of a building.
+class Dress:
+    """Materials shared by the volumes of one building.
+
+    Attributes:
+        wall, cover: names of the textures of walls and roof.
+        wall_tint, cover_tint: linear reflectance that multiplies the textures.
+        bay, storey: width and height of a window unit.
+    """
+
+    wall: str
+    wall_tint: Reflectance
+    cover: str
+    cover_tint: Reflectance
+    bay: float
+    storey: float
+
+    def part(
+        self, outline: tuple[Corner, ...], eaves: float, roof: RoofShape = "flat", rise: float = 0.0, base: float = 0.0
+    ) -> Volume:
+        return Volume(**vars(self), outline=outline, base=base, eaves=eaves, roof=roof, rise=rise)
+
+
+@dataclass(frozen=True)
+class Volume(Dress):
+    """A volume of a building, with its materials.
 
     Attributes:
         outline: corners counter-clockwise; a pitched roof's ridge runs along the first edge of a rectangle.
         base, eaves: heights of its bottom and of the top of its walls.
         rise: height of the roof above the eaves.
-        wall, cover: names of the textures of walls and roof.
-        wall_tint, cover_tint: linear reflectance that multiplies the textures.
-        bay, storey: width and height of a window unit.
     """
 
     outline: tuple[Corner, ...]
@@ -42,17 +62,11 @@ class Volume:
     eaves: float
     roof: RoofShape
     rise: float
-    wall: str
-    wall_tint: Reflectance
-    cover: str
-    cover_tint: Reflectance
-    bay: float = 3.2
-    storey: float = 3.3
 
 
 @dataclass(frozen=True)
 class RoofItem:
-    """A small object on a roof: the middle of its bottom, its size, and its rotation in radians."""
+    """A small object on a roof: the middle of its bottom, and its size."""
 
     shape: ItemShape
     x: float
@@ -61,7 +75,6 @@ class RoofItem:
     length: float
     width: float
     height: float
-    angle: float
     tint: Reflectance
 
 
@@ -127,23 +140,6 @@ def box(x0: float, y0: float, x1: float, y1: float) -> tuple[Corner, ...]:
     return corners if x1 - x0 >= y1 - y0 else corners[1:] + corners[:1]
 
 
-@dataclass(frozen=True)
-class Dress:
-    """Materials shared by the volumes of one building."""
-
-    wall: str
-    wall_tint: Reflectance
-    cover: str
-    cover_tint: Reflectance
-    bay: float
-    storey: float
-
-    def part(
-        self, outline: tuple[Corner, ...], eaves: float, roof: RoofShape = "flat", rise: float = 0.0, base: float = 0.0
-    ) -> Volume:
-        return Volume(outline, base, eaves, roof, rise, **vars(self))
-
-
 def _dress(
     rng: np.random.Generator,
     walls: tuple[tuple[str, Reflectance], ...],
@@ -196,7 +192,7 @@ def plant(rng: np.random.Generator, outline: tuple[Corner, ...], z: float, amoun
         left, right, low, high = max(x - a / 2, x0), min(x + a / 2, x1), max(y - b / 2, y0), min(y + b / 2, y1)
         tint = near(rng, (WHITE, LIGHT, GREY, DARK, GRAVEL, LIGHT)[rng.integers(6)])
         items.append(RoofItem("box", float(left + right) / 2, float(low + high) / 2, z, float(right - left), float(high - low),
-                          0.04 + 0.01 * len(items), 0.0, tint))  # fmt: skip
+                          0.04 + 0.01 * len(items), tint))  # fmt: skip
 
     def put(shape: ItemShape, x: float, y: float, size: tuple[float, float], height: float, tint: Reflectance) -> bool:
         length, width = size
@@ -204,7 +200,7 @@ def plant(rng: np.random.Generator, outline: tuple[Corner, ...], z: float, amoun
         clear = all(abs(x - a) > (length + b) / 2 + 0.3 or abs(y - c) > (width + e) / 2 + 0.3 for a, c, b, e in taken)
         if inside and clear:
             taken.append((x, y, length, width))
-            items.append(RoofItem(shape, x, y, z, length, width, height, 0.0, tint))
+            items.append(RoofItem(shape, x, y, z, length, width, height, tint))
         return inside and clear
 
     def somewhere() -> tuple[float, float]:
@@ -247,6 +243,6 @@ def chimneys(rng: np.random.Generator, x0: float, x1: float, z: float, pitch: fl
     tint = near(rng, BRICK)
     offset = float(rng.uniform(-0.8, 0.8))
     return [
-        RoofItem("box", float(x), offset, z - 1.4, rng.uniform(0.7, 1.0), 1.1, 2.4, 0.0, tint)
+        RoofItem("box", float(x), offset, z - 1.4, rng.uniform(0.7, 1.0), 1.1, 2.4, tint)
         for x in np.arange(x0 + pitch / 2, x1, pitch)
     ]

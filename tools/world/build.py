@@ -57,7 +57,7 @@ def build_world(settings: Settings, out: Path, threads: int = 0) -> int:
     if not (out / CITY_NAME).is_file():
         _write_city(atlas, out)
     with progress(len(missing)) as (folder, advance):
-        renderer = _SectorRenderer(render.BlenderScene, atlas, out, folder, threads, lambda: advance(1))
+        renderer = _SectorRenderer(render.BlenderScene, atlas, out, folder, threads, advance)
         for sector in atlas.sectors:
             if tiles := [shot for shot in sector.tiles if shot in missing]:
                 renderer.tiles(sector, tiles)

@@ -53,8 +53,8 @@ def _joined(
     return Architecture(
         kind,
         moved(outline),
-        tuple(Volume(**{**part.__dict__, "outline": moved(part.outline)}) for part in parts),
-        tuple(RoofItem(**{**item.__dict__, "x": item.x + dx, "y": item.y + dy}) for item in items),
+        tuple(replace(part, outline=moved(part.outline)) for part in parts),
+        tuple(replace(item, x=item.x + dx, y=item.y + dy) for item in items),
     )
 
 
@@ -103,7 +103,7 @@ def _wings(rng: np.random.Generator, kind: BuildingShape, wings: list[tuple[Corn
             for _ in range(int(rng.integers(1, 4))):
                 reach = np.ptp(ring, axis=0) * 0.3
                 px, py = x + rng.uniform(-1, 1) * reach[0], y + rng.uniform(-1, 1) * reach[1]
-                items.append(RoofItem("box", float(px), float(py), height, 1.0, 1.0, rise + 1.2, 0.0, near(rng, BRICK)))
+                items.append(RoofItem("box", float(px), float(py), height, 1.0, 1.0, rise + 1.2, near(rng, BRICK)))
         else:
             parts.append(dress.part(wing, height))
             items.extend(_storey(rng, dress, wing, height, parts))
@@ -190,7 +190,7 @@ def hall(rng: np.random.Generator) -> Architecture:
     if roof == "flat":
         pitch = rng.uniform(6, 10)
         items = [
-            RoofItem("skylight", float(x), b / 2, eaves, 1.6, b * 0.72, 0.5, 0.0, (0.4, 0.46, 0.48))
+            RoofItem("skylight", float(x), b / 2, eaves, 1.6, b * 0.72, 0.5, (0.4, 0.46, 0.48))
             for x in np.arange(pitch / 2, a, pitch)
         ]
         items += [i for i in plant(rng, wing, eaves, 0.5) if ((i.x / pitch) % 1 - 0.5) ** 2 > 0.09]
@@ -199,7 +199,7 @@ def hall(rng: np.random.Generator) -> Architecture:
         for x in np.arange(5, a - 3, rng.uniform(6, 9)):
             for side in (-1, 1):
                 y, z = b / 2 + side * b * 0.24, eaves + rise * 0.52 - 0.3 * np.cos(slope)
-                items.append(RoofItem("skylight", float(x), y, float(z), 1.3, b * 0.3, 0.35, 0.0, (0.4, 0.46, 0.48)))
+                items.append(RoofItem("skylight", float(x), y, float(z), 1.3, b * 0.3, 0.35, (0.4, 0.46, 0.48)))
     if rng.random() < 0.6:  # offices at the front
         front = modern(rng)
         w = rng.uniform(0.25, 0.6) * a
@@ -245,9 +245,7 @@ def terrace(rng: np.random.Generator) -> Architecture:
     if rng.random() < 0.5:
         for i in range(units):
             x = (i + 0.5) * width
-            items.append(
-                RoofItem("skylight", x, -depth * 0.26, eaves + rise * 0.3, 1.0, 1.2, 0.75, 0.0, (0.2, 0.25, 0.3))
-            )
+            items.append(RoofItem("skylight", x, -depth * 0.26, eaves + rise * 0.3, 1.0, 1.2, 0.75, (0.2, 0.25, 0.3)))
     return _joined("terrace", box(0, -depth / 2, a, depth / 2 + back), parts, items)
 
 
@@ -269,9 +267,7 @@ def house(rng: np.random.Generator) -> Architecture:
     a, b = rng.uniform(10, 14), rng.uniform(7.5, 9.5)
     eaves, rise = rng.choice([3.0, 5.6]), b * rng.uniform(0.32, 0.5)
     parts = [dress.part(box(0, 0, a, b), eaves, "hip" if rng.random() < 0.4 else "gable", rise)]
-    items = [
-        RoofItem("box", a * rng.uniform(0.2, 0.8), b / 2 + 0.6, eaves, 0.9, 0.9, rise + 1.0, 0.0, near(rng, BRICK))
-    ]
+    items = [RoofItem("box", a * rng.uniform(0.2, 0.8), b / 2 + 0.6, eaves, 0.9, 0.9, rise + 1.0, near(rng, BRICK))]
     outline: tuple[Corner, ...] = box(0, 0, a, b)
     if rng.random() < 0.6:
         w, out = rng.uniform(5, 6.5), rng.uniform(2, 4)
@@ -279,7 +275,7 @@ def house(rng: np.random.Generator) -> Architecture:
         parts.append(dress.part(box(x, -out, x + w, b * 0.6), eaves, "gable", rise * 0.8))
         outline = box(0, -out, a, b)
     if rng.random() < 0.4:
-        items.append(RoofItem("skylight", a * 0.5, b * 0.25, eaves + rise * 0.3, 1.0, 1.4, 0.7, 0.0, (0.2, 0.25, 0.3)))
+        items.append(RoofItem("skylight", a * 0.5, b * 0.25, eaves + rise * 0.3, 1.0, 1.4, 0.7, (0.2, 0.25, 0.3)))
     return _joined("house", outline, parts, items)
 
 
@@ -289,9 +285,9 @@ def townhouse(rng: np.random.Generator) -> Architecture:
     a, b = rng.uniform(7, 14), rng.uniform(11, 13.5)
     eaves, rise = int(rng.integers(2, 5)) * 3.1, b * rng.uniform(0.28, 0.42)
     parts = [dress.part(((0, 0), (a, 0), (a, b), (0.0, b)), eaves, "gable", rise)]
-    items = [RoofItem("box", 0.6, b / 2 + rng.uniform(-2, 2), eaves, 0.8, 1.4, rise + 1.0, 0.0, near(rng, BRICK))]
+    items = [RoofItem("box", 0.6, b / 2 + rng.uniform(-2, 2), eaves, 0.8, 1.4, rise + 1.0, near(rng, BRICK))]
     items += [
-        RoofItem("box", float(x), b * 0.22, eaves + 0.2, 1.3, 2.4, rise * 0.55, 0.0, near(rng, dress.wall_tint))
+        RoofItem("box", float(x), b * 0.22, eaves + 0.2, 1.3, 2.4, rise * 0.55, near(rng, dress.wall_tint))
         for x in np.arange(1.8, a - 1.2, 3.2)
         if rng.random() < 0.6
     ]

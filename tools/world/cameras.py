@@ -73,10 +73,7 @@ def drone_poses(aim: tuple[float, float, float], views: int, rng: np.random.Gene
         share = i / (tilted - 1) if tilted > 1 else 0.0
         height = HIGHEST + (LOWEST - HIGHEST) * share
         heading = (start + 360 * ROUNDS * share + rng.uniform(-6, 6)) % 360
-        away = height / np.tan(np.radians(ELEVATION))
-        h = np.radians(heading)
-        x, y = float(aim[0] - away * np.sin(h)), float(aim[1] - away * np.cos(h))
-        poses.append(Pose(x, y, float(aim[2] + height), float(heading), -ELEVATION, FIELD_OF_VIEW))
+        poses.append(_looking_at(aim, height, float(heading), ELEVATION, FIELD_OF_VIEW))
     if views > 1:
         height = rng.uniform(200, HIGHEST)
         poses.append(Pose(aim[0], aim[1], float(aim[2] + height), float(rng.uniform(0, 360)), -90.0, FIELD_OF_VIEW))
@@ -96,12 +93,17 @@ def any_drone_poses(aim: tuple[float, float, float], views: int, sight: float, r
         distance = height / np.sin(np.radians(tilt))
         fov = float(np.degrees(2 * np.arctan(metres / 2 / distance)))
         heading = float(rng.uniform(0, 360))
-        h, away = np.radians(heading), height / np.tan(np.radians(tilt))
-        x, y = float(aim[0] - away * np.sin(h)), float(aim[1] - away * np.cos(h))
-        pose = Pose(x, y, float(aim[2] + height), heading, -tilt, fov)
+        pose = _looking_at(aim, height, heading, tilt, fov)
         if 25 <= fov <= 80 and _farthest(pose, aim) < sight:
             poses.append(pose)
     return poses
+
+
+def _looking_at(aim: tuple[float, float, float], height: float, heading: float, down: float, fov: float) -> Pose:
+    """Return the pose `height` metres above a point that looks at it, `down` degrees below the horizon."""
+    h, away = np.radians(heading), height / np.tan(np.radians(down))
+    x, y = float(aim[0] - away * np.sin(h)), float(aim[1] - away * np.cos(h))
+    return Pose(x, y, float(aim[2] + height), heading, -down, fov)
 
 
 def _farthest(pose: Pose, aim: tuple[float, float, float]) -> float:

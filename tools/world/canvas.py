@@ -22,8 +22,7 @@ def noise(scale: float) -> Float32Array:
     squared = frequency[:, None] ** 2 + frequency[None] ** 2
     keep = np.exp(-squared * (scale * 1.8) ** 2)
     field = np.fft.ifft2(np.fft.fft2(rng.normal(size=(_PERIOD, _PERIOD))) * keep).real
-    scaled: Float32Array = ((field - field.mean()) / field.std()).astype(np.float32)
-    return scaled
+    return np.asarray(((field - field.mean()) / field.std()).astype(np.float32))
 
 
 class Canvas:
@@ -54,7 +53,14 @@ class Canvas:
         values: Float32Array = noise(pixels / shrink)[np.ix_(at, along)]
         return np.asarray(cv2.blur(values, (shrink, shrink)), np.float32) if shrink > 1 else values
 
-    def masked(self, points: Float64Array, grow: float) -> tuple[slice, slice, Float64Array] | None:
+    def mask(
+        self, points: Float64Array, grow: float, thick: int | None = None
+    ) -> tuple[slice, slice, NDArray[np.uint8]] | None:
+        """Return rows, columns, and the mask of a polygon, or of a line `thick` pixels wide; None outside the window.
+
+        Args:
+            grow: pixels of the mask around the points.
+        """
         at = self.pixels(points)
         low = np.floor(at.min(axis=0) - grow - 2).astype(int)
         high = np.ceil(at.max(axis=0) + grow + 3).astype(int)
@@ -62,33 +68,30 @@ class Canvas:
         x1, y1 = np.minimum(high, (self.shape[1], self.shape[0]))
         if x0 >= x1 or y0 >= y1:
             return None
-        return slice(int(y0), int(y1)), slice(int(x0), int(x1)), (at - (x0, y0)) * 16
+        mask = np.zeros((y1 - y0, x1 - x0), np.uint8)
+        sixteenths = [((at - (x0, y0)) * 16).astype(np.int32)]
+        if thick is None:
+            cv2.fillPoly(mask, sixteenths, 255, cv2.LINE_AA, 4)
+        else:
+            cv2.polylines(mask, sixteenths, False, 255, thick, cv2.LINE_AA, 4)
+        return slice(int(y0), int(y1)), slice(int(x0), int(x1)), mask
 
     def fill(self, polygon: Float64Array, colour: Reflectance, grain: float = 0.1, blotch: float = 0.1, strength: float = 1.0,
              water: float = 0.0, soft: float = 0.0) -> None:  # fmt: skip
         """Fill a polygon with a colour that varies finely (`grain`) and in large blotches; `soft` metres blur its edge."""
-        crop = self.masked(polygon, soft / self.scale * 2)
-        if crop is None:
-            return
-        rows, columns, at = crop
-        mask = np.zeros((rows.stop - rows.start, columns.stop - columns.start), np.uint8)
-        cv2.fillPoly(mask, [at.astype(np.int32)], 255, cv2.LINE_AA, 4)
-        self._blend(rows, columns, mask, colour, grain, blotch, strength, water, soft)
+        self._blend(self.mask(polygon, soft / self.scale * 2), colour, grain, blotch, strength, water, soft)
 
     def line(self, line: Float64Array, width: float, colour: Reflectance, grain: float = 0.05, strength: float = 1.0,
              blotch: float = 0.0, soft: float = 0.0) -> None:  # fmt: skip
-        crop = self.masked(line, width / self.scale)
-        if crop is None:
-            return
-        rows, columns, at = crop
-        mask = np.zeros((rows.stop - rows.start, columns.stop - columns.start), np.uint8)
-        thick = max(1, round(width / self.scale))
+        mask = self.mask(line, width / self.scale, max(1, round(width / self.scale)))
         strength = min(1.0, strength * width / self.scale) if width < self.scale else strength
-        cv2.polylines(mask, [at.astype(np.int32)], False, 255, thick, cv2.LINE_AA, 4)
-        self._blend(rows, columns, mask, colour, grain, blotch, strength, 0.0, soft)
+        self._blend(mask, colour, grain, blotch, strength, 0.0, soft)
 
-    def _blend(self, rows: slice, columns: slice, mask: NDArray[np.uint8], colour: Reflectance, grain: float, blotch: float,
+    def _blend(self, where: tuple[slice, slice, NDArray[np.uint8]] | None, colour: Reflectance, grain: float, blotch: float,
                strength: float, water: float, soft: float) -> None:  # fmt: skip
+        if where is None:
+            return
+        rows, columns, mask = where
         weight = mask.astype(np.float32) * np.float32(strength / 255)
         if soft:
             weight = cv2.GaussianBlur(weight, (0, 0), soft / self.scale).astype(np.float32)

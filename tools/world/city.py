@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lpn.core.arrays import Float64Array
 from tools.world.architecture import Architecture
@@ -15,9 +17,11 @@ Split = Literal["train", "test", ""]
 Character = Literal["university", "housing", "industry", "old town", "centre", "sports", "park", "countryside", "river"]
 StreetKind = Literal["arterial", "local", "lane"]
 Surface = Literal[
-    "lawn", "meadow", "paved", "asphalt", "gravel", "garden", "concrete", "field", "wood", "dirt", "sand", "water",
-    "parking", "pitch", "track", "court", "pool", "plaza", "playground", "solar",
+    "lawn", "meadow", "paved", "asphalt", "gravel", "garden", "concrete", "field", "wood", "dirt", "water",
+    "parking", "pitch", "track", "court", "pool", "plaza", "playground",
 ]  # fmt: skip
+# West, south, east, and north border in metres of the plan.
+Window = tuple[float, float, float, float]
 SPECIES = ("oak", "maple", "lime", "poplar", "fir", "bush")
 VEHICLES = ("car", "van", "truck", "bus")
 
@@ -157,8 +161,7 @@ class Terrain:
         rising = np.clip((bank - 30) / 220, 0, 1)
         land = self.waves(points) * rising**2 * (3 - 2 * rising)
         cut = np.clip((bank + 1.0) / 3.5, 0, 1)
-        height: Float64Array = self.river.level + (land - self.river.level) * cut
-        return height
+        return np.asarray(self.river.level + (land - self.river.level) * cut)
 
 
 @dataclass(frozen=True)
@@ -205,11 +208,31 @@ class City:
     def footprint(self, building: Building) -> Float64Array:
         """The building's outline on the ground (n, 2)."""
         ring = self.architectures[building.architecture].ring
-        outline: Float64Array = turned(ring, building.angle) + np.array([building.x, building.y])
-        return outline
+        return np.asarray(turned(ring, building.angle) + np.array([building.x, building.y]))
 
     def height(self, x: float, y: float) -> float:
         return float(self.terrain(np.array([x, y])))
+
+
+def middles(things: Sequence[Building | RoadBridge]) -> tuple[Float64Array, Float64Array]:
+    """Return x and y, (n,) each, of buildings or bridges."""
+    return np.array([thing.x for thing in things]), np.array([thing.y for thing in things])
+
+
+def within_window(window: Window, x: Float64Array, y: Float64Array, reach: float = 0.0) -> NDArray[np.int_]:
+    """Return the numbers of the points inside a window, or at most `reach` metres outside."""
+    west, south, east, north = window
+    inside = (x > west - reach) & (x < east + reach) & (y > south - reach) & (y < north + reach)
+    return np.flatnonzero(inside)
+
+
+def grid(terrain: Terrain, x: Float64Array, y: Float64Array) -> tuple[Float64Array, NDArray[np.int_]]:
+    """Return a grid on the ground over columns x and rows y: vertices (n, 3), and the corners of quadrilaterals (q, 4)."""
+    places = np.stack(np.meshgrid(x, y), axis=-1)
+    vertices = np.concatenate([places, terrain(places)[..., None]], axis=-1).reshape(-1, 3)
+    index = np.arange(len(x) * len(y)).reshape(len(y), len(x))
+    quads = np.stack([index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]], axis=-1)
+    return vertices, quads.reshape(-1, 4)
 
 
 @dataclass

@@ -24,7 +24,7 @@ def _fill(plot: Plot, kinds: tuple[str, ...], shared: tuple[str, ...], setback: 
     """Place buildings along all edges in turn, each of the first of three kinds that fits."""
     rng = plot.rng
     for i in rng.permutation(4):
-        length = plot.edge(i)[3]
+        length = plot.edge(i).length
         at = float(rng.uniform(1, 5))
         while at < length - 12:
             for _ in range(3):
@@ -45,7 +45,7 @@ def _inside(plot: Plot, kinds: tuple[str, ...], tries: int, gap: float) -> None:
         index = _drawn(plot, kinds, ())
         for _ in range(5):
             x, y = rng.uniform(low, high)
-            if plot.build(index, float(x), float(y), plot.edge(int(rng.integers(4)))[4], gap, 3.0):
+            if plot.build(index, float(x), float(y), plot.edge(int(rng.integers(4))).angle, gap, 3.0):
                 break
 
 
@@ -53,13 +53,12 @@ def terraces(plot: Plot) -> Surface:
     """Rows of identical terraces back to back, with a garden for each house."""
     rng = plot.rng
     index = plot.pools.shared("terrace", plot.district.split, 5, rng)
-    look = plot.pools[index]
-    length, depth = look.size
+    length, depth = plot.pools[index].size
     first = plot.longest()
     for i in (first, first + 2, first + 1, first + 3):
-        start, along, normal, edge, angle = plot.edge(i)
-        room = max(0, int((edge - 4) // (length + 3)))
-        slack = (edge - room * length) / (room + 1)
+        edge = plot.edge(i)
+        room = max(0, int((edge.length - 4) // (length + 3)))
+        slack = (edge.length - room * length) / (room + 1)
         for n in range(room):
             at = slack + n * (length + slack) + length / 2
             if not plot.front(index, i, at, 4.0, 1.0):
@@ -67,16 +66,15 @@ def terraces(plot: Plot) -> Surface:
             unit = length / max(1, round(length / 5.8))
             out = 4.0 + depth
             for m in range(round(length / unit)):
-                x, y = start + along * (at - length / 2 + (m + 0.5) * unit) + normal * (out + 6)
                 kind: Surface = ("garden", "garden", "lawn", "paved", "dirt", "garden")[int(rng.integers(6))]
-                plot.lay(kind, float(x), float(y), unit, 12, angle, solid=False)
-                fence = start + along * (at - length / 2 + m * unit) + normal * out
-                if rng.random() < 0.8 and within(np.stack([fence, fence + normal * 12]), plot.polygon).all():
-                    plot.hedge(fence, fence + normal * 12)
+                garden = edge.at(at - length / 2 + (m + 0.5) * unit, out + 6)
+                plot.lay(kind, *garden, unit, 12, edge.angle, solid=False)
+                fence = np.array(edge.at(at - length / 2 + m * unit, out))
+                if rng.random() < 0.8 and within(np.stack([fence, fence + edge.normal * 12]), plot.polygon).all():
+                    plot.hedge(fence, fence + edge.normal * 12)
                 if rng.random() < 0.4:
                     shed = plot.pools.shared("shed", "", 8, rng)
-                    x, y = start + along * (at - length / 2 + (m + 0.4) * unit) + normal * (out + 10)
-                    plot.build(shed, float(x), float(y), angle, 0.4)
+                    plot.build(shed, *edge.at(at - length / 2 + (m + 0.4) * unit, out + 10), edge.angle, 0.4)
     plot.plant(int(area(plot.polygon) / 70), (1, 2, 5, 5, 4, 5), (5, 12))
     return "garden"
 
@@ -85,30 +83,29 @@ def detached(plot: Plot) -> Surface:
     """Houses in gardens, with driveways, garages, and many trees."""
     rng = plot.rng
     for i in range(4):
-        start, along, normal, edge, angle = plot.edge(i)
+        edge = plot.edge(i)
         at = float(rng.uniform(8, 14))
-        while at < edge - 8:
+        while at < edge.length - 8:
             index = plot.pools.shared("house", "", 26, rng)
             setback = float(rng.uniform(5, 8))
             if plot.front(index, i, at, setback, 3.0):
                 side = at + plot.pools[index].size[0] / 2 + 2.2
-                x, y = start + along * side + normal * (setback + 1.0)
                 drive: Surface = ("asphalt", "concrete", "gravel")[int(rng.integers(3))]
-                if plot.lay(drive, float(x), float(y), 3.0, 2 * setback, angle, border=-1):
-                    plot.draft.stalls.append((float(x), float(y), angle + np.pi / 2, 0, 0.5))
+                middle = edge.at(side, setback + 1.0)
+                if plot.lay(drive, *middle, 3.0, 2 * setback, edge.angle, border=-1):
+                    plot.draft.stalls.append((*middle, edge.angle + np.pi / 2, 0, 0.5))
                     if rng.random() < 0.6:
-                        x, y = start + along * side + normal * (2 * setback + 4)
-                        plot.build(plot.pools.shared("shed", "", 8, rng), float(x), float(y), angle, 0.3)
+                        shed = plot.pools.shared("shed", "", 8, rng)
+                        plot.build(shed, *edge.at(side, 2 * setback + 4), edge.angle, 0.3)
                 if rng.random() < 0.7:
-                    fence = start + along * (at - plot.pools[index].size[0] / 2 - 3)
-                    plot.hedge(fence + normal, fence + normal * 24)
+                    fence = edge.start + edge.along * (at - plot.pools[index].size[0] / 2 - 3)
+                    plot.hedge(fence + edge.normal, fence + edge.normal * 24)
                 if rng.random() < 0.12:
-                    x, y = start + along * at + normal * (setback + 17)
                     size = float(rng.uniform(6, 9)), float(rng.uniform(3, 4.5))
-                    plot.lay("pool", float(x), float(y), *size, angle, round_=bool(rng.random() < 0.4))
+                    plot.lay("pool", *edge.at(at, setback + 17), *size, edge.angle, round_=bool(rng.random() < 0.4))
                 if rng.random() < 0.5:
-                    x, y = start + along * at + normal * (setback + 12)
-                    plot.lay("paved", float(x), float(y), rng.uniform(4, 8), rng.uniform(3, 5), angle, solid=False)
+                    size = rng.uniform(4, 8), rng.uniform(3, 5)
+                    plot.lay("paved", *edge.at(at, setback + 12), *size, edge.angle, solid=False)
             at += float(rng.uniform(17, 23))
     plot.plant(int(area(plot.polygon) / 42), (0, 1, 2, 4, 5, 5, 1), (6, 17))
     return "garden"
@@ -119,21 +116,21 @@ def dormitories(plot: Plot) -> Surface:
     rng = plot.rng
     index = plot.pools.shared("dormitory", plot.district.split, 5, rng)
     length, depth = plot.pools[index].size
-    start, along, normal, edge, angle = plot.edge(plot.longest())
-    _, _, _, across, _ = plot.edge(plot.longest() + 1)
+    one = plot.edge(plot.longest())
+    start, along, normal, edge, angle = one
+    across = plot.edge(plot.longest() + 1).length
     crossways = rng.random() < 0.5
     step, reach = (depth + rng.uniform(15, 22), length) if crossways else (length + rng.uniform(9, 16), depth)
     lanes = max(1, int((across - 6) // (reach + 14)))
     parked = edge * rng.uniform(0, 0.3)
     if parked > 18:
-        x, y = start + along * (edge - parked / 2 - 3) + normal * (across / 2)
-        plot.car_park(float(x), float(y), across - 16, parked - 8, angle + np.pi / 2)
+        plot.car_park(*one.at(edge - parked / 2 - 3, across / 2), across - 16, parked - 8, angle + np.pi / 2)
     for lane in range(lanes):
         y0 = (lane + 0.5) * across / lanes
         for at in np.arange(step / 2 + 2, edge - 4, step):
-            x, y = start + along * at + normal * y0
-            if plot.build(index, float(x), float(y), angle + (np.pi / 2 if crossways else 0), 4.0, 2.0):
-                foot = np.array([x, y]) + normal * (reach / 2 + 3.5)
+            middle = one.at(at, y0)
+            if plot.build(index, *middle, angle + (np.pi / 2 if crossways else 0), 4.0, 2.0):
+                foot = np.array(middle) + normal * (reach / 2 + 3.5)
                 plot.path(np.stack([foot - along * step / 2, foot + along * step / 2]), 1.8, "concrete")
     spine = start + normal * (across / lanes)
     plot.path(np.stack([spine + along * 4, spine + along * (edge - 4)]), 2.4, "concrete")
@@ -156,8 +153,7 @@ def quadrangle(plot: Plot) -> Surface:
         plot.path(np.stack([corners[a], corners[b]]), 2.6, "gravel" if old else "concrete")
     for i in range(4):
         plot.path(np.stack([corners[i], corners[(i + 1) % 4]]), 2.2, "gravel" if old else "concrete")
-    x, y = plot.middle
-    plot.lay("plaza", float(x), float(y), 18, 18, 0.0, round_=True)
+    plot.lay("plaza", *plot.middle, 18, 18, 0.0, round_=True)
     plot.plant(int(area(plot.polygon) / 85), GROVE, (9, 20), clump=18 if plot.rng.random() < 0.4 else 0.0)
     return "lawn"
 
@@ -169,10 +165,8 @@ def laboratories(plot: Plot) -> Surface:
     _inside(plot, kinds, 4, 6.0)
     plot.leftover_parking()
     plot.walks(2, "concrete")
-    x, y = plot.middle
-    corners = inset(plot.polygon, np.full(4, 3.0))
-    for corner in corners:
-        plot.path(np.stack([corner, np.array([x, y])]), 3.0, "concrete")
+    for corner in inset(plot.polygon, np.full(4, 3.0)):
+        plot.path(np.stack([corner, plot.middle]), 3.0, "concrete")
     plot.islands(24)
     plot.plant_beds((2, 1, 0, 5), (7, 16))
     plot.plant(int(area(plot.polygon) / 140), GROVE, (7, 17))
@@ -185,8 +179,7 @@ def offices(plot: Plot) -> Surface:
     _fill(plot, kinds, (), 1.0, 4.0)
     _inside(plot, ("slab", "lshape"), 3, 5.0)
     plot.leftover_parking()
-    x, y = plot.middle
-    plot.lay("plaza", float(x), float(y), 20, 14, 0.0)
+    plot.lay("plaza", *plot.middle, 20, 14, 0.0)
     plot.islands(26)
     plot.plant_beds((2, 1, 0, 5), (6, 14))
     plot.plant(int(area(plot.polygon) / 190), (2, 1, 0), (6, 13))
@@ -199,14 +192,17 @@ def industry(plot: Plot) -> Surface:
     alike = rng.random() < 0.55
     kinds = ("hall",) if alike else ("hall", "hall", "shop", "slab")
     _fill(plot, kinds, ("hall",) if alike else (), 8.0, 9.0)
-    start, along, normal, edge, angle = plot.edge(plot.longest())
-    across = plot.edge(plot.longest() + 1)[3]
+    edge, across = plot.edge(plot.longest()), plot.edge(plot.longest() + 1).length
+    angle = edge.angle
+
+    def somewhere() -> tuple[float, float]:
+        return edge.at(rng.uniform(0, edge.length), rng.uniform(0, across))
+
     for _ in range(3):
-        x, y = start + along * rng.uniform(0, edge) + normal * rng.uniform(0, across)
-        plot.car_park(float(x), float(y), rng.uniform(20, 40), 16, angle)
+        plot.car_park(*somewhere(), rng.uniform(20, 40), 16, angle)
     for _ in range(4):  # container yards
-        x, y = start + along * rng.uniform(0, edge) + normal * rng.uniform(0, across)
-        if plot.lay("gravel" if rng.random() < 0.5 else "dirt", float(x), float(y), 28, 18, angle):
+        x, y = somewhere()
+        if plot.lay("gravel" if rng.random() < 0.5 else "dirt", x, y, 28, 18, angle):
             plot.hard.pop()
             for row in range(5):
                 for step in range(2):
@@ -214,12 +210,12 @@ def industry(plot: Plot) -> Surface:
                         a, b = turned(np.array([[step * 13 - 6.5, row * 3.2 - 6.5]]), angle)[0] + (x, y)
                         plot.build(plot.pools.shared("container", "", 10, rng), float(a), float(b), angle, 0.2)
     for _ in range(int(rng.integers(0, 5))):
-        x, y = start + along * rng.uniform(0, edge) + normal * rng.uniform(0, across)
-        plot.build(plot.pools.shared("tank", "", 5, rng), float(x), float(y), angle, 2)
+        place = somewhere()
+        plot.build(plot.pools.shared("tank", "", 5, rng), *place, angle, 2)
     for _ in range(8):
-        x, y = start + along * rng.uniform(5, edge - 5) + normal * rng.uniform(4, across - 4)
-        if plot.free(rectangle(float(x), float(y), 9, 4, angle)):
-            plot.draft.stalls.append((float(x), float(y), angle + float(rng.integers(4)) * np.pi / 2, 2, 0.5))
+        place = edge.at(rng.uniform(5, edge.length - 5), rng.uniform(4, across - 4))
+        if plot.free(rectangle(*place, 9, 4, angle)):
+            plot.draft.stalls.append((*place, angle + float(rng.integers(4)) * np.pi / 2, 2, 0.5))
     plot.islands(10)
     plot.plant_beds((2, 1, 0, 5), (6, 13))
     plot.plant(int(area(plot.polygon) / 190), (2, 3, 5, 1, 0), (6, 14), clump=9)
@@ -230,12 +226,11 @@ def retail(plot: Plot) -> Surface:
     """A store in its car park."""
     index = plot.pools.own("shop", plot.rng)
     i = int(plot.rng.integers(4))
-    plot.front(index, i, plot.edge(i)[3] * plot.rng.uniform(0.4, 0.6), 6.0)
-    start, along, normal, edge, angle = plot.edge(i)
-    back = plot.edge(i + 1)[3]
-    for length, width in ((edge * 0.8, 64), (edge * 0.7, 48), (edge * 0.6, 32), (edge * 0.4, 16)):
-        x, y = start + along * edge / 2 + normal * (back - width / 2 - 6)
-        if plot.car_park(float(x), float(y), length, width, angle):
+    edge, back = plot.edge(i), plot.edge(i + 1).length
+    plot.front(index, i, edge.length * plot.rng.uniform(0.4, 0.6), 6.0)
+    for share, width in ((0.8, 64), (0.7, 48), (0.6, 32), (0.4, 16)):
+        middle = edge.at(edge.length / 2, back - width / 2 - 6)
+        if plot.car_park(*middle, edge.length * share, width, edge.angle):
             break
     plot.leftover_parking()
     plot.islands(14)
@@ -251,9 +246,9 @@ def old_town(plot: Plot) -> Surface:
         kind = ("old courtyard", "old ushape", "old lshape", "church", "old tshape")[int(rng.integers(5))]
         index = plot.pools.own(kind, rng)
         i = int(rng.integers(4))
-        plot.front(index, i, plot.edge(i)[3] / 2, 0.6, 0.2)
+        plot.front(index, i, plot.edge(i).length / 2, 0.6, 0.2)
     for i in range(4):
-        length = plot.edge(i)[3]
+        length = plot.edge(i).length
         at = 0.6
         while at < length - 7:
             index = plot.pools.shared("townhouse", "", 30, rng)
@@ -266,7 +261,7 @@ def old_town(plot: Plot) -> Surface:
         x, y = rng.uniform(plot.polygon.min(axis=0), plot.polygon.max(axis=0))
         kind = "townhouse" if rng.random() < 0.4 else "shed"
         index = plot.pools.shared(kind, "", 30, rng)
-        plot.build(index, float(x), float(y), plot.edge(int(rng.integers(4)))[4], 1.5)
+        plot.build(index, float(x), float(y), plot.edge(int(rng.integers(4))).angle, 1.5)
     plot.plant(int(area(plot.polygon) / 80), (1, 2, 5, 5), (5, 12))
     return "paved" if rng.random() < 0.6 else "garden"
 
@@ -274,9 +269,8 @@ def old_town(plot: Plot) -> Surface:
 def civic(plot: Plot) -> Surface:
     """Public buildings around a square."""
     _fill(plot, ("old courtyard", "old ushape", "church", "old tshape", "old lshape", "courtyard"), (), 3.0, 5.0)
-    x, y = plot.middle
     for size in (40, 28, 18):
-        if plot.lay("plaza", float(x), float(y), size, size * 0.8, float(plot.rng.uniform(0, 3))):
+        if plot.lay("plaza", *plot.middle, size, size * 0.8, float(plot.rng.uniform(0, 3))):
             break
     plot.islands(20)
     plot.plant_beds((2, 1, 0), (7, 16))

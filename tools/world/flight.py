@@ -111,7 +111,7 @@ def _render(
             for file in maps:
                 data = _map(settings, site, plan, made, look) if file == MAP else _elevation(site, plan, made)
                 write_atomic(out / file, data)
-                advance(1)
+                advance()
         if missing:
             day = photo.flight_look(settings.seed)
             made = scene(day)
@@ -121,7 +121,7 @@ def _render(
                 look = replace(day, exposure=day.exposure * float(rng.normal(1, 0.03)))
                 light = made.frame(picture.pose, settings.width, settings.width * 3 // 4)
                 write_atomic(_photo(out, picture), flight_files.photo_bytes(picture, photo.develop(light, look, rng)))
-                advance(1)
+                advance()
 
 
 def _map(settings: FlightSettings, site: Site, plan: FlightPlan, scene: BlenderScene, look: photo.Look) -> bytes:

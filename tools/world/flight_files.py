@@ -151,13 +151,9 @@ class MapGrid:
         cut = np.empty((self.pixels, self.pixels, values.shape[2]), np.float32)
         for row, middle in enumerate(middles):
             source_pixels = (_terms(middles, np.full(self.pixels, middle)) @ fit - 0.5).astype(np.float32)
-            cut[row] = cv2.remap(
-                values,
-                source_pixels[None, :, 0],
-                source_pixels[None, :, 1],
-                interpolation,
-                borderMode=cv2.BORDER_REPLICATE,
-            ).reshape(self.pixels, -1)
+            across, down = source_pixels.T[:, None]
+            taken = cv2.remap(values, across, down, interpolation, borderMode=cv2.BORDER_REPLICATE)
+            cut[row] = taken.reshape(self.pixels, -1)
         return cut
 
     def geotiff(self, pixels: NDArray[np.uint8]) -> bytes:

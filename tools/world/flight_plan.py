@@ -315,8 +315,7 @@ def _ground_speed(wind: Float64Array, course: float) -> float:
 def _across(wind: Float64Array, courses: Float64Array) -> Float64Array:
     """Return the wind (n,) from the right of courses in degrees; metres a second."""
     at = np.radians(courses)
-    blown: Float64Array = -(wind[:, 0] * np.cos(at) - wind[:, 1] * np.sin(at))
-    return blown
+    return np.asarray(-(wind[:, 0] * np.cos(at) - wind[:, 1] * np.sin(at)))
 
 
 def gauss_markov(rng: np.random.Generator, times: Float64Array, deviation: float, seconds: float) -> Float64Array:

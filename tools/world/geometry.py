@@ -13,15 +13,13 @@ from lpn.core.arrays import Float64Array
 def rectangle(x: float, y: float, length: float, width: float, angle: float) -> Float64Array:
     """Return the corners (4, 2) of a rectangle around (x, y) whose length points at `angle` radians from east."""
     half = np.array([[-length, -width], [length, -width], [length, width], [-length, width]]) / 2
-    corners: Float64Array = turned(half, angle) + np.array([x, y])
-    return corners
+    return np.asarray(turned(half, angle) + np.array([x, y]))
 
 
 def turned(points: Float64Array, angle: float) -> Float64Array:
     """Rotate points (n, 2) counter-clockwise about the origin."""
     c, s = np.cos(angle), np.sin(angle)
-    result: Float64Array = points @ np.array([[c, s], [-s, c]])
-    return result
+    return np.asarray(points @ np.array([[c, s], [-s, c]]))
 
 
 def overlap(a: Float64Array, b: Float64Array, margin: float = 0.0) -> bool:
@@ -40,8 +38,7 @@ def within(points: Float64Array, polygon: Float64Array, margin: float = 0.0) -> 
     edges = np.roll(polygon, -1, axis=0) - polygon
     normals = np.stack([-edges[:, 1], edges[:, 0]], axis=1) / np.linalg.norm(edges, axis=1)[:, None]
     distance = points @ normals.T - (polygon * normals).sum(axis=1)
-    inside: NDArray[np.bool_] = (distance >= margin).all(axis=1)
-    return inside
+    return np.asarray((distance >= margin).all(axis=1))
 
 
 def inset(polygon: Float64Array, distances: Float64Array) -> Float64Array:
@@ -66,16 +63,14 @@ def ellipse(x: float, y: float, length: float, width: float, angle: float, corne
     """Return a polygon (corners, 2) on an ellipse of these diameters."""
     around = np.arange(corners) * 2 * np.pi / corners
     ring = np.stack([np.cos(around) * length / 2, np.sin(around) * width / 2], axis=1)
-    moved: Float64Array = turned(ring, angle) + np.array([x, y])
-    return moved
+    return np.asarray(turned(ring, angle) + np.array([x, y]))
 
 
 def segment_distance(points: Float64Array, start: Float64Array, end: Float64Array) -> Float64Array:
     """Distances (n,) of points (n, 2) to the segment from `start` to `end`."""
     along = end - start
     share = np.clip((points - start) @ along / max(float(along @ along), 1e-9), 0.0, 1.0)
-    distance: Float64Array = np.linalg.norm(points - start - share[:, None] * along, axis=1)
-    return distance
+    return np.asarray(np.linalg.norm(points - start - share[:, None] * along, axis=1))
 
 
 @dataclass(frozen=True)
@@ -102,5 +97,4 @@ class Waves:
         return cls(vectors, rng.uniform(0, 2 * np.pi, count), height * weights * 1.6)
 
     def __call__(self, points: Float64Array) -> Float64Array:
-        value: Float64Array = np.sin(points @ self.vectors.T + self.phases) @ self.heights
-        return value
+        return np.asarray(np.sin(points @ self.vectors.T + self.phases) @ self.heights)

@@ -15,7 +15,7 @@ def sports(plot: Plot) -> Surface:
     """Pitches, a track, courts, and identical halls."""
     rng = plot.rng
     start, along, normal, edge, angle = plot.edge(plot.longest())
-    across = plot.edge(plot.longest() + 1)[3]
+    across = plot.edge(plot.longest() + 1).length
     halls = plot.pools.shared("hall", plot.district.split, 2, rng)
 
     def at(share: float, depth: float) -> tuple[float, float]:
@@ -51,10 +51,10 @@ def park(plot: Plot) -> Surface:
     rng = plot.rng
     if rng.random() < 0.75:
         kind = ("round", "old tshape", "old ushape", "pavilion", "ushape", "lshape")[int(rng.integers(6))]
-        plot.front(plot.pools.own(kind, rng), int(rng.integers(4)), plot.edge(0)[3] / 2, rng.uniform(8, 20))
+        plot.front(plot.pools.own(kind, rng), int(rng.integers(4)), plot.edge(0).length / 2, rng.uniform(8, 20))
     low, high = plot.polygon.min(axis=0), plot.polygon.max(axis=0)
     if rng.random() < 0.6:
-        x, y = plot.middle + rng.uniform(-0.15, 0.15, 2) * (high - low)
+        x, y = np.array(plot.middle) + rng.uniform(-0.15, 0.15, 2) * (high - low)
         for size in (0.5, 0.35, 0.2):
             length, width = ((high - low) * size * rng.uniform(0.7, 1.1, 2)).tolist()
             if plot.lay("water", float(x), float(y), length, width, float(rng.uniform(0, 3)), round_=True):
@@ -69,17 +69,16 @@ def school(plot: Plot) -> Surface:
     """A school with its playground and small pitch."""
     rng = plot.rng
     i = plot.longest()
-    start, along, normal, edge, angle = plot.edge(i)
-    across = plot.edge(i + 1)[3]
+    edge, across = plot.edge(i), plot.edge(i + 1).length
     for kind, share in ((("ushape", "tshape", "lshape")[int(rng.integers(3))], 0.3), ("slab", 0.75)):
-        plot.front(plot.pools.own(kind, rng), i, edge * share, 6.0)
+        plot.front(plot.pools.own(kind, rng), i, edge.length * share, 6.0)
     grounds: tuple[tuple[Surface, tuple[float, float]], ...] = (
         ("playground", (30, 20)), ("pitch", (56, 36)), ("court", (30, 15.5)), ("playground", (22, 18)),
     )  # fmt: skip
     for surface, size in grounds:
         for _ in range(6):
-            x, y = start + along * rng.uniform(0, edge) + normal * rng.uniform(0, across)
-            if plot.lay(surface, float(x), float(y), *size, angle):
+            place = edge.at(rng.uniform(0, edge.length), rng.uniform(0, across))
+            if plot.lay(surface, *place, *size, edge.angle):
                 break
     plot.leftover_parking()
     plot.plant(int(area(plot.polygon) / 90), GROVE, (7, 16))
@@ -93,7 +92,7 @@ def countryside(plot: Plot) -> Surface:
     if use < 0.3:
         plot.plant(int(area(plot.polygon) / 38), (0, 1, 4, 4, 0), (9, 19))
         return "wood"
-    angle = plot.edge(plot.longest())[4]
+    angle = plot.edge(plot.longest()).angle
     low, high = plot.polygon.min(axis=0), plot.polygon.max(axis=0)
     shape = inset(plot.polygon, np.full(4, 4.0))
     length, width = (high - low).tolist()
@@ -104,7 +103,8 @@ def countryside(plot: Plot) -> Surface:
         plot.plant_at(places, (0, 1, 5, 5, 3), (6, 12))
     if use > 0.75:
         for _ in range(4):
-            x, y = plot.polygon[0] + (plot.middle - plot.polygon[0]) * rng.uniform(0.15, 0.5) + rng.uniform(-12, 12, 2)
+            inwards = (np.array(plot.middle) - plot.polygon[0]) * rng.uniform(0.15, 0.5)
+            x, y = plot.polygon[0] + inwards + rng.uniform(-12, 12, 2)
             plot.build(plot.pools.shared("barn", "", 6, rng), float(x), float(y), angle, 3)
     return "field"
 

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import MISSING, asdict, fields
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
 from rich.console import Console
@@ -56,7 +57,7 @@ def check_folder(settings: Settings | FlightSettings, file: Path, form: str) -> 
 
 
 @contextmanager
-def progress(total: int) -> Iterator[tuple[Path, Callable[[float], None]]]:
+def progress(total: int) -> Iterator[tuple[Path, Callable[[], None]]]:
     """Show the progress of `total` pictures, Blender's reports kept quiet; yields a scratch folder and a call to advance."""
     from tools.world import render
 
@@ -64,7 +65,7 @@ def progress(total: int) -> Iterator[tuple[Path, Callable[[float], None]]]:
     with (
         render.quiet() as stream,
         Progress(*columns, console=Console(file=stream)) as bar,
-        render.scratch_folder() as folder,
+        TemporaryDirectory(prefix="lpn-world-") as folder,
     ):
         task = bar.add_task("Rendering", total=total)
-        yield folder, lambda steps: bar.advance(task, steps)
+        yield Path(folder), lambda: bar.advance(task)

@@ -30,8 +30,7 @@ def reflected(tints: Float64Array, normals: Float64Array) -> Float64Array:
     """Compute the light (n, 3) reflected by surfaces of linear reflectance (n, 3) with unit normals (n, 3)."""
     sun = np.clip(normals @ towards_sun(), 0, None)[:, None]
     sky = (0.62 + 0.38 * normals[:, 2])[:, None]
-    light: Float64Array = tints * (sun * _SUN + sky * _SKY)
-    return light
+    return np.asarray(tints * (sun * _SUN + sky * _SKY))
 
 
 def displayed(light: Float64Array) -> NDArray[np.uint8]:
@@ -42,9 +41,7 @@ def displayed(light: Float64Array) -> NDArray[np.uint8]:
 
 def linear(colours: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Convert sRGB colours to linear ones, which glTF uses for vertices."""
-    value = colours / 255
-    steps = 255 * np.where(value < 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
-    return np.asarray(np.rint(steps), np.uint8)
+    return np.asarray(np.rint(255 * photo.linear_of(colours / 255)), np.uint8)
 
 
 def sunshine(city: City, west: float, north: float, shape: tuple[int, int], scale: float) -> Float32Array:

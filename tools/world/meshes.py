@@ -128,8 +128,7 @@ def _shrunk(ring: Float64Array, by: float) -> Float64Array:
     normal = np.stack([-ahead[:, 1], ahead[:, 0]], axis=1)
     before = np.roll(normal, 1, axis=0)
     middle = normal + before
-    shrunk: Float64Array = ring + by * middle * (2 / (middle**2).sum(axis=1))[:, None]
-    return shrunk
+    return np.asarray(ring + by * middle * (2 / (middle**2).sum(axis=1))[:, None])
 
 
 def _pitched(mesh: Mesh, part: Volume, ring: Float64Array, cover: str) -> None:
@@ -211,12 +210,12 @@ def _item(mesh: Mesh, item: RoofItem) -> None:
         ring = np.stack([np.cos(around), np.sin(around)], axis=1) * item.length / 2 + (item.x, item.y)
         mesh.prism(ring, item.z, item.z + item.height, "plain", item.tint)
     elif item.shape == "solar":
-        ring = rectangle(item.x, item.y, item.length, item.width, item.angle)
+        ring = rectangle(item.x, item.y, item.length, item.width, 0.0)
         heights = item.z + np.array([0.25, 0.25, 0.25 + item.height, 0.25 + item.height])
         mesh.add(np.column_stack([ring, heights]), "glass", item.tint)
     else:
         material = "glass" if item.shape == "skylight" else "plain"
-        mesh.box(item.x, item.y, item.z, item.length, item.width, item.height, item.angle, material, item.tint)
+        mesh.box(item.x, item.y, item.z, item.length, item.width, item.height, 0, material, item.tint)
 
 
 def tree(species: str, rng: np.random.Generator) -> Mesh:

@@ -13,19 +13,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lpn.core import images
-from lpn.core.arrays import Float32Array, Float64Array
+from lpn.core.arrays import Float32Array
 from lpn.core.errors import InputError
 from lpn.datasets.city_model import MAX_BYTES
-from tools.world import light, paint, solids, textures
+from tools.world import light, paint, photo, solids, textures
 from tools.world.atlas import Atlas
 from tools.world.cameras import TILE, Site, Tile
-from tools.world.city import City
+from tools.world.city import City, Window, grid, middles, within_window
 from tools.world.glb import MOST_VERTICES, Primitive, glb
 from tools.world.meshes import BAYS, STOREYS
 from tools.world.solids import PLAIN, TREE_BYTES, Solid, Solids
-
-# West, south, east, and north border in metres of the plan.
-PlanBounds = tuple[float, float, float, float]
 
 _MARGIN = 120.0  # metres around the tiles
 _PIECE = 512.0  # metres of ground painted at once
@@ -68,7 +65,7 @@ DETAILS = (
 )
 
 
-def test_window(atlas: Atlas) -> PlanBounds:
+def test_window(atlas: Atlas) -> Window:
     """Return the ground that the tiles of the test split show, with a margin; the explorer's map covers it."""
     tiles = [
         shot.camera
@@ -82,7 +79,7 @@ def test_window(atlas: Atlas) -> PlanBounds:
     return west, south, east, north
 
 
-def city_model(city: City, site: Site, window: PlanBounds, largest: int = MAX_BYTES) -> bytes:
+def city_model(city: City, site: Site, window: Window, largest: int = MAX_BYTES) -> bytes:
     """Encode the part of a city within a window as GLB, with as much detail as fits.
 
     Args:
@@ -92,7 +89,7 @@ def city_model(city: City, site: Site, window: PlanBounds, largest: int = MAX_BY
     Raises:
         InputError: when the least detail does not fit.
     """
-    trees = _within(window, city.trees.x, city.trees.y)
+    trees = within_window(window, city.trees.x, city.trees.y)
     trees = trees[np.argsort(-city.trees.height[trees], kind="stable")]
     for detail in DETAILS:
         built = _primitives(_built(city, window, detail))
@@ -123,21 +120,14 @@ def _bytes(primitives: list[Primitive]) -> int:
     return arrays + sum(len(picture) for picture in pictures)
 
 
-def _built(city: City, window: PlanBounds, detail: Detail) -> Solids:
+def _built(city: City, window: Window, detail: Detail) -> Solids:
     """Return everything in the window except ground and trees."""
     sizes = np.array([np.prod(city.architectures[b.architecture].size) for b in city.buildings])
-    x, y = (np.array([getattr(b, key) for b in city.buildings]) for key in ("x", "y"))
-    numbers = _within(window, x, y)
+    numbers = within_window(window, *middles(city.buildings))
     built = solids.buildings(city, numbers[sizes[numbers] >= detail.house], detail.item, detail.face)
-    x, y = (np.array([getattr(b, key) for b in city.bridges]) for key in ("x", "y"))
-    built.extend(solids.bridges(city, _within(window, x, y)))
+    built.extend(solids.bridges(city, within_window(window, *middles(city.bridges))))
     built.add(PLAIN, _edge(city, window, detail.grid))
     return built
-
-
-def _within(window: PlanBounds, x: Float64Array, y: Float64Array) -> NDArray[np.int_]:
-    west, south, east, north = window
-    return np.flatnonzero((x > west) & (x < east) & (y > south) & (y < north))
 
 
 def _primitives(built: Solids, plain: str = "plain") -> list[Primitive]:
@@ -158,24 +148,20 @@ def _windows(style: str) -> bytes:
     height, width = (int(_UNITS * side / units) for side, units in zip(pattern.shape, (STOREYS, BAYS), strict=False))
     side = _UNITS * _UNIT_PIXELS
     value = np.clip(cv2.resize(pattern[-height:, :width], (side, side), interpolation=cv2.INTER_AREA), 0, 1)
-    encoded = np.where(value < 0.0031308, 12.92 * value, 1.055 * np.maximum(value, 1e-6) ** (1 / 2.4) - 0.055)
-    return cv2.imencode(".png", np.rint(encoded[..., ::-1] * 255).astype(np.uint8))[1].tobytes()
+    return cv2.imencode(".png", np.rint(photo.srgb_of(value)[..., ::-1] * 255).astype(np.uint8))[1].tobytes()
 
 
-def _ground(city: City, window: PlanBounds, detail: Detail) -> Primitive:
+def _ground(city: City, window: Window, detail: Detail) -> Primitive:
     west, south, east, north = window
     columns, rows = (max(2, round(length / detail.grid) + 1) for length in (east - west, north - south))
-    places = np.stack(np.meshgrid(np.linspace(west, east, columns), np.linspace(south, north, rows)), axis=-1)
-    vertices = np.concatenate([places, city.terrain(places)[..., None]], axis=-1).reshape(-1, 3)
-    index = np.arange(rows * columns).reshape(rows, columns)
-    a, b, c, d = (corner.reshape(-1) for corner in (index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]))
-    faces = np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)])
+    vertices, quads = grid(city.terrain, np.linspace(west, east, columns), np.linspace(south, north, rows))
+    faces = np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
     uv = (vertices[:, :2] - (west, north)) / (east - west, south - north)
     picture = images.jpeg(_painted(city, window, detail.pixel), _QUALITY)
     return Primitive("ground", vertices, faces, uv=uv, picture=picture)
 
 
-def _painted(city: City, window: PlanBounds, pixel: float) -> NDArray[np.uint8]:
+def _painted(city: City, window: Window, pixel: float) -> NDArray[np.uint8]:
     """Paint the lit ground (h, w, 3) in sRGB, north up, at twice the resolution, and shrink it."""
     west, south, east, north = window
     width, height = round((east - west) / pixel), round((north - south) / pixel)
@@ -197,7 +183,7 @@ def _halved(layer: Float32Array, side: int) -> Float32Array:
     return np.asarray(cv2.resize(layer, (side, side), interpolation=cv2.INTER_AREA), np.float32)
 
 
-def _edge(city: City, window: PlanBounds, grid: float) -> Solid:
+def _edge(city: City, window: Window, grid: float) -> Solid:
     """Make the cut through the soil along the border."""
     west, south, east, north = window
     corners = np.array([(west, south), (east, south), (east, north), (west, north), (west, south)])

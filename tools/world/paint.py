@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 
 from lpn.core.arrays import Float32Array, Float64Array
 from tools.world.architecture import Reflectance
 from tools.world.canvas import Canvas
 from tools.world.city import City, Patch, Street
-from tools.world.geometry import turned, within
+from tools.world.geometry import rectangle, turned, within
 from tools.world.plot import parking_rows
 from tools.world.streets import beside
 
@@ -41,7 +40,6 @@ _GROUND: dict[str, tuple[Reflectance, float, float]] = {  # colour, grain, blotc
     "gravel": ((0.34, 0.29, 0.22), 0.12, 0.12),
     "concrete": ((0.36, 0.35, 0.32), 0.07, 0.14),
     "dirt": ((0.25, 0.185, 0.12), 0.16, 0.22),
-    "sand": ((0.46, 0.38, 0.26), 0.08, 0.1),
     "plaza": ((0.38, 0.34, 0.29), 0.08, 0.1),
     "playground": ((0.17, 0.17, 0.17), 0.06, 0.1),
     "parking": ((0.14, 0.14, 0.14), 0.08, 0.18),
@@ -93,8 +91,7 @@ def _scaled(colour: Reflectance, factor: float) -> Reflectance:
 def _grown(ring: Float64Array, by: float) -> Float64Array:
     middle = (ring.max(axis=0) + ring.min(axis=0)) / 2
     extent = np.ptp(ring, axis=0)
-    grown: Float64Array = middle + (ring - middle) * (1 + 2 * by / extent.max())
-    return grown
+    return np.asarray(middle + (ring - middle) * (1 + 2 * by / extent.max()))
 
 
 def _grass(canvas: Canvas, polygon: Float64Array, season: Season, shade: float, worn: float) -> None:
@@ -103,12 +100,9 @@ def _grass(canvas: Canvas, polygon: Float64Array, season: Season, shade: float, 
     base = tuple((green + (dry - green) * share).tolist())
     canvas.fill(polygon, base, 0.13, 0.13)
     # Dry and bare places come in blotches.
-    crop = canvas.masked(polygon, 0)
-    if crop is None:
+    if (where := canvas.mask(polygon, 0)) is None:
         return
-    rows, columns, at = crop
-    mask = np.zeros((rows.stop - rows.start, columns.stop - columns.start), np.uint8)
-    cv2.fillPoly(mask, [at.astype(np.int32)], 255, cv2.LINE_AA, 4)
+    rows, columns, mask = where
     blotches = np.clip(0.5 * canvas.field(9, rows, columns) + 0.5 * canvas.field(2, rows, columns) - 0.5, 0, 1)
     most = np.float32(min(0.8, 0.25 + 0.55 * season.dryness * worn))
     weight = (mask.astype(np.float32) / 255 * blotches * most)[..., None]
@@ -134,8 +128,7 @@ def _stains(canvas: Canvas, polygon: Float64Array, count: float = 0.004) -> None
         place = rng.uniform(low, high)
         if within(place[None], polygon, 1.0)[0]:
             length, width = rng.uniform(0.8, 6), rng.uniform(0.6, 2.5)
-            ring = turned(np.array([[-length, -width], [length, -width], [length, width], [-length, width]]) / 2,
-                          rng.uniform(0, 3)) + place  # fmt: skip
+            ring = rectangle(place[0], place[1], length, width, rng.uniform(0, 3))
             dark = rng.random() < 0.6
             canvas.fill(ring, (0.08, 0.08, 0.08) if dark else (0.4, 0.39, 0.36), 0.1, 0.1, rng.uniform(0.15, 0.5),
                         soft=0.0 if rng.random() < 0.5 else 0.8)  # fmt: skip
@@ -145,8 +138,7 @@ def _patch(canvas: Canvas, patch: Patch, season: Season) -> None:
     middle = patch.polygon.mean(axis=0)
 
     def local(points: list[tuple[float, float]]) -> Float64Array:
-        moved: Float64Array = turned(np.array(points), patch.angle) + middle
-        return moved
+        return np.asarray(turned(np.array(points), patch.angle) + middle)
 
     def marked(points: list[tuple[float, float]], width: float = 0.14, strength: float = 0.85) -> None:
         canvas.line(local(points), width, LINE, 0.05, strength)
@@ -230,8 +222,7 @@ def _patch(canvas: Canvas, patch: Patch, season: Season) -> None:
 def _clipped(line: Float64Array, polygon: Float64Array) -> Float64Array:
     places = line[0] + (line[1] - line[0]) * np.linspace(0, 1, 120)[:, None]
     inside = places[within(places, polygon, 0.3)]
-    ends: Float64Array = inside[[0, -1]] if len(inside) else places[:1]
-    return ends
+    return np.asarray(inside[[0, -1]] if len(inside) else places[:1])
 
 
 def _track(canvas: Canvas, patch: Patch, season: Season) -> None:
@@ -240,8 +231,7 @@ def _track(canvas: Canvas, patch: Patch, season: Season) -> None:
     def oval(radius: float, straight: float) -> Float64Array:
         around = np.linspace(-np.pi / 2, np.pi / 2, 20)
         right = np.stack([np.cos(around) * radius + straight / 2, np.sin(around) * radius], axis=1)
-        ring: Float64Array = turned(np.concatenate([right, -right]), patch.angle) + middle
-        return ring
+        return np.asarray(turned(np.concatenate([right, -right]), patch.angle) + middle)
 
     straight = patch.length - patch.width
     red: Reflectance = (0.33, 0.12, 0.08) if patch.shade < 0.75 else (0.12, 0.18, 0.3)
@@ -281,8 +271,8 @@ def _streets(canvas: Canvas, streets: list[Street], season: Season) -> None:
     for street in streets:
         line = street.line
         if street.kind == "arterial":
-            canvas.line(beside(line, 0.12), 0.15, LINE, 0.1, 0.8)
-            canvas.line(beside(line, -0.12), 0.15, LINE, 0.1, 0.8)
+            for offset in (0.12, -0.12):
+                canvas.line(beside(line, offset), 0.15, LINE, 0.1, 0.8)
             for offset in (-3.6, 3.6):
                 _dashes(canvas, beside(line, offset), 3.0, 9.0)
         elif street.kind == "local":

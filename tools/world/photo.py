@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from lpn.core.arrays import Float32Array, Float64Array
+from lpn.core.arrays import AnyArray, Float32Array, Float64Array
 from tools.world.architecture import Reflectance
 from tools.world.cameras import Pose
 from tools.world.paint import Season
@@ -132,7 +132,7 @@ def develop(light: Float32Array, look: Look, rng: np.random.Generator, pose: Pos
     value = light * np.float32(look.exposure) * np.array(look.balance, np.float32)
     # A film-like shoulder keeps white roofs from burning out.
     value = value * (1 + value / 4.5) / (1 + value)
-    developed = np.where(value < 0.0031308, 12.92 * value, 1.055 * np.maximum(value, 1e-6) ** (1 / 2.4) - 0.055)
+    developed = srgb_of(value)
     grey = developed @ np.array([0.3, 0.59, 0.11], np.float32)
     developed = grey[..., None] + look.saturation * (developed - grey[..., None])
     developed = 0.42 + look.contrast * (developed - 0.42)
@@ -141,8 +141,17 @@ def develop(light: Float32Array, look: Look, rng: np.random.Generator, pose: Pos
     if look.blur:
         developed = cv2.GaussianBlur(developed, (0, 0), look.blur)
     noise = rng.normal(0, look.noise, developed.shape) * 0.6 + rng.normal(0, look.noise, (*developed.shape[:2], 1))
-    picture: NDArray[np.uint8] = (np.clip(developed + noise, 0, 1) * 255 + 0.5).astype(np.uint8)
-    return picture
+    return np.asarray((np.clip(developed + noise, 0, 1) * 255 + 0.5).astype(np.uint8))
+
+
+def srgb_of(value: AnyArray) -> AnyArray:
+    """Convert linear light from 0 to 1 to sRGB."""
+    return np.asarray(np.where(value < 0.0031308, 12.92 * value, 1.055 * np.maximum(value, 1e-6) ** (1 / 2.4) - 0.055))
+
+
+def linear_of(value: AnyArray) -> AnyArray:
+    """Convert sRGB from 0 to 1 to linear light."""
+    return np.asarray(np.where(value < 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4))
 
 
 def _distance(pose: Pose, pixels: int) -> Float32Array:
@@ -152,5 +161,4 @@ def _distance(pose: Pose, pixels: int) -> Float32Array:
     right, up, forward = pose.axes()
     rays = forward + slope * (at[None, :, None] * right - at[:, None, None] * up)
     down = np.maximum(-rays[..., 2], 0.08)
-    distance: Float32Array = (pose.z / down * np.linalg.norm(rays, axis=-1)).astype(np.float32)
-    return distance
+    return np.asarray((pose.z / down * np.linalg.norm(rays, axis=-1)).astype(np.float32))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
@@ -15,6 +16,21 @@ from tools.world.geometry import area, ellipse, overlap, rectangle, segment_dist
 
 _NOTABLE = 260.0  # square metres a target covers at least
 _PADS: tuple[Surface, ...] = ("concrete", "asphalt", "paved", "asphalt", "lawn", "gravel")
+
+
+class Edge(NamedTuple):
+    """An edge of a block: its start, direction, inward normal, length, and the angle of its direction."""
+
+    start: Float64Array
+    along: Float64Array
+    normal: Float64Array
+    length: float
+    angle: float
+
+    def at(self, along: float, inward: float) -> tuple[float, float]:
+        """Return the point at metres along the edge and into the block."""
+        x, y = self.start + self.along * along + self.normal * inward
+        return float(x), float(y)
 
 
 class ArchitecturePool:
@@ -34,9 +50,7 @@ class ArchitecturePool:
 
     def taken(self, index: int) -> None:
         """Mark an architecture as used by a building."""
-        for kind, spare in list(self._spare.items()):
-            if spare == index:
-                del self._spare[kind]
+        self._spare = {kind: spare for kind, spare in self._spare.items() if spare != index}
 
     def _new(self, kind: str, rng: np.random.Generator) -> int:
         self._architectures.append(MAKERS[kind](rng))
@@ -70,22 +84,23 @@ class Plot:
     beds: list[Float64Array] = field(default_factory=list)
     trees: list[tuple[float, float]] = field(default_factory=list)
 
-    def edge(self, i: int) -> tuple[Float64Array, Float64Array, Float64Array, float, float]:
-        """Start, direction, inward normal, and length of an edge, and the angle of its direction."""
+    def edge(self, i: int) -> Edge:
+        """Return the edge from corner i, counted modulo 4."""
         start, end = self.polygon[i % 4], self.polygon[(i + 1) % 4]
         length = float(np.linalg.norm(end - start))
         along = (end - start) / length
-        return start, along, np.array([-along[1], along[0]]), length, float(np.arctan2(along[1], along[0]))
+        return Edge(start, along, np.array([-along[1], along[0]]), length, float(np.arctan2(along[1], along[0])))
 
     def longest(self) -> int:
         """Index of the longer of the two pairs of edges: 0 or 1."""
-        lengths = [self.edge(i)[3] for i in range(4)]
+        lengths = [self.edge(i).length for i in range(4)]
         return int(lengths[0] + lengths[2] < lengths[1] + lengths[3])
 
     @property
-    def middle(self) -> Float64Array:
-        middle: Float64Array = self.polygon.mean(axis=0)
-        return middle
+    def middle(self) -> tuple[float, float]:
+        """The mean of its corners."""
+        x, y = self.polygon.mean(axis=0).tolist()
+        return x, y
 
     def free(self, shape: Float64Array, gap: float = 1.0, border: float = 0.5) -> bool:
         """Return whether a shape is in the block and clear of buildings and hard ground."""
@@ -152,9 +167,8 @@ class Plot:
 
     def front(self, index: int, i: int, at: float, setback: float, gap: float = 3.0, border: float = 0.5) -> bool:
         """Place a building at `at` metres along edge i, facing its street."""
-        start, along, normal, _, angle = self.edge(i)
-        x, y = start + along * at + normal * (setback + self.pools[index].size[1] / 2)
-        return self.build(index, float(x), float(y), angle, gap, border)
+        edge = self.edge(i)
+        return self.build(index, *edge.at(at, setback + self.pools[index].size[1] / 2), edge.angle, gap, border)
 
     def lay(self, surface: Surface, x: float, y: float, length: float, width: float, angle: float,
             solid: bool = True, round_: bool = False, border: float = 0.3) -> bool:  # fmt: skip
@@ -223,12 +237,11 @@ class Plot:
 
     def leftover_parking(self) -> None:
         """Add car parks wherever there is still room."""
-        start, along, normal, edge, angle = self.edge(self.longest())
-        across = self.edge(self.longest() + 1)[3]
+        edge, across = self.edge(self.longest()), self.edge(self.longest() + 1).length
         for length, width in ((46, 32), (34, 32), (40, 16), (24, 16), (16, 16)):
             for _ in range(6):
-                x, y = start + along * self.rng.uniform(0, edge) + normal * self.rng.uniform(0, across)
-                self.car_park(float(x), float(y), length, width, angle)
+                place = edge.at(self.rng.uniform(0, edge.length), self.rng.uniform(0, across))
+                self.car_park(*place, length, width, edge.angle)
 
     def islands(self, count: int) -> None:
         """Beds of lawn in paved ground, some with a hedge around."""
@@ -236,7 +249,7 @@ class Plot:
         low, high = self.polygon.min(axis=0), self.polygon.max(axis=0)
         for _ in range(count):
             x, y = rng.uniform(low, high)
-            angle = self.edge(int(rng.integers(4)))[4]
+            angle = self.edge(int(rng.integers(4))).angle
             length, width = float(rng.uniform(6, 26)), float(rng.uniform(3, 11))
             bed = rectangle(float(x), float(y), length, width, angle)
             if self.free(bed, 0.8, 0.5):

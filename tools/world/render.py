@@ -7,7 +7,6 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any, TextIO
 
 import bpy
@@ -19,9 +18,9 @@ from numpy.typing import NDArray
 from lpn.core.arrays import Float32Array, Float64Array
 from tools.world import meshes, paint, textures
 from tools.world.cameras import Pose, SatelliteImage
-from tools.world.city import SPECIES, VEHICLES, City
+from tools.world.city import SPECIES, VEHICLES, City, grid, middles, within_window
 from tools.world.flight_plan import AerialPose
-from tools.world.photo import Look
+from tools.world.photo import Look, linear_of, srgb_of
 
 SCALE = 0.25  # metres a pixel of the ground's texture
 _VARIANTS = 4
@@ -82,14 +81,11 @@ class BlenderScene:
         low, high = -40.0, 220.0
         glow = bpy.data.materials.new("height")
         glow.use_nodes = True
-        nodes, links = glow.node_tree.nodes, glow.node_tree.links
-        place, split, share = (nodes.new(f"ShaderNode{kind}") for kind in ("NewGeometry", "SeparateXYZ", "MapRange"))
-        shine = nodes.new("ShaderNodeEmission")
-        share.inputs["From Min"].default_value, share.inputs["From Max"].default_value = low, high
-        links.new(place.outputs["Position"], split.inputs[0])
-        links.new(split.outputs["Z"], share.inputs["Value"])
-        links.new(share.outputs[0], shine.inputs["Color"])
-        links.new(shine.outputs[0], nodes["Material Output"].inputs["Surface"])
+        tree = glow.node_tree
+        split = _node(tree, "SeparateXYZ", {0: _node(tree, "NewGeometry").outputs["Position"]})
+        share = _node(tree, "MapRange", {"From Min": low, "From Max": high, "Value": split.outputs["Z"]})
+        shine = _node(tree, "Emission", {"Color": share.outputs[0]})
+        _set(tree, tree.nodes["Material Output"], {"Surface": shine.outputs[0]})
         layer, cycles, render = self._scene.view_layers[0], self._scene.cycles, self._scene.render
         usual = cycles.samples, cycles.film_exposure, cycles.pixel_filter_type, cycles.filter_width
         layer.material_override = glow
@@ -118,7 +114,7 @@ class BlenderScene:
 
     def _render(self, width: int, height: int) -> Float32Array:
         value = self._stored(width, height).astype(np.float32) / 65535
-        return np.where(value < 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4).astype(np.float32) * 4
+        return linear_of(value).astype(np.float32) * 4
 
     def _stored(self, width: int, height: int) -> NDArray[np.uint16]:
         """Render, and return what Blender stores, (height, width, 3)."""
@@ -165,14 +161,9 @@ class BlenderScene:
         world = bpy.data.worlds.new("sky")
         self._scene.world = world
         world.use_nodes = True
-        nodes, links = world.node_tree.nodes, world.node_tree.links
-        sky = nodes.new("ShaderNodeTexSky")
-        sky.sky_type = "MULTIPLE_SCATTERING"
-        sky.sun_disc = False
-        sky.sun_elevation = elevation
-        sky.sun_rotation = bearing
-        links.new(sky.outputs[0], nodes["Background"].inputs["Color"])
-        nodes["Background"].inputs["Strength"].default_value = 0.06
+        tree, kind = world.node_tree, "MULTIPLE_SCATTERING"
+        sky = _node(tree, "TexSky", sky_type=kind, sun_disc=False, sun_elevation=elevation, sun_rotation=bearing)
+        _set(tree, tree.nodes["Background"], {"Color": sky.outputs[0], "Strength": 0.06})
         light = bpy.data.lights.new("sun", "SUN")
         light.energy = 4.6
         light.angle = np.radians(0.6)
@@ -190,22 +181,14 @@ class BlenderScene:
         self._scene.collection.objects.link(sun)
 
     def _seen(self, x: Float64Array, y: Float64Array, reach: float = 0.0) -> NDArray[np.int_]:
-        west, south, east, north = self._window
-        inside = (x > west - reach) & (x < east + reach) & (y > south - reach) & (y < north + reach)
-        return np.flatnonzero(inside)
+        return within_window(self._window, x, y, reach)
 
     def _ground(self, size: float) -> None:
         west, south, _, north = self._window
         colour, water = paint.ground(self._city, west, north, size, SCALE, self._look.season)
         image = self._image("ground", colour, 1 - water)
-        step = 5.0
-        count = int(np.ceil(size / step)) + 1
-        at = np.linspace(0, size, count)
-        places = np.stack(np.meshgrid(west + at, south + at), axis=-1)
-        heights = self._city.terrain(places)
-        vertices = np.concatenate([places, heights[..., None]], axis=-1).reshape(-1, 3)
-        index = np.arange(count * count).reshape(count, count)
-        quads = np.stack([index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]], axis=-1).reshape(-1, 4)
+        at = np.linspace(0, size, int(np.ceil(size / 5.0)) + 1)
+        vertices, quads = grid(self._city.terrain, west + at, south + at)
         mesh = bpy.data.meshes.new("ground")
         _fill(mesh, vertices, np.full(len(quads), 4, np.int32), quads.reshape(-1).astype(np.int32))
         uv = (vertices[quads.reshape(-1), :2] - (west, south)) / size
@@ -216,8 +199,7 @@ class BlenderScene:
     def _buildings(self) -> None:
         city = self._city
         made: dict[int, Any] = {}
-        x, y = (np.array([getattr(b, k) for b in city.buildings]) for k in ("x", "y"))
-        for i in self._seen(x, y, 20):
+        for i in self._seen(*middles(city.buildings), 20):
             b = city.buildings[i]
             if b.architecture not in made:
                 shape = meshes.building(city.architectures[b.architecture])
@@ -325,7 +307,7 @@ class BlenderScene:
 
     def _image(self, name: str, colour: Float32Array, alpha: Float32Array | None) -> Any:
         """Make an sRGB image of linear colours in [0, 1] with an alpha channel."""
-        encoded = np.where(colour < 0.0031308, 12.92 * colour, 1.055 * np.maximum(colour, 1e-6) ** (1 / 2.4) - 0.055)
+        encoded = srgb_of(colour)
         channels = [encoded[..., ::-1]] if alpha is None else [encoded[..., ::-1], alpha[..., None]]
         data = (np.clip(np.concatenate(channels, axis=-1), 0, 1) * 255 + 0.5).astype(np.uint8)
         file = self._folder / f"{name.replace(' ', '-')}-{os.getpid()}.png"
@@ -353,41 +335,44 @@ def _matrix(x: float, y: float, z: float, angle: float, size: float = 1.0) -> An
     return Matrix.Translation((x, y, z)) @ Matrix.Rotation(angle, 4, "Z") @ Matrix.Scale(size, 4)
 
 
+def _set(tree: Any, node: Any, inputs: dict[str | int, Any]) -> None:
+    """Set inputs of a node: sockets are linked, other values are constants."""
+    for name, value in inputs.items():
+        if isinstance(value, bpy.types.NodeSocket):
+            tree.links.new(value, node.inputs[name])
+        else:
+            node.inputs[name].default_value = value
+
+
+def _node(tree: Any, kind: str, inputs: dict[str | int, Any] | None = None, **settings: Any) -> Any:
+    """Add a shader node with its settings and its inputs, see `_set`."""
+    node = tree.nodes.new(f"ShaderNode{kind}")
+    for name, value in settings.items():
+        setattr(node, name, value)
+    _set(tree, node, inputs or {})
+    return node
+
+
 def _material(name: str, kind: str, image: Any) -> Any:
     """Make a material of colour texture x tint, or object colour x tint for leaves and paint."""
     material = bpy.data.materials.new(name)
     material.use_nodes = True
-    nodes, links = material.node_tree.nodes, material.node_tree.links
-    shader = nodes["Principled BSDF"]
-    tint = nodes.new("ShaderNodeAttribute")
-    tint.attribute_name = "tint"
-    colour = tint.outputs["Color"]
-    if image is not None or kind in ("leaves", "paint"):
-        mix = nodes.new("ShaderNodeVectorMath")
-        mix.operation = "MULTIPLY"
-        links.new(colour, mix.inputs[0])
-        if image is not None:
-            texture = nodes.new("ShaderNodeTexImage")
-            texture.image = image
-            double = nodes.new("ShaderNodeVectorMath")
-            double.operation = "SCALE"
-            double.inputs["Scale"].default_value = 2.0
-            links.new(texture.outputs["Color"], double.inputs[0])
-            links.new(double.outputs[0], mix.inputs[1])
-        else:
-            links.new(nodes.new("ShaderNodeObjectInfo").outputs["Color"], mix.inputs[1])
-        colour = mix.outputs[0]
-    links.new(colour, shader.inputs["Base Color"])
-    shader.inputs["Roughness"].default_value = {"glass": 0.12, "paint": 0.25}.get(kind, 0.85)
-    shader.inputs["Specular IOR Level"].default_value = {"glass": 0.9, "paint": 0.5, "leaves": 0.1}.get(kind, 0.2)
+    tree, other = material.node_tree, None
+    colour, shader = _node(tree, "Attribute", attribute_name="tint").outputs["Color"], tree.nodes["Principled BSDF"]
+    if image is not None:
+        texture = _node(tree, "TexImage", image=image).outputs["Color"]
+        other = _node(tree, "VectorMath", {0: texture, "Scale": 2.0}, operation="SCALE").outputs[0]
+    elif kind in ("leaves", "paint"):
+        other = _node(tree, "ObjectInfo").outputs["Color"]
+    if other is not None:
+        colour = _node(tree, "VectorMath", {0: colour, 1: other}, operation="MULTIPLY").outputs[0]
+    rough = {"glass": 0.12, "paint": 0.25}.get(kind, 0.85)
+    shiny = {"glass": 0.9, "paint": 0.5, "leaves": 0.1}.get(kind, 0.2)
+    _set(tree, shader, {"Base Color": colour, "Roughness": rough, "Specular IOR Level": shiny})
     if kind == "leaves":
-        through = nodes.new("ShaderNodeBsdfTranslucent")
-        links.new(colour, through.inputs["Color"])
-        both = nodes.new("ShaderNodeMixShader")
-        both.inputs[0].default_value = 0.3
-        links.new(shader.outputs[0], both.inputs[1])
-        links.new(through.outputs[0], both.inputs[2])
-        links.new(both.outputs[0], nodes["Material Output"].inputs["Surface"])
+        through = _node(tree, "BsdfTranslucent", {"Color": colour}).outputs[0]
+        both = _node(tree, "MixShader", {0: 0.3, 1: shader.outputs[0], 2: through})
+        _set(tree, tree.nodes["Material Output"], {"Surface": both.outputs[0]})
     return material
 
 
@@ -395,31 +380,16 @@ def _ground_material(image: Any) -> Any:
     """Make the painted ground, with water where its alpha is 0."""
     material = bpy.data.materials.new("ground")
     material.use_nodes = True
-    nodes, links = material.node_tree.nodes, material.node_tree.links
-    shader = nodes["Principled BSDF"]
-    texture = nodes.new("ShaderNodeTexImage")
-    texture.image = image
-    texture.extension = "EXTEND"
-    links.new(texture.outputs["Color"], shader.inputs["Base Color"])
-    rough = nodes.new("ShaderNodeMapRange")
-    links.new(texture.outputs["Alpha"], rough.inputs["Value"])
-    rough.inputs["To Min"].default_value = 0.12
-    rough.inputs["To Max"].default_value = 0.9
-    links.new(rough.outputs[0], shader.inputs["Roughness"])
-    shader.inputs["Specular IOR Level"].default_value = 0.3
-    waves = nodes.new("ShaderNodeTexNoise")
-    waves.inputs["Scale"].default_value = 0.35
-    place = nodes.new("ShaderNodeNewGeometry")
-    links.new(place.outputs["Position"], waves.inputs["Vector"])
-    bump = nodes.new("ShaderNodeBump")
-    bump.inputs["Distance"].default_value = 0.25
-    wet = nodes.new("ShaderNodeMath")
-    wet.operation = "SUBTRACT"
-    wet.inputs[0].default_value = 1.0
-    links.new(texture.outputs["Alpha"], wet.inputs[1])
-    links.new(wet.outputs[0], bump.inputs["Strength"])
-    links.new(waves.outputs[0], bump.inputs["Height"])
-    links.new(bump.outputs[0], shader.inputs["Normal"])
+    tree = material.node_tree
+    texture = _node(tree, "TexImage", image=image, extension="EXTEND")
+    dry = texture.outputs["Alpha"]
+    rough = _node(tree, "MapRange", {"Value": dry, "To Min": 0.12, "To Max": 0.9}).outputs[0]
+    place = _node(tree, "NewGeometry").outputs["Position"]
+    waves = _node(tree, "TexNoise", {"Vector": place, "Scale": 0.35}).outputs[0]
+    wet = _node(tree, "Math", {0: 1.0, 1: dry}, operation="SUBTRACT").outputs[0]
+    bump = _node(tree, "Bump", {"Distance": 0.25, "Strength": wet, "Height": waves}).outputs[0]
+    colour, shader = texture.outputs["Color"], tree.nodes["Principled BSDF"]
+    _set(tree, shader, {"Base Color": colour, "Roughness": rough, "Specular IOR Level": 0.3, "Normal": bump})
     return material
 
 
@@ -438,10 +408,3 @@ def quiet() -> Iterator[TextIO]:
             for number, copy in zip((1, 2), kept, strict=True):
                 os.dup2(copy, number)
                 os.close(copy)
-
-
-@contextmanager
-def scratch_folder() -> Iterator[Path]:
-    """A temporary folder for files that Blender exchanges with us."""
-    with TemporaryDirectory(prefix="lpn-world-") as folder:
-        yield Path(folder)

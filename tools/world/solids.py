@@ -47,6 +47,11 @@ class Solids:
         if len(solid.faces):
             self._parts[material].append(solid)
 
+    def place(self, made: dict[str, Polygons], angle: float, place: tuple[float, float, float]) -> None:
+        """Add polygons by their materials, turned and moved."""
+        for material, polygons in made.items():
+            self.add(material, polygons.placed(angle, np.array(place)))
+
     def extend(self, other: Solids) -> None:
         for material, parts in other._parts.items():
             self._parts[material].extend(parts)
@@ -76,9 +81,7 @@ def buildings(city: City, numbers: NDArray[np.int_], item: float, face: float) -
         b = city.buildings[number]
         if b.architecture not in made:
             made[b.architecture] = _polygons(meshes.building(_simpler(city.architectures[b.architecture], item)), face)
-        place = np.array([b.x, b.y, city.height(b.x, b.y)])
-        for material, polygons in made[b.architecture].items():
-            solids.add(material, polygons.placed(b.angle, place))
+        solids.place(made[b.architecture], b.angle, (b.x, b.y, city.height(b.x, b.y)))
     return solids
 
 
@@ -86,8 +89,7 @@ def bridges(city: City, numbers: NDArray[np.int_]) -> Solids:
     solids = Solids()
     for number in numbers:
         bridge = city.bridges[number]
-        for material, polygons in _polygons(meshes.bridge(bridge.length, bridge.width)).items():
-            solids.add(material, polygons.placed(bridge.angle, np.array([bridge.x, bridge.y, 0.12])))
+        solids.place(_polygons(meshes.bridge(bridge.length, bridge.width)), bridge.angle, (bridge.x, bridge.y, 0.12))
     return solids
 
 
@@ -197,8 +199,7 @@ def _has_windows(material: str) -> bool:
 
 def _cross(ring: Float64Array) -> Float64Array:
     """Normal (3,) of a polygon (k, 3) with twice its area as length."""
-    cross: Float64Array = np.cross(ring - ring[0], np.roll(ring, -1, axis=0) - ring[0]).sum(axis=0)
-    return cross
+    return np.asarray(np.cross(ring - ring[0], np.roll(ring, -1, axis=0) - ring[0]).sum(axis=0))
 
 
 def _joined(parts: list[Solid]) -> Solid:

@@ -14,7 +14,8 @@ from tools.world.geometry import Waves
 SIDE = 560.0  # of a district
 RIM = 420.0  # of the countryside around the city
 STRIP = 200.0  # of the river with its banks
-ARTERIAL, LOCAL, LANE = 15.0, 7.5, 5.5  # carriageways
+ARTERIAL = 15.0
+_CARRIAGEWAY = {"arterial": ARTERIAL, "local": 7.5, "lane": 5.5}
 _PAVEMENT = {"arterial": 3.2, "local": 2.2, "lane": 1.4}
 
 
@@ -39,8 +40,7 @@ class Quad:
 
     def lengths(self) -> Float64Array:
         """Length of each edge."""
-        lengths: Float64Array = np.linalg.norm(np.roll(self.corners, -1, axis=0) - self.corners, axis=1)
-        return lengths
+        return np.asarray(np.linalg.norm(np.roll(self.corners, -1, axis=0) - self.corners, axis=1))
 
 
 def densified(line: Float64Array, step: float = 12.0) -> Float64Array:
@@ -56,19 +56,17 @@ def beside(line: Float64Array, offset: float) -> Float64Array:
     """Offset a line (n, 2) by `offset` metres to its left."""
     step = np.gradient(line, axis=0)
     step /= np.linalg.norm(step, axis=1)[:, None]
-    moved: Float64Array = line + offset * np.stack([-step[:, 1], step[:, 0]], axis=1)
-    return moved
+    return np.asarray(line + offset * np.stack([-step[:, 1], step[:, 0]], axis=1))
 
 
 def street(line: Float64Array, kind: StreetKind, warp: Warp, rural: bool = False) -> Street:
     """Make a street along a straight line of the grid; without pavements in the countryside."""
-    width = {"arterial": ARTERIAL, "local": LOCAL, "lane": LANE}[kind]
-    return Street(warp(densified(line)), width, kind, 0.3 if rural else _PAVEMENT[kind])
+    return Street(warp(densified(line)), _CARRIAGEWAY[kind], kind, 0.3 if rural else _PAVEMENT[kind])
 
 
 def margin(kind: StreetKind) -> float:
     """Distance from a street's middle to the back of its pavement."""
-    return {"arterial": ARTERIAL, "local": LOCAL, "lane": LANE}[kind] / 2 + _PAVEMENT[kind]
+    return _CARRIAGEWAY[kind] / 2 + _PAVEMENT[kind]
 
 
 def divide(

@@ -95,9 +95,7 @@ class LocateCommand(ModelOptions):
         track = best_track(located) if self.best else full_track(located)
         if self.out is not None:
             write_track(self.out, located.flight.name, track)
-            for frame in located.frames:
-                sentence = f"{printable(frame.frame.name)}  {frame.sentence}"
-                console.print(sentence, highlight=False, soft_wrap=True, markup=False)
+            _say(console, *(f"{printable(frame.frame.name)}  {frame.sentence}" for frame in located.frames))
         print_summary(located, console)
         errors = None
         if survey is not None:
@@ -106,16 +104,16 @@ class LocateCommand(ModelOptions):
             print_surveyed(errors, survey_remarks(rows, len(located.frames)), console)
             if self.residuals is not None:
                 write_residuals(self.residuals, rows, located.basemap.frame)
-                console.print(f"The residuals are in {printable(str(self.residuals))}.", soft_wrap=True, markup=False)
+                _say(console, f"The residuals are in {self.residuals}.")
         if self.json is not None:
             # A stage without an answer has no median, which JSON cannot express as a number.
             write_json(self.json, _measures(located, errors))
         if self.out is not None:
-            written = f"The track is in {printable(str(self.out))}."
+            written = f"The track is in {self.out}."
             if guesses := sum(row["state"] == "not verified" and row.get("latitude") is not None for row in track):
                 of_track = f"{guesses} of its {len(track)} points, state 'not verified'"
                 written += f" Best guesses that nothing has verified: {of_track}."
-            console.print(written, soft_wrap=True, markup=False)
+            _say(console, written)
 
     def resume_hint(self) -> str:
         """Return a sentence about resuming after a stop."""
@@ -159,7 +157,7 @@ class LocateCommand(ModelOptions):
         positions = read_surveyed(self.positions, basemap.frame, self.crs)
         survey, sentence = match_surveyed([frame.name for frame in flight.frames], positions, basemap)
         if sentence:
-            console.print(sentence, highlight=False, soft_wrap=True, markup=False)
+            _say(console, sentence)
         return survey
 
     def _check_files_differ(self) -> None:
@@ -170,6 +168,12 @@ class LocateCommand(ModelOptions):
                 raise InputError(
                     f"{other} and {option} both name {printable(str(file))}; give {option} a file of its own."
                 )
+
+
+def _say(console: Console, *sentences: str) -> None:
+    """Print sentences, a line each."""
+    for sentence in sentences:
+        console.print(printable(sentence), highlight=False, soft_wrap=True, markup=False)
 
 
 def _measures(located: LocatedFlight, surveyed: Mapping[str, Mapping[SurveyedPoint, Errors]] | None) -> dict[str, Any]:
@@ -218,8 +222,7 @@ def print_summary(located: LocatedFlight, console: Console) -> None:
     findings += [*located.flight.notes, *located.notes]
     if located.audit is not None:
         findings.append(located.audit.sentence)
-    for line in findings:
-        console.print(printable(line), highlight=False, soft_wrap=True, markup=False)
+    _say(console, *findings)
 
 
 def _cells(errors: Errors) -> list[str]:
@@ -263,7 +266,10 @@ def print_surveyed(
             **{"RMSE in the plane": "rmse", "median": "median", "CE90": "ce90", "CE95": "ce95", "largest": "largest"},
         }
         rows = [("photos", *(f"{one.photos}" for one in columns.values()))]
-        rows += [(name, *(_metres(one.figures[key]) for one in columns.values())) for name, key in names.items()]
+        rows += [
+            (name, *("-" if math.isnan(value := one.figures[key]) else f"{value:.2f}" for one in columns.values()))
+            for name, key in names.items()
+        ]
         rows.append(("within 1, 2, 3 radii", *(percents(one.calibration) or "-" for one in columns.values())))
         title = "Against surveyed positions: answer minus survey, in metres"
         TextTable(("", *columns), rows, title, align="l").print(console)
@@ -274,9 +280,4 @@ def print_surveyed(
         ]
         told = {title: one.bias_sentence for title, one in columns.items()}
         sentences += [f"{title.capitalize()}: {sentence}" for title, sentence in told.items() if sentence]
-    for line in (*sentences, *remarks):
-        console.print(line, highlight=False, soft_wrap=True, markup=False)
-
-
-def _metres(value: float) -> str:
-    return "-" if math.isnan(value) else f"{value:.2f}"
+    _say(console, *sentences, *remarks)

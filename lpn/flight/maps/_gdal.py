@@ -11,10 +11,13 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from lpn.core.errors import DataError
 from lpn.core.files import first_few, printable
+
+if TYPE_CHECKING:
+    from lpn.core.arrays import Float64Array
 
 # Formats that surveys deliver. VRT, WMS, KML, NITF, and netCDF are left out: they open files that their contents name, as HFA
 # does.
@@ -40,7 +43,7 @@ _ENVIRONMENT = {
 # A hyperspectral camera has some hundred bands. A damaged header may name 65,535, and rasterio takes seconds to list these.
 _MAX_BANDS = 4096
 # Pixels a minute, measured while overviews of an empty file of three bands were built, and the most minutes of work on a file.
-PIXELS_PER_MINUTE, _MOST_MINUTES = 1.3e9, 10
+_PIXELS_PER_MINUTE, _MOST_MINUTES = 1.3e9, 10
 # `warnings.catch_warnings` changes the filters of all threads, so one thread at a time uses it.
 _opening = threading.Lock()
 
@@ -78,11 +81,13 @@ def failures(*others: type[Exception]) -> tuple[type[Exception], ...]:
     return rasterio().errors.RasterioError, CPLE_BaseError, UnicodeDecodeError, *others
 
 
-def open_raster(path: Path) -> Any:
-    """Open a raster file of a user for reading, by the drivers of the list.
+@contextmanager
+def opened(path: Path) -> Iterator[Any]:
+    """Open a raster file of a user for reading, by the drivers of the list, and close it.
 
     Raises:
-        DataError: if it is missing, has a format that is not read here, or takes pixels from another folder.
+        DataError: if it is missing, has a format that is not read here, or takes pixels from another folder; also if GDAL fails
+            while the file is open.
     """
     name = printable(str(path))
     if not path.is_file():
@@ -101,10 +106,13 @@ def open_raster(path: Path) -> Any:
             raise DataError(
                 f"{name} {_begins(path)}cannot be read as a map ({_reason(error, path)}); {next(remedies, _CONVERT)}."
             ) from error
-    if flaw:
-        file.close()
-        raise DataError(f"{name} {flaw}")
-    return file
+    with file:
+        if flaw:
+            raise DataError(f"{name} {flaw}")
+        try:
+            yield file
+        except failures() as error:
+            raise damaged(path, error) from error
 
 
 @contextmanager
@@ -178,23 +186,9 @@ def vrt_name(path: Path, driver: str) -> str:
     return f"vrt://{path.absolute()}?if={driver}"
 
 
-@contextmanager
-def opened(path: Path) -> Iterator[Any]:
-    """Open a raster file, and close it.
-
-    Raises:
-        DataError: see `open_raster`; also if GDAL fails while the file is open.
-    """
-    with open_raster(path) as file:
-        try:
-            yield file
-        except failures() as error:
-            raise damaged(path, error) from error
-
-
 def check_work(file: Any, path: Path) -> None:
     """Refuse a raster if reading all pixels of its coarsest overview would take too long."""
-    minutes = file.width * file.height / max([1, *file.overviews(1)]) ** 2 / PIXELS_PER_MINUTE
+    minutes = file.width * file.height / max([1, *file.overviews(1)]) ** 2 / _PIXELS_PER_MINUTE
     if minutes > _MOST_MINUTES:
         raise DataError(
             f"{printable(str(path))} has {file.width} x {file.height} pixels, and a first look at it would take "
@@ -211,16 +205,19 @@ def damaged(path: Path, error: Exception) -> DataError:
     )
 
 
-def transform(source: Any, target: Any, x: Any, y: Any) -> tuple[Any, Any]:
-    """Transform coordinates (N,) between two CRS; longitude comes before latitude, and undefined results are inf or NaN."""
+def epsg(code: int) -> Any:
+    """Return the CRS of an EPSG code."""
+    return rasterio().crs.CRS.from_epsg(code)
+
+
+def transform(source: Any, target: Any, points: Float64Array) -> Float64Array:
+    """Transform points, (N, 2), between two CRS; longitude comes before latitude, and undefined results are inf or NaN."""
     import numpy as np
 
-    library = rasterio()
     try:
-        xs, ys = library.warp.transform(source, target, x, y)
+        return np.stack(rasterio().warp.transform(source, target, *points.T), axis=1).astype(np.float64)
     except failures():  # no operation between the two
-        return np.full(len(x), np.inf), np.full(len(x), np.inf)
-    return np.array(xs, np.float64), np.array(ys, np.float64)
+        return np.full(points.shape, np.inf)
 
 
 def _head(path: Path) -> bytes:

@@ -36,7 +36,7 @@ class LocalFrame:
     def xy(self, latitude: npt.ArrayLike, longitude: npt.ArrayLike) -> Float64Array:
         """Convert WGS 84 degrees, (N,) each, to metres east and north of the origin, (N, 2); NaN stays NaN."""
         east, north = np.broadcast_arrays(*np.atleast_1d(longitude, latitude))
-        return self.from_crs(_degrees_crs(), np.stack([east, north], axis=1))
+        return self.from_crs(_gdal.epsg(4326), np.stack([east, north], axis=1))
 
     def from_crs(self, crs: Any, coordinates: npt.ArrayLike) -> Float64Array:
         """Convert coordinates in a rasterio CRS, (N, 2), easting first, to metres east and north of the origin, (N, 2)."""
@@ -44,7 +44,7 @@ class LocalFrame:
 
     def degrees(self, xy: npt.ArrayLike) -> Float64Array:
         """Convert metres east and north, (N, 2), to latitude and longitude in WGS 84 degrees, (N, 2); NaN stays NaN."""
-        return np.ascontiguousarray(_transformed(self.crs, _degrees_crs(), xy)[:, ::-1])
+        return np.ascontiguousarray(_transformed(self.crs, _gdal.epsg(4326), xy)[:, ::-1])
 
     @cached_property
     def utm_zone(self) -> int:
@@ -54,7 +54,7 @@ class LocalFrame:
 
     def utm(self, xy: npt.ArrayLike) -> Float64Array:
         """Convert metres east and north, (N, 2), to eastings and northings in `utm_zone`, (N, 2); NaN stays NaN."""
-        return _transformed(self.crs, _gdal.rasterio().crs.CRS.from_epsg(self.utm_zone), xy)
+        return _transformed(self.crs, _gdal.epsg(self.utm_zone), xy)
 
     def polynomials(self, bounds: tuple[float, float, float, float]) -> Float64Array:
         """Return cubic polynomials that approximate `degrees` within bounds, for a reader without a projection library.
@@ -80,10 +80,6 @@ def _transformed(source: Any, target: Any, coordinates: npt.ArrayLike) -> Float6
     transformed = np.full(points.shape, np.nan)
     known = np.isfinite(points).all(axis=1)
     if known.any():
-        transformed[known] = np.stack(_gdal.transform(source, target, *points[known].T), axis=1)
+        transformed[known] = _gdal.transform(source, target, points[known])
     transformed[~np.isfinite(transformed).all(axis=1)] = np.nan
     return transformed
-
-
-def _degrees_crs() -> Any:
-    return _gdal.rasterio().crs.CRS.from_epsg(4326)

@@ -22,7 +22,7 @@ from lpn.core.texts import listed
 from lpn.flight.maps import window as windows
 from lpn.flight.maps.elevation import Elevation
 from lpn.flight.maps.frame import LocalFrame
-from lpn.flight.maps.sheet import Bounds, Sheet, datum_notes
+from lpn.flight.maps.sheet import Bounds, Sheet, bounds_of, datum_notes
 from lpn.flight.maps.window import Window
 
 # Side of the blocks in which a picture is cut, which bounds the memory.
@@ -90,11 +90,6 @@ class MapPlace(msgspec.Struct, frozen=True, omit_defaults=True):
         """The day of the map's pictures; None if it is not known."""
         return date.fromisoformat(self.photographed) if _DAY.fullmatch(self.photographed) else None
 
-    @property
-    def season(self) -> str:
-        """The season of the map's pictures if no day is known; else ""."""
-        return "" if self.day is not None else self.photographed
-
 
 class Map:
     """A georeferenced map of one or several sheets; thread safe.
@@ -141,12 +136,10 @@ class Map:
         for sheet in sheets:
             sheet.locate(self.frame)
         self.sheets = sorted(sheets, key=lambda sheet: sheet.resolution)
-        boxes = np.array([sheet.bounds for sheet in self.sheets])
-        (west, south), (east, north) = boxes[:, :2].min(0).tolist(), boxes[:, 2:].max(0).tolist()
-        self.bounds: Bounds = (west, south, east, north)
+        self._boxes = np.array([sheet.bounds for sheet in self.sheets])
+        self.bounds = bounds_of(self._boxes.reshape(-1, 2))
         self.resolution = self.sheets[0].resolution
         self._check_pixels()
-        self._boxes = boxes
         self._coverage = coverage
         self._datum_notes = datum_notes((sheet.name, sheet.crs) for sheet in self.sheets)
         self._sums: Float64Array | None = None
@@ -224,7 +217,7 @@ class Map:
         """
         if not 1 <= pixels <= _MAX_PIXELS:
             raise InputError(f"A picture of {pixels} pixels a side cannot be cut; expected 1 to {_MAX_PIXELS}.")
-        return self._read(window, pixels, (0, 0, pixels, pixels))
+        return self._read(window, pixels, pixels, pixels)
 
     def pyramid(self, sizes: Sequence[float], overlap: float = 0.5) -> list[Window]:
         """Return windows, north up, in the order of `sizes`, on grids that cover the map; at least half of each has data.
@@ -273,8 +266,7 @@ class Map:
         top, bottom = ((self.bounds[3] - y) / cell for y in (high[:, 1], low[:, 1]))
         total = _at(sums, bottom, right) - _at(sums, top, right) - _at(sums, bottom, left) + _at(sums, top, left)
         # Round: differences of sums are not exactly 0 over ground that the map does not show.
-        shares: Float64Array = np.clip(np.round(total / (size / cell) ** 2, 6), 0, 1)
-        return shares
+        return np.asarray(np.clip(np.round(total / (size / cell) ** 2, 6), 0, 1))
 
     def coverage(self) -> Float32Array:
         """Return the share of each cell of the map's bounds that is valid, (rows, columns), from 0 to 1, north up."""
@@ -311,7 +303,7 @@ class Map:
         west, south, east, north = bounds
         side = max(east - west, north - south)
         columns, rows = (max(1, math.ceil(pixels * length / side - 1e-9)) for length in (east - west, north - south))
-        return self._read(Window(west + side / 2, north - side / 2, side), pixels, (0, 0, columns, rows))
+        return self._read(Window(west + side / 2, north - side / 2, side), pixels, columns, rows)
 
     def digest(self) -> str:
         """Return a digest of names, sizes, and times of change of all files, and of their places.
@@ -356,14 +348,13 @@ class Map:
     def _side(self) -> float:
         return max(self.bounds[2] - self.bounds[0], self.bounds[3] - self.bounds[1])
 
-    def _read(self, window: Window, pixels: int, part: tuple[int, int, int, int]) -> tuple[UInt8Array, BoolArray]:
-        picture = np.zeros((part[3], part[2], 3), np.uint8)
-        valid = np.zeros((part[3], part[2]), bool)
-        for top in range(0, part[3], _BLOCK):
-            for left in range(0, part[2], _BLOCK):
-                columns, rows = min(_BLOCK, part[2] - left), min(_BLOCK, part[3] - top)
-                block = (part[0] + left, part[1] + top, columns, rows)
-                place = np.s_[top : top + rows, left : left + columns]
+    def _read(self, window: Window, pixels: int, columns: int, rows: int) -> tuple[UInt8Array, BoolArray]:
+        """Cut the first columns and rows of a window's picture, block by block."""
+        picture, valid = np.zeros((rows, columns, 3), np.uint8), np.zeros((rows, columns), bool)
+        for top in range(0, rows, _BLOCK):
+            for left in range(0, columns, _BLOCK):
+                block = left, top, min(_BLOCK, columns - left), min(_BLOCK, rows - top)
+                place = np.s_[top : top + block[3], left : left + block[2]]
                 self._fill(window, pixels, block, picture[place], valid[place])
         return picture, valid
 
@@ -375,12 +366,10 @@ class Map:
         low, high = corners.min(0), corners.max(0)
         near = (self._boxes[:, :2] <= high).all(1) & (self._boxes[:, 2:] >= low).all(1)
         for number in np.flatnonzero(near).tolist():
-            cut = self.sheets[number].read(window, pixels, block)
-            if cut is None:
-                continue
-            new = cut[1] & ~valid
-            picture[new] = cut[0][new]
-            valid |= new
+            if (cut := self.sheets[number].read(window, pixels, block)) is not None:
+                new = cut[1] & ~valid
+                picture[new] = cut[0][new]
+                valid |= new
             if valid.all():
                 return
 
@@ -413,5 +402,4 @@ def _at(sums: Float64Array, rows: Float64Array, columns: Float64Array) -> Float6
     dr, dc = r - r0, c - c0
     upper = sums[r0, c0] * (1 - dc) + sums[r0, c0 + 1] * dc
     lower = sums[r0 + 1, c0] * (1 - dc) + sums[r0 + 1, c0 + 1] * dc
-    interpolated: Float64Array = upper * (1 - dr) + lower * dr
-    return interpolated
+    return np.asarray(upper * (1 - dr) + lower * dr)

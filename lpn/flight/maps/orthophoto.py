@@ -27,6 +27,7 @@ from lpn.flight.maps.elevation import ElevationFile
 from lpn.flight.maps.folder import build_map, check_new
 from lpn.flight.maps.frame import LocalFrame
 from lpn.flight.maps.map import Map, MapPlace
+from lpn.flight.maps.sheet import bounds_of
 from lpn.flight.maps.sources import MapOptions
 
 # Fewest photos of a map, and most names in a sentence.
@@ -81,8 +82,7 @@ def build_from_photos(
         # Heights of another place are refused before the long work.
         known = tags[~np.isnan(tags).any(axis=1)]
         frame = LocalFrame(*known.mean(axis=0).tolist())
-        places = frame.xy(*known.T)
-        elevation.box(frame, (*places.min(axis=0).tolist(), *places.max(axis=0).tolist()))
+        elevation.box(frame, bounds_of(frame.xy(*known.T)))
     with TemporaryDirectory(prefix=".", dir=out.parent) as folder:
         file = Path(folder) / f"{out.resolve().name}.tif"
         with _steps(len(photos), on_progress):
@@ -182,7 +182,6 @@ def middles_and_tags(
 ) -> tuple[Float64Array, Float64Array]:
     """Return the middles of the map's photos and their tags, (N, 2) each, in metres of its coordinate reference system."""
     middles, places = [], []
-    library = _gdal.rasterio()
     for photo, tag in zip(photos, tags, strict=True):
         camera = report["cameras"].get(photo.name)
         if camera is None or np.isnan(tag).any():
@@ -193,9 +192,8 @@ def middles_and_tags(
                 width, height = height, width
         middles.append(np.array(camera["affine"]) @ [(width - 1) / 2, (height - 1) / 2, 1.0])
         places.append(tag)
-    latitudes, longitudes = np.array(places).T
-    metres = library.warp.transform("EPSG:4326", f"EPSG:{report['epsg']}", longitudes.tolist(), latitudes.tolist())
-    return np.array(middles), np.stack(metres, axis=1)
+    longitudes_first = np.array(places)[:, ::-1]
+    return np.array(middles), _gdal.transform(_gdal.epsg(4326), _gdal.epsg(report["epsg"]), longitudes_first)
 
 
 def place_error(middles: Float64Array, tags: Float64Array) -> float | None:

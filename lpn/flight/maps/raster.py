@@ -2,7 +2,7 @@
 
 A VRT in memory turns the bands of a file into red, green, blue, and alpha: its sources stretch numbers, look up a palette, join
 masks, and cut a border without data out of the alpha. Every map is read through it. It names its file by
-`vrt://FILE?if=DRIVER`, so that GDAL opens it by the driver that `_gdal.open_raster` chose.
+`vrt://FILE?if=DRIVER`, so that GDAL opens it by the driver that `_gdal.opened` chose.
 """
 
 from __future__ import annotations

@@ -70,9 +70,7 @@ class Sheet:
     def locate(self, frame: LocalFrame) -> None:
         """Compute bounds and resolution in a frame; DataError if a pixel has no possible size on the ground."""
         self.frame = frame
-        xy = frame.xy(*self.outline.T)
-        (west, south), (east, north) = xy.min(0).tolist(), xy.max(0).tolist()
-        self.bounds: Bounds = (west, south, east, north)
+        self.bounds = bounds_of(frame.xy(*self.outline.T))
         width, height = self.raster.width, self.raster.height
         cross = self._ground(np.array([(1, 2), (3, 2), (2, 1), (2, 3)]) / 4 * (width, height))
         across, down = (cross[1] - cross[0]) / (width / 2), (cross[3] - cross[2]) / (height / 2)
@@ -113,8 +111,7 @@ class Sheet:
     def _degrees(self, cells: Float64Array) -> Float64Array:
         """Convert columns and rows, (N, 2), to latitude and longitude, (N, 2)."""
         xy = np.column_stack([cells, np.ones(len(cells))]) @ self.matrix.T
-        longitude, latitude = _gdal.transform(self.crs, _gdal.rasterio().crs.CRS.from_epsg(4326), xy[:, 0], xy[:, 1])
-        return np.stack([latitude, longitude], axis=1)
+        return np.ascontiguousarray(_gdal.transform(self.crs, _gdal.epsg(4326), xy)[:, ::-1])
 
     def _outline(self) -> Float64Array:
         side = np.linspace(0, 1, _OUTLINE)
@@ -164,6 +161,12 @@ class Sheet:
         )
 
 
+def bounds_of(points: Float64Array) -> Bounds:
+    """Return the bounds of points of a frame, (N, 2)."""
+    (west, south), (east, north) = points.min(axis=0).tolist(), points.max(axis=0).tolist()
+    return west, south, east, north
+
+
 def cells_of(crs: Any, matrix: Float64Array, width: int, frame: LocalFrame, xy: Float64Array) -> Float64Array:
     """Convert points of a frame, (N, 2), to a raster's columns and rows, (N, 2); 0 is the corner of the first pixel.
 
@@ -171,7 +174,7 @@ def cells_of(crs: Any, matrix: Float64Array, width: int, frame: LocalFrame, xy: 
         crs, matrix: see `Sheet`.
         width: of the raster in pixels.
     """
-    x, y = _gdal.transform(frame.crs, crs, xy[:, 0], xy[:, 1])
+    x, y = _gdal.transform(frame.crs, crs, xy).T
     if crs.is_geographic:
         # Longitudes of a raster may pass 180 degrees.
         middle = float(matrix[0] @ (width / 2, 0, 1))

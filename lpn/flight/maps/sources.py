@@ -118,7 +118,7 @@ def open_sheet(path: Path, options: MapOptions) -> Sheet:
         raster = Raster(packed, None, options.keep_borders, printable(path.name))
         weakref.finalize(raster, stack.pop_all().close)
     raster.notes[:0] = notes
-    return Sheet(path.name, raster, _gdal.rasterio().crs.CRS.from_epsg(3857), matrix)
+    return Sheet(path.name, raster, _gdal.epsg(3857), matrix)
 
 
 def _files_in(folder: Path, options: MapOptions, notes: list[str]) -> list[Path]:
@@ -347,4 +347,4 @@ def _from_corners(corners: Sequence[float], width: int, height: int, what: str) 
             "the top-left corner, and of the bottom-right one south and east of it."
         )
     matrix = np.array([[(east - left) / width, 0, left], [0, (bottom - top) / height, top]])
-    return _gdal.rasterio().crs.CRS.from_epsg(4326), matrix
+    return _gdal.epsg(4326), matrix

@@ -32,10 +32,6 @@ from tests.lpn.flight.maps.small_maps import EAST, NORTH, smooth, write_geotiff
 ADDRESSES = {"tiles": ["t/"], "photo": "p/", "square": "s/", "ground": "g/"}
 
 
-def seen_of(flight: LocatedFlight) -> FlightSnapshot:
-    return FlightSnapshot(flight)
-
-
 def with_answer(flight: LocatedFlight, frame: int, stage: str = "registration", **changes: Any) -> LocatedFlight:
     """Return a flight whose answer of a stage for a frame is changed."""
     frames = list(flight.frames)
@@ -53,7 +49,7 @@ def compared(flight: LocatedFlight, frame: int, *metres: float) -> LocatedFlight
 
 @pytest.fixture
 def seen(flight: LocatedFlight) -> FlightSnapshot:
-    return seen_of(flight)
+    return FlightSnapshot(flight)
 
 
 def test_the_script_gets_every_track_and_what_is_unknown_as_null(seen: FlightSnapshot) -> None:
@@ -77,31 +73,33 @@ def test_the_script_gets_every_track_and_what_is_unknown_as_null(seen: FlightSna
 
 
 def test_tags_far_off_the_map_are_told(flight: LocatedFlight) -> None:
-    away = page.data(seen_of(replace(flight, tags_away=5200.0)), ADDRESSES)["counts"]
+    away = page.data(FlightSnapshot(replace(flight, tags_away=5200.0)), ADDRESSES)["counts"]
     assert "GPS tags lie 5,200 m from this map: give the map of the tags' place, unless the tags are wrong." in away
 
 
 def test_where_tags_lag_the_figures_are_those_without_the_lag(flight: LocatedFlight) -> None:
     moved = np.array([(-20.0, 0.5), (44.0, 0.0), (np.nan, np.nan)])
     late = replace(flight, audit=TagAudit(8, 4.0, 9.0, 1.9, 0.1, 0.5, 0.2, 3.0), tags_without_lag=moved)
-    data = page.data(seen_of(late), ADDRESSES)
+    data = page.data(FlightSnapshot(late), ADDRESSES)
     assert (data["errors"], data["off"]) == ([0.5, 1.0, None], "m from its GPS tag without the lag")
     name, figure, source = data["accuracy"][2]
     assert (name, figure) == ("GPS tags without their lag of 1.9 s", "0.8 m")
     assert source == "Median of 2 photos, at most 1.0 m. With it 5.0 m."
-    assert page.chosen(seen_of(late), 1, ADDRESSES)["card"]["facts"][2] == "1.0 m from its GPS tag without the lag"
+    assert (
+        page.chosen(FlightSnapshot(late), 1, ADDRESSES)["card"]["facts"][2] == "1.0 m from its GPS tag without the lag"
+    )
 
 
 def test_frames_that_wait_for_their_registration_are_neither_accepted_nor_refused(flight: LocatedFlight) -> None:
     stages = {name: answer for name, answer in flight.frames[2].stages.items() if name != "registration"}
     waiting = replace(flight, frames=[*flight.frames[:2], replace(flight.frames[2], stages=stages)])
-    assert page.data(seen_of(waiting), ADDRESSES)["tracks"]["registration"]["state"] == [0, 0, -1]
+    assert page.data(FlightSnapshot(waiting), ADDRESSES)["tracks"]["registration"]["state"] == [0, 0, -1]
 
 
 def test_several_sheets_have_a_colour_each(flight: LocatedFlight, tmp_path: Path) -> None:
     for i in range(2):
         write_geotiff(tmp_path / f"sheet{i}.tif", smooth(40, 200, i), matrix=(0.5, 0, EAST + 150 * i, 0, -0.5, NORTH))
-    sheets = page.data(seen_of(replace(flight, basemap=open_map(tmp_path))), ADDRESSES)["sheets"]
+    sheets = page.data(FlightSnapshot(replace(flight, basemap=open_map(tmp_path))), ADDRESSES)["sheets"]
     assert sorted(sheet["name"] for sheet in sheets) == ["sheet0.tif", "sheet1.tif"]
     assert len({sheet["colour"] for sheet in sheets}) == 2
 
@@ -127,31 +125,29 @@ def test_a_card_has_verdict_place_and_grounds(seen: FlightSnapshot) -> None:
     ("metres", "radius", "said"),
     [
         ((0.4, 5.2, 1), 1.0, "Checked at 3 places: 1.0 m off in the median, the largest 5.2 m; 3.0 m are allowed."),
-        (
-            (0.4, 8.9, 1),
-            1.01,
-            "Checked at 3 places: 1.0 m off in the median, the largest 8.9 m or more; 3.1 m are allowed.",
-        ),
+        ((0.4, 8.9, 1), 1.01, "1.0 m off in the median, the largest 8.9 m or more; 3.1 m are allowed."),
         ((0.4, 5.2), 1.0, "Not checked: away from its middle, only 2 places of the photo could be found on the map."),
     ],
 )
 def test_places_beside_the_middle_say_how_far_off_they_are(
     flight: LocatedFlight, metres: tuple[float, ...], radius: float, said: str
 ) -> None:
-    one = seen_of(with_answer(compared(flight, 0, *metres), 0, radius=radius))
-    assert page.card(one, 0)["lines"][1] == said
+    one = FlightSnapshot(with_answer(compared(flight, 0, *metres), 0, radius=radius))
+    assert page.card(one, 0)["lines"][1].endswith(said)
 
 
 def test_a_photo_that_does_not_fit_beside_its_middle_is_in_doubt(flight: LocatedFlight) -> None:
-    one = seen_of(compared(flight, 0, 4.0, 8.2, 3.2))
+    one = FlightSnapshot(compared(flight, 0, 4.0, 8.2, 3.2))
     assert [entry[0] for entry in page.data(one, ADDRESSES)["doubtful"]] == [0, 1, 2]
     assert page.card(one, 0)["headline"].endswith("it does not fit the map")
-    assert page.card(seen_of(compared(flight, 0, 0.4)), 0)["headline"].endswith(", at least its middle")
+    assert page.card(FlightSnapshot(compared(flight, 0, 0.4)), 0)["headline"].endswith(", at least its middle")
 
 
 def test_accuracy_has_three_rows_with_their_sources(flight: LocatedFlight, monkeypatch: pytest.MonkeyPatch) -> None:
     def rows(**changes: Any) -> dict[str, tuple[str, str]]:
-        return {name: (figure, source) for name, figure, source in text.accuracy(seen_of(replace(flight, **changes)))}
+        return {
+            name: (figure, source) for name, figure, source in text.accuracy(FlightSnapshot(replace(flight, **changes)))
+        }
 
     known = rows(map_error=0.8)
     assert list(known) == ["On this map", "On Earth", "GPS tags"]
@@ -220,7 +216,7 @@ def test_a_spot_lists_the_frames_that_show_it(seen: FlightSnapshot) -> None:
 def test_pins_go_from_where_the_photo_has_a_detail_to_where_the_map_has_it(flight: LocatedFlight) -> None:
     rows = [(0.25, 0.5, 0.0, 0.5), (0.75, 0.5, 0.3, -0.1)]
     details = MatchedDetails(rows, 0.4, 0.9)
-    one = seen_of(with_answer(flight, 0, details=details))
+    one = FlightSnapshot(with_answer(flight, 0, details=details))
     pins = page.chosen(one, 0, ADDRESSES)["pins"]
     np.testing.assert_allclose([pin[2:] for pin in pins], [row[2:] for row in rows], atol=0.011)
     laid = one.flight.frames[0].laid
@@ -230,7 +226,7 @@ def test_pins_go_from_where_the_photo_has_a_detail_to_where_the_map_has_it(fligh
     moved = np.array([[1.0, 0, 5], [0, 1, 0], [0, 0, 1]]) @ laid
     # A photo that is moved by hand has its details elsewhere, and the map has them where it had them.
     np.testing.assert_allclose(np.array(page.pins(moved, one.flight.frames[0]))[:, 2], [-5.0, -4.7], atol=0.011)
-    assert page.chosen(seen_of(flight), 0, ADDRESSES)["pins"] == []
+    assert page.chosen(FlightSnapshot(flight), 0, ADDRESSES)["pins"] == []
 
 
 def test_an_own_photo_has_a_card_of_the_same_kind(seen: FlightSnapshot, flight: LocatedFlight) -> None:

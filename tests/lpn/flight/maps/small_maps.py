@@ -6,8 +6,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 
 from lpn.core.arrays import AnyArray, Float64Array, UInt8Array
+from lpn.core.errors import DataError, LPNError
+from lpn.flight.maps import MapOptions, open_map
 
 # UTM zone 32 at 48 degrees north, a place of no meaning.
 EAST, NORTH = 500_000.0, 5_316_000.0
@@ -41,6 +44,13 @@ def write_geotiff(
     return path
 
 
+def refused(path: Path | list[Path], *words: str, error: type[LPNError] = DataError, **options: Any) -> None:
+    """Check that files are refused as a map by one sentence with these words."""
+    with pytest.raises(error, match=r"^[^\n]*\.$") as caught:
+        open_map(path, MapOptions(**options))
+    assert all(word in str(caught.value) for word in words), str(caught.value)
+
+
 def at(picture: AnyArray, cells: Float64Array) -> Float64Array:
     """Sample a picture bilinearly at columns and rows, (N, 2), in NumPy alone; 0, 0 is the corner of the first pixel."""
     column, row = cells[:, 0] - 0.5, cells[:, 1] - 0.5
@@ -49,5 +59,4 @@ def at(picture: AnyArray, cells: Float64Array) -> Float64Array:
     values = picture.astype(np.float64)
     upper = values[r, c] * (1 - a) + values[r, c + 1] * a
     lower = values[r + 1, c] * (1 - a) + values[r + 1, c + 1] * a
-    found: Float64Array = upper * (1 - b) + lower * b
-    return found
+    return np.asarray(upper * (1 - b) + lower * b)

@@ -2,10 +2,7 @@ from __future__ import annotations
 
 import gzip
 import shutil
-from collections.abc import Callable
-from functools import partial
 from pathlib import Path
-from typing import Any
 from unittest.mock import MagicMock
 
 import numpy as np
@@ -13,11 +10,10 @@ import pytest
 from PIL import EpsImagePlugin, Image
 
 from lpn.cli.main import main
-from lpn.core.arrays import UInt8Array
-from lpn.core.errors import DataError, InputError, OutputError
+from lpn.core.errors import InputError, OutputError
 from lpn.flight.maps import Map, MapOptions, Window, open_map
 from lpn.flight.maps.folder import build_map
-from tests.lpn.flight.maps.small_maps import smooth, write_geotiff
+from tests.lpn.flight.maps.small_maps import refused, smooth, write_geotiff
 from tools.fixtures.small_tiles import (
     NORTH,
     WEST,
@@ -59,14 +55,6 @@ def check(town: Map, same: Map, tolerance: int = 3) -> list[str]:
         assert valid.all()
         np.testing.assert_allclose(picture.astype(int), same.read(window, 80)[0], atol=tolerance)
     return town.notes
-
-
-def refused(path: Path, *words: str) -> None:
-    with pytest.raises(DataError) as caught:
-        open_map(path)
-    for word in words:
-        assert word in str(caught.value)
-    assert "\n" not in str(caught.value)
 
 
 SHOWN = "town is shown at zoom 18, the deepest of 1."
@@ -182,24 +170,6 @@ def test_metadata_say_where_rows_begin(tmp_path: Path, same: Map, name: str, fil
     assert check(open_map(tiles), same) == [SHOWN]
 
 
-@pytest.mark.parametrize(
-    ("file", "text", "words"),
-    [
-        (
-            "tilemapresource.xml",
-            "<TileMap><SRS>EPSG:4326</SRS><TileSets profile='geodetic'/></TileMap>",
-            "in EPSG:4326",
-        ),
-        ("tilemapresource.xml", "<TileMap><SRS></SRS><TileSets profile='raster'/></TileMap>", "in raster"),
-        ("metadata.json", '{"profile": "geodetic"}', "in geodetic"),
-    ],
-)
-def test_tiles_in_another_projection_are_refused(tmp_path: Path, file: str, text: str, words: str) -> None:
-    tiles = write_folder(tmp_path / "town", PICTURE)
-    (tiles / file).write_text(text)
-    refused(tiles, words, "expected Web Mercator (EPSG:3857)")
-
-
 def test_tiles_that_are_no_pictures_have_no_data(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -224,99 +194,78 @@ def test_tiles_that_are_no_pictures_have_no_data(
     refused(tiles, "are no PNG, JPEG, or WebP; expected pictures, so render vector tiles")
 
 
-def test_gaps_and_tiles_beyond_the_world_are_told(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("file", "text", "words"),
+    [
+        (
+            "tilemapresource.xml",
+            "<TileMap><SRS>EPSG:4326</SRS><TileSets profile='geodetic'/></TileMap>",
+            "in EPSG:4326",
+        ),
+        ("tilemapresource.xml", "<TileMap><SRS></SRS><TileSets profile='raster'/></TileMap>", "in raster"),
+        ("metadata.json", '{"profile": "geodetic"}', "in geodetic"),
+    ],
+)
+def test_tiles_in_another_projection_are_refused(tmp_path: Path, file: str, text: str, words: str) -> None:
     tiles = write_folder(tmp_path / "town", PICTURE)
-    (tiles / f"{ZOOM}/{WEST}/{NORTH}.png").unlink()
-    assert "town is shown at zoom 18, the deepest of 1; 25% of its rectangle have no tile." in open_map(tiles).notes
-    (tiles / f"{ZOOM}/0").mkdir()
-    (tiles / f"{ZOOM}/0/{NORTH}.png").write_bytes(encoded(PICTURE[:256, :256]))
-    refused(tiles, "town has 35251712 x 512 pixels, and a first look at it would take")
-    (tiles / f"{ZOOM}/{1 << ZOOM}").mkdir()
-    (tiles / f"{ZOOM}/{1 << ZOOM}/1.png").write_bytes(encoded(PICTURE[:256, :256]))
-    refused(tiles, "has tiles beyond 262143 at zoom 18")
+    (tiles / file).write_text(text)
+    refused(tiles, words, "expected Web Mercator (EPSG:3857)")
 
 
-def test_a_white_border_of_tiles_has_no_data(tmp_path: Path) -> None:
-    picture = PICTURE.copy()
-    picture[:, :205] = 255
-    for path in (write_mbtiles(tmp_path / "town.mbtiles", picture, {}), write_folder(tmp_path / "town", picture)):
-        town = open_map(path)
-        assert f"The white border of {path.name} (40% of it) is taken as no data." in town.notes
-        assert town.overview(200)[1].mean() == pytest.approx(0.6, abs=0.015)
-        assert open_map(path, MapOptions(keep_borders=True)).overview(200)[1].mean() > 0.99
-        built = build_map([path], tmp_path / f"map-{path.suffix}")
-        assert built.overview(200)[1].mean() == pytest.approx(0.6, abs=0.015)
-    with pytest.raises(InputError, match="leave CRS, corners, and bands out"):
-        open_map(tmp_path / "town", MapOptions(bands=(1,)))
-
-
-def jpeg(tile: UInt8Array) -> bytes:
-    return encoded(tile, "JPEG")
-
-
-MBTILES: dict[str, tuple[dict[str, str], dict[str, Any], int]] = {
-    "as its format wants": (METADATA, {}, 3),
-    "JPEG": (METADATA | {"format": "jpg"}, {"encode": jpeg}, 12),
-    "scheme tms": (METADATA | {"scheme": "tms"}, {}, 3),
-    "empty metadata": ({}, {}, 3),
-    "tiles from a view": (METADATA, {"schema": "view"}, 3),
-    "bounds that are none": (METADATA | {"bounds": "a,b"}, {}, 3),
-}
-
-
-@pytest.mark.parametrize("case", MBTILES)
-def test_an_mbtiles_is_read_by_its_tiles(tmp_path: Path, same: Map, case: str) -> None:
-    metadata, options, tolerance = MBTILES[case]
-    town = open_map(write_mbtiles(tmp_path / "town.mbtiles", PICTURE, metadata, **options))
-    assert check(town, same, tolerance) == []
-
-
-def vector(_: Any) -> bytes:
-    return gzip.compress(b"\x1a\x10" + bytes(50))
-
-
-_NONE = "has no valid pixel"
-_UNKNOWN = "cannot be read as a map"
-UNREAD: dict[str, tuple[dict[str, str] | None, dict[str, Any], str]] = {
-    "scheme xyz": (METADATA | {"scheme": "xyz"}, {"from_south": False}, "counts its rows from the north (scheme xyz)"),
-    "rows from the north": (METADATA, {"from_south": False}, _NONE),
-    "gzipped pictures": (METADATA, {"encode": lambda tile: gzip.compress(encoded(tile))}, _NONE),
-    "pages of HTML": (METADATA, {"encode": lambda _: b"<!DOCTYPE html><html>Not found</html>"}, _NONE),
-    "zooms that are too small": (METADATA | {"minzoom": "0", "maxzoom": "10"}, {}, _NONE),
-    "bounds of the world": (METADATA | {"bounds": "-180.0,-85,180,85"}, {}, "a first look at it would take"),
-    "vector tiles": (METADATA | {"format": "pbf"}, {"encode": vector}, _UNKNOWN),
-    "no metadata": (None, {}, _UNKNOWN),
-    "map and images without a view": (METADATA, {"schema": "no view"}, _UNKNOWN),
-}
-
-
-@pytest.mark.parametrize("case", UNREAD)
-def test_an_mbtiles_against_its_format_is_refused(tmp_path: Path, case: str) -> None:
-    metadata, options, words = UNREAD[case]
-    refused(write_mbtiles(tmp_path / "town.mbtiles", PICTURE, metadata, **options), words)
-
-
-def test_a_coarser_zoom_that_reaches_further_is_named(tmp_path: Path) -> None:
+def test_what_a_folder_of_tiles_does_not_show_is_told(tmp_path: Path) -> None:
     tiles = write_folder(tmp_path / "town", PICTURE)
     finer = tiles / str(ZOOM + 1) / str(2 * WEST)
     finer.mkdir(parents=True)
     Image.fromarray(smooth(256, 256)).save(finer / f"{2 * NORTH}.png")
     assert "Zoom 18 of town reaches further than zoom 19; that part is not shown." in open_map(tiles).notes
+    shutil.rmtree(finer.parent)
+    (tiles / f"{ZOOM}/{WEST}/{NORTH}.png").unlink()
+    assert "town is shown at zoom 18, the deepest of 1; 25% of its rectangle have no tile." in open_map(tiles).notes
+    for column, row, words in (
+        (0, NORTH, "town has 35251712 x 512 pixels, and a first look at it would take"),
+        (1 << ZOOM, 1, "has tiles beyond 262143 at zoom 18"),
+    ):
+        (tiles / f"{ZOOM}/{column}").mkdir()
+        (tiles / f"{ZOOM}/{column}/{row}.png").write_bytes(encoded(PICTURE[:256, :256]))
+        refused(tiles, words)
+
+
+def test_a_white_border_of_tiles_has_no_data(tmp_path: Path) -> None:
+    picture = PICTURE.copy()
+    picture[:, :205] = 255
+    path = write_folder(tmp_path / "town", picture)
+    town = open_map(path)
+    assert "The white border of town (40% of it) is taken as no data." in town.notes
+    assert open_map(path, MapOptions(keep_borders=True)).overview(200)[1].mean() > 0.99
+    for shown in (town, build_map([path], tmp_path / "map")):
+        assert shown.overview(200)[1].mean() == pytest.approx(0.6, abs=0.015)
+    with pytest.raises(InputError, match="leave CRS, corners, and bands out"):
+        open_map(path, MapOptions(bands=(1,)))
+
+
+@pytest.mark.parametrize(("metadata", "view"), [(METADATA | {"scheme": "tms"}, False), (METADATA, True), ({}, False)])
+def test_an_mbtiles_is_read_by_its_tiles(tmp_path: Path, same: Map, metadata: dict[str, str], view: bool) -> None:
+    assert check(open_map(write_mbtiles(tmp_path / "town.mbtiles", PICTURE, metadata, view=view)), same) == []
+
+
+@pytest.mark.parametrize(
+    ("metadata", "from_south", "words"),
+    [
+        (METADATA | {"scheme": "xyz"}, False, "counts its rows from the north (scheme xyz)"),
+        (METADATA, False, "has no valid pixel"),
+        (METADATA | {"bounds": "-180.0,-85,180,85"}, True, "a first look at it would take"),
+        (METADATA | {"format": "pbf"}, True, "cannot be read as a map"),
+        (None, True, "cannot be read as a map"),
+    ],
+)
+def test_an_mbtiles_against_its_format_is_refused(
+    tmp_path: Path, metadata: dict[str, str] | None, from_south: bool, words: str
+) -> None:
+    encode = encoded if metadata != METADATA | {"format": "pbf"} else lambda _: gzip.compress(b"\x1a\x10" + bytes(50))
+    refused(write_mbtiles(tmp_path / "a.mbtiles", PICTURE, metadata, from_south=from_south, encode=encode), words)
 
 
 def test_the_folder_of_tiles_is_named_from_above_and_below(tmp_path: Path) -> None:
-    write_folder(tmp_path / "download" / "tiles", PICTURE)
-    refused(tmp_path / "download", "give", str(tmp_path / "download" / "tiles"))
-    refused(tmp_path / "download" / "tiles" / str(ZOOM), "give", str(tmp_path / "download" / "tiles") + ".")
-
-
-@pytest.mark.parametrize("write", [write_folder, partial(write_mbtiles, metadata=METADATA)])
-def test_the_command_maps_tiles_and_the_folder_moves_with_them(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], same: Map, write: Callable[[Path, UInt8Array], Path]
-) -> None:
-    (tmp_path / "all").mkdir()
-    written = write(tmp_path / "all" / "town.mbtiles", PICTURE)
-    assert main(["map", str(written), "--out", str(tmp_path / "all" / "map")]) == 0
-    assert "shows 204 m by 204 m about 48.205456, 9.103546, 100% of it with data" in capsys.readouterr().out
-    shutil.move(tmp_path / "all", tmp_path / "elsewhere")
-    check(open_map(tmp_path / "elsewhere" / "map"), same)
+    tiles = write_folder(tmp_path / "download" / "tiles", PICTURE)
+    for given in (tmp_path / "download", tiles / str(ZOOM)):
+        refused(given, f"give {tiles}.")
