@@ -21,7 +21,7 @@ from typing import Literal, NamedTuple
 from lpn.core.errors import DataError
 from lpn.core.files import printable
 from lpn.flight.files import cameras, values
-from lpn.flight.files.telemetry import TelemetryEntry, entry_of
+from lpn.flight.files.telemetry import Log, entry_of
 
 GpsOrder = Literal["lat-lon", "lon-lat"]
 
@@ -53,14 +53,6 @@ _MOST_LETTERS = 120
 _LEAST_SCALED, _ZOOM_SCALE = 100.0, 10_000.0
 
 
-class Subtitles(NamedTuple):
-    """The telemetry of a subtitle file, the end of its last subtitle in seconds, and sentences about oddities."""
-
-    entries: tuple[TelemetryEntry, ...]
-    end: float
-    notes: tuple[str, ...]
-
-
 class SubtitleBlock(NamedTuple):
     """One subtitle: its text, and its start and end in seconds."""
 
@@ -69,7 +61,7 @@ class SubtitleBlock(NamedTuple):
     end: float
 
 
-def read_subtitles(file: Path, gps_order: GpsOrder | None = None) -> Subtitles:
+def read_subtitles(file: Path, gps_order: GpsOrder | None = None) -> Log:
     """Read a file of subtitles; see `parse_subtitles`.
 
     Raises:
@@ -102,7 +94,7 @@ def _seconds(hours: str, minutes: str, seconds: str) -> float:
     return 3600.0 * int(hours) + 60 * int(minutes) + float(seconds.replace(",", "."))
 
 
-def parse_subtitles(blocks: Sequence[SubtitleBlock], name: str, gps_order: GpsOrder | None = None) -> Subtitles:
+def parse_subtitles(blocks: Sequence[SubtitleBlock], name: str, gps_order: GpsOrder | None = None) -> Log:
     """Return the telemetry of subtitles in any known dialect; one file may mix them.
 
     Args:
@@ -132,7 +124,7 @@ def parse_subtitles(blocks: Sequence[SubtitleBlock], name: str, gps_order: GpsOr
     if missing := sum(entry.latitude is None for entry in entries):
         unread = "" if any("latitude" in told for told in rows) else _a_line(texts)
         notes.append(f"{missing} of {len(entries)} entries of {name} have no position{unread}.")
-    return Subtitles(tuple(entries), max(block.end for block in blocks), tuple(notes))
+    return Log(name, tuple(entries), False, tuple(notes), max(block.end for block in blocks))
 
 
 def _a_line(texts: Sequence[str]) -> str:

@@ -24,8 +24,8 @@ from lpn.core.errors import DataError
 from lpn.core.files import printable, write_atomic
 from lpn.flight.files.base import Frame
 from lpn.flight.files.cameras import upright_values
-from lpn.flight.files.subtitles import GpsOrder, SubtitleBlock, Subtitles, parse_subtitles
-from lpn.flight.files.telemetry import Telemetry
+from lpn.flight.files.subtitles import GpsOrder, SubtitleBlock, parse_subtitles
+from lpn.flight.files.telemetry import Log, Telemetry
 
 SUFFIXES = (".mp4", ".mov", ".m4v", ".mkv", ".avi")
 SUBTITLES = (".srt",)
@@ -109,15 +109,21 @@ def turns_of(capture: Any) -> int:
     return round(degrees / 90) % 4
 
 
-def mismatch(subtitles: Subtitles, name: str, video: Path, duration: float) -> str | None:
-    """Return a note if subtitles do not fit a video of `duration` seconds; None if they do."""
-    off = abs(subtitles.end - duration)
-    if off <= max(_DIFFERS, _DIFFERS_SHARE * duration):
-        return None
-    return (
-        f"{printable(name)} ends at {subtitles.end:.0f} s and {printable(video.name)} at {duration:.0f} s: they are of two "
-        "recordings, or one is cut; positions are doubtful."
-    )
+def position(capture: Any, count: int) -> float:
+    """Return the seconds of the capture's current picture, before which `count` pictures were read."""
+    # Some containers have no times of their own.
+    rate = float(capture.get(cv2.CAP_PROP_FPS))
+    return float(capture.get(cv2.CAP_PROP_POS_MSEC)) / 1000 or (count / rate if rate > 0 else 0.0)
+
+
+def mismatch(log: Log, video: Path, duration: float) -> list[str]:
+    """Return a note if the log is of subtitles that do not fit a video of `duration` seconds."""
+    if log.end is None or abs(log.end - duration) <= max(_DIFFERS, _DIFFERS_SHARE * duration):
+        return []
+    return [
+        f"{log.name} ends at {log.end:.0f} s and {printable(video.name)} at {duration:.0f} s: they are of two recordings, or "
+        "one is cut; positions are doubtful."
+    ]
 
 
 def began(video: Path) -> float | None:
@@ -133,7 +139,7 @@ def began(video: Path) -> float | None:
         return None
 
 
-def embedded_subtitles(video: Path, gps_order: GpsOrder | None = None) -> Subtitles | None:
+def embedded_subtitles(video: Path, gps_order: GpsOrder | None = None) -> Log | None:
     """Return the telemetry in the subtitles inside a video; None if it has none.
 
     Raises:
@@ -175,13 +181,10 @@ def _sharpest(capture: Any, starts: Iterable[float], times: list[float]) -> Iter
     windows = itertools.pairwise(itertools.chain(starts, [math.inf]))
     (start, end), compared = next(windows), -math.inf
     best: tuple[float, float, UInt8Array] | None = None  # sharpness, time, picture
-    rate = capture.get(cv2.CAP_PROP_FPS)
     for count in itertools.count():
         if not capture.grab():
             break
-        # Some containers have no times of their own.
-        position = capture.get(cv2.CAP_PROP_POS_MSEC) / 1000 or (count / rate if rate > 0 else 0.0)
-        times[-1] = time = max(times[-1], position)
+        times[-1] = time = max(times[-1], position(capture, count))
         while time >= end - _CLOSE:
             if best is not None:
                 yield best[1:]

@@ -23,7 +23,7 @@ from lpn.flight.files.base import Frame
 from lpn.flight.files.photos import read_photo
 from lpn.flight.files.sources import PHOTOS
 from lpn.flight.files.videos import SUFFIXES as VIDEOS
-from lpn.flight.files.videos import turns_of
+from lpn.flight.files.videos import position, turns_of
 
 # Called with sentences for the user.
 Say = Callable[[str], None]
@@ -199,7 +199,8 @@ def stream_pictures(source: Path | str, say: Say, fov: float | None = None) -> P
 
     def read(stop: threading.Event) -> Iterator[ArrivedPicture]:
         nonlocal capture
-        count, began, position = 0, time.monotonic(), None
+        count, began = 0, time.monotonic()
+        seconds: float | None = None
         while not stop.is_set():
             was_open = capture.isOpened()
             got, picture = capture.read()
@@ -213,11 +214,10 @@ def stream_pictures(source: Path | str, say: Say, fov: float | None = None) -> P
                 capture = opened()
                 continue
             if is_file:
-                rate, milliseconds = (float(capture.get(p)) for p in (cv2.CAP_PROP_FPS, cv2.CAP_PROP_POS_MSEC))
-                position = milliseconds / 1000 or (count / rate if rate > 0 else 0.0)
-                stop.wait(max(began + position - time.monotonic(), 0))
+                seconds = position(capture, count)
+                stop.wait(max(began + seconds - time.monotonic(), 0))
             count += 1
-            frame = Frame(f"{count:06d}", Path(), picture.shape[1], picture.shape[0], position, fov=fov)
+            frame = Frame(f"{count:06d}", Path(), picture.shape[1], picture.shape[0], seconds, fov=fov)
             rgb = cv2.cvtColor(picture, cv2.COLOR_BGR2RGB)
             yield ArrivedPicture(frame, time.monotonic(), rgb, turns=turns)
         capture.release()

@@ -11,7 +11,6 @@ from lpn.core.errors import DataError
 from lpn.flight.files.dialects import DIALECTS, table_of
 from lpn.flight.files.logs import read_log
 from lpn.flight.files.sources import read_any_log
-from lpn.flight.files.subtitles import read_subtitles
 
 SRT = "1\n00:00:00,000 --> 00:00:01,000\n{}\n\n"
 PARSER, ODM_SRT = "https://github.com/JuanIrache/DJI_SRT_Parser", "https://github.com/OpenDroneMap/ODM/pull/1667"
@@ -223,19 +222,14 @@ CASES = (
 )
 def test_text_of_the_field_is_read(tmp_path: Path, file: str, text: str, expected: dict[str, Any], note: str) -> None:
     (tmp_path / file).write_text(SRT.format(text) if file.endswith(".srt") else text, "utf-8")
-    if file.endswith(".srt"):
-        found = read_subtitles(tmp_path / file)
-        entry, notes = found.entries[0], found.notes
-    else:
-        if text.startswith("FMT"):
-            pytest.importorskip("pymavlink")
-        log = read_any_log(tmp_path / file)
-        entry, notes = log.rows[0].entry, log.notes
-    read = {name: getattr(entry, name) for name in expected}
+    if text.startswith("FMT"):
+        pytest.importorskip("pymavlink")
+    log = read_any_log(tmp_path / file)
+    read = {name: getattr(log.entries[0], name) for name in expected}
     assert read == {
         name: pytest.approx(value, abs=1e-6) if isinstance(value, float) else value for name, value in expected.items()
     }
-    assert any(note in line for line in notes) if note else not notes
+    assert any(note in line for line in log.notes) if note else not log.notes
 
 
 def test_every_dialect_has_a_case_and_a_source() -> None:

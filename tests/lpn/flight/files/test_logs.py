@@ -229,7 +229,7 @@ def test_a_video_takes_its_positions_from_a_log(
 @pytest.mark.parametrize("zone", ["Z", "+00:00", ".0000Z", ""])
 def test_a_gpx_track_is_a_log_of_moments_in_utc(zone: str) -> None:
     log = parse_track(gpx("".join(POINT.format(47.3, 500 + i, time(i, zone)) for i in range(3))), "a.gpx")
-    found = [(row.entry.clock, row.entry.latitude, row.entry.longitude, row.entry.altitude) for row in log.rows]
+    found = [(row.clock, row.latitude, row.longitude, row.altitude) for row in log.entries]
     assert found == [(NOON + i, 47.3, 8.5, 500.0 + i) for i in range(3)]
     assert log.utc == (zone != "")
     assert log.notes == ()
@@ -237,7 +237,7 @@ def test_a_gpx_track_is_a_log_of_moments_in_utc(zone: str) -> None:
 
 def test_points_that_are_none_on_the_earth_are_left_out() -> None:
     log = parse_track(gpx(POINT.format("nan", 5, time(1)) + POINT.format(47.3, "nan", time(2))), "a.gpx")
-    assert [(row.entry.latitude, row.entry.altitude) for row in log.rows] == [(47.3, None)]
+    assert [(row.latitude, row.altitude) for row in log.entries] == [(47.3, None)]
     assert log.notes == ("1 of 2 points of a.gpx have no time, or no position on the Earth, and were left out.",)
 
 
@@ -306,7 +306,7 @@ def test_angles_beyond_their_range_are_not_used(
 ) -> None:
     log = read_log(written(tmp_path, f"lat,lon,{column}\n" + "".join(f"47.3,8.5,{cell}\n" for cell in cells)))
     names = {"yaw": "heading", "gimbal_pitch": "pitch", "fov": "fov"}
-    found = [getattr(row.entry, names[column]) for row in log.rows]
+    found = [getattr(row, names[column]) for row in log.entries]
     assert found == [None if angle is None else pytest.approx(angle) for angle in expected]
     assert any(note in line for line in log.notes) if note else not log.notes
 
@@ -314,7 +314,7 @@ def test_angles_beyond_their_range_are_not_used(
 def test_a_few_positions_that_are_none_are_left_out(tmp_path: Path) -> None:
     rows = [f"{'-5.797e+148' if i == 7 else 47 + i / 1000},8.5\n" for i in range(30)]
     log = read_log(written(tmp_path, "lat,lon\n" + "".join(rows)))
-    assert [row.line for row in log.rows if row.entry.latitude is None] == [9]
+    assert [row.line for row in log.entries if row.latitude is None] == [9]
     assert log.notes == (
         "1 of 30 values of the column lat of log.csv are not from -90 to 90 degrees and were not used, first in line 9.",
         "1 of 30 rows of log.csv have no position.",
@@ -336,7 +336,7 @@ def test_dates_of_every_spelling_are_read_for_the_file_as_a_whole(
     tmp_path: Path, dates: tuple[str, str], clock: float, says: bool
 ) -> None:
     log = read_log(written(tmp_path, "date,lat,lon\n" + "".join(f"{date},47.3,8.5\n" for date in dates)))
-    assert log.rows[0].entry.clock == clock
+    assert log.entries[0].clock == clock
     assert any("nothing in it rules that out" in note for note in log.notes) == says
 
 
@@ -360,7 +360,7 @@ def test_the_first_row_of_a_moment_counts_and_fractions_of_seconds_come_from_the
 
 def test_logs_that_were_joined_have_the_line_of_names_again(tmp_path: Path) -> None:
     log = read_log(written(tmp_path, "name,lat,lon\na.jpg,47.3,8.5\nname,lat,lon\nb.jpg,47.4,8.5\n"))
-    assert [(row.file, row.entry.latitude, row.line) for row in log.rows] == [("a.jpg", 47.3, 2), ("b.jpg", 47.4, 4)]
+    assert [(row.file, row.latitude, row.line) for row in log.entries] == [("a.jpg", 47.3, 2), ("b.jpg", 47.4, 4)]
 
 
 @pytest.mark.parametrize(
@@ -374,8 +374,8 @@ def test_logs_that_were_joined_have_the_line_of_names_again(tmp_path: Path) -> N
     ],
 )
 def test_the_signs_between_values_are_found(tmp_path: Path, name: str, text: str) -> None:
-    (row,) = read_log(written(tmp_path, text, name)).rows
-    assert (row.file, row.entry.latitude, row.entry.longitude, row.entry.altitude) == ("a.jpg", 47.1, 8.1, 400.0)
+    (row,) = read_log(written(tmp_path, text, name)).entries
+    assert (row.file, row.latitude, row.longitude, row.altitude) == ("a.jpg", 47.1, 8.1, 400.0)
 
 
 @pytest.mark.parametrize(

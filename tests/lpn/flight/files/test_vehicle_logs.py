@@ -31,7 +31,7 @@ def test_a_log_has_positions_heights_and_angles_of_the_aircraft(tmp_path: Path, 
     pytest.importorskip(package)
     write(tmp_path / name)
     log = read_any_log(tmp_path / name)
-    entries = [row.entry for row in log.rows]
+    entries = log.entries
     assert log.utc
     for entry, sample in zip(entries, vehicle_logs.samples(), strict=True):
         assert entry.clock == pytest.approx(vehicle_logs.START + sample.time, abs=0.02)
@@ -45,7 +45,7 @@ def test_a_log_has_positions_heights_and_angles_of_the_aircraft(tmp_path: Path, 
     # A log that is cut short is read so far.
     whole = (tmp_path / name).read_bytes()
     (tmp_path / name).write_bytes(whole[: len(whole) // 2])
-    assert 5 <= len(read_any_log(tmp_path / name).rows) < 20
+    assert 5 <= len(read_any_log(tmp_path / name).entries) < 20
 
 
 def test_a_ulog_that_is_damaged_in_places_says_so(tmp_path: Path) -> None:
@@ -56,7 +56,7 @@ def test_a_ulog_that_is_damaged_in_places_says_so(tmp_path: Path) -> None:
     whole[middle : middle + 40] = bytes(40)
     (tmp_path / "flight.ulg").write_bytes(whole)
     log = read_any_log(tmp_path / "flight.ulg")
-    assert 5 <= len(log.rows) < 20
+    assert 5 <= len(log.entries) < 20
     assert log.notes == ("flight.ulg is damaged in places; the rest of it was used.",)
 
 
@@ -64,7 +64,7 @@ def test_positions_of_another_vehicle_are_left_out_with_a_note(tmp_path: Path) -
     pytest.importorskip("pymavlink")
     vehicle_logs.write_tlog(tmp_path / "two.tlog", foreign=True)
     log = read_any_log(tmp_path / "two.tlog")
-    assert len(log.rows) == 20
+    assert len(log.entries) == 20
     said = "two.tlog has positions of several vehicles; those of system 7 were used, and not those of 9."
     assert log.notes == (said,)
 
