@@ -269,6 +269,8 @@ BEGINS = "log.csv begins with {!r}; expected a line of column names with latitud
         ("WGS84 UTM 32N\na.jpg 464512.10 5238471.2 560.2\n", f"log.csv has positions in WGS84 UTM 32N. {GRID}"),
         ("EPSG:4326\n-7.395223 39.650364 2.59 1920 1080 a.jpg\n", GROUND),
         ("EPSG:32632\n500100.5 5205000.2 412.3 800.0 600.0 a.jpg\n", GROUND),
+        ("EPSG:4326\n8.1,47.1,400,10,20,a.jpg,gcp1\n", GROUND),
+        ("name,lat,lon" + ",x" * 200_000, "log.csv begins with 'name,lat,lon,x"),
         ("lat,lon,a,b,c\n47,301,8,501,1,2,3,4\n", "has 8 values below 5 names, as decimal commas between commas give"),
         ("name,lat,Longitude (W)\na.jpg,33.4,70.5\n", "The column Longitude (W) of log.csv is in an unknown unit"),
         ("\x00\x01\x02binary", "log.csv is no text"),

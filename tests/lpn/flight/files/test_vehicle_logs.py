@@ -9,12 +9,10 @@ from pathlib import Path
 import pytest
 
 from lpn.core.errors import DataError
-from lpn.flight.files import make_flight
 from lpn.flight.files.sources import read_any_log
 from lpn.flight.files.telemetry import TelemetryEntry
 from lpn.flight.files.vehicle_logs import Vehicle, euler_degrees
 from tools.fixtures import vehicle_logs
-from tools.fixtures.photos import exif, write_photo
 
 WRITERS: dict[str, tuple[str, Callable[[Path], None]]] = {
     "flight.ulg": ("pyulog", vehicle_logs.write_ulog),
@@ -93,15 +91,6 @@ def test_a_log_that_cannot_be_read_is_refused_in_a_sentence(
     (tmp_path / name).write_bytes(content if isinstance(content, bytes) else content())
     with pytest.raises(DataError, match=message):
         read_any_log(tmp_path / name)
-
-
-@pytest.mark.parametrize("content", [b"\xd3\x00\x13" * 40, b""])
-def test_satellite_files_of_djis_cards_are_left_out_and_named(tmp_path: Path, content: bytes) -> None:
-    photo = write_photo(tmp_path / "DJI_0001.JPG", exif(47.3, 8.5))
-    (tmp_path / "DJI_PPKRAW.bin").write_bytes(content)
-    flight = make_flight([photo, tmp_path / "DJI_PPKRAW.bin"], tmp_path / "flight")
-    assert [frame.latitude for frame in flight.frames] == [pytest.approx(47.3)]
-    assert "Left out, because their kind is not supported: DJI_PPKRAW.bin." in flight.notes
 
 
 # Messages with their times; the values of the last one's entry, None if it makes none.
