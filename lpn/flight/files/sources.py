@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, TypeVar
 
 from PIL import Image
 
@@ -27,7 +27,7 @@ from lpn.flight.files.photo_logs import with_log
 from lpn.flight.files.photos import DAMAGED, Photo, read_photo
 from lpn.flight.files.quality import flight_notes, natural, set_times, with_courses
 from lpn.flight.files.subtitles import GpsOrder
-from lpn.flight.files.telemetry import Log, Telemetry
+from lpn.flight.files.telemetry import Log
 
 T = TypeVar("T")
 PHOTOS = (".jpg", ".jpeg", ".png", ".webp", ".tif", ".tiff")
@@ -107,7 +107,8 @@ def make_flight(files: Sequence[Path], out: Path, options: FlightOptions | None 
     """
     options = options or FlightOptions()
     check_folder(out)
-    _refuse(files)
+    for file in files:
+        _refuse(file)
     camera = None if options.camera is None else read_camera(options.camera)
     inputs = _sorted_files(files)
     read, unread = _read_logs(inputs)
@@ -145,7 +146,7 @@ def read_any_log(file: Path) -> Log:
     Raises:
         DataError: if it is damaged, of an unsupported kind, or a track by lpn locate.
     """
-    _refuse([file])
+    _refuse(file)
     if file.suffix.lower() in videos.SUBTITLES:
         return subtitles.read_subtitles(file)
     return vehicle_logs.read_vehicle_log(file) if vehicle_logs.is_vehicle_log(file) else logs.read_log(file)
@@ -170,24 +171,23 @@ def _read_logs(inputs: _Files) -> tuple[dict[Path, Log], list[str]]:
     return read, notes
 
 
-def _refuse(files: Sequence[Path]) -> None:
+def _refuse(file: Path) -> None:
     """Raise DataError for a track or log of an unsupported kind, and for a track by lpn locate."""
-    for file in files:
-        suffix = file.suffix.lower()
-        if suffix in _INSTEAD:
-            raise DataError(
-                f"{printable(str(file))} is {suffix.upper()}, which is not read; give the flight as {_INSTEAD[suffix]}."
-            )
-        if suffix not in (".csv", ".geojson", ".gpx"):
-            continue
-        head = b""
-        with contextlib.suppress(OSError), file.open("rb") as opened:  # its own reader tells why
-            head = opened.read(4096)
-        if _OWN_TRACK.match(head):
-            raise DataError(
-                f"{printable(file.name)} is a track of lpn locate: it has places found on a map, and a flight needs what the "
-                "drone told; give the photos, with the drone's own log if there is one, and open the track in a map program."
-            )
+    suffix = file.suffix.lower()
+    if suffix in _INSTEAD:
+        raise DataError(
+            f"{printable(str(file))} is {suffix.upper()}, which is not read; give the flight as {_INSTEAD[suffix]}."
+        )
+    if suffix not in (".csv", ".geojson", ".gpx"):
+        return
+    head = b""
+    with contextlib.suppress(OSError), file.open("rb") as opened:  # its own reader tells why
+        head = opened.read(4096)
+    if _OWN_TRACK.match(head):
+        raise DataError(
+            f"{printable(file.name)} is a track of lpn locate: it has places found on a map, and a flight needs what the "
+            "drone told; give the photos, with the drone's own log if there is one, and open the track in a map program."
+        )
 
 
 def photos_of(paths: Sequence[Path], name: str) -> Flight:
@@ -332,15 +332,6 @@ def _with_names(photos: Sequence[Photo]) -> list[Photo]:
     return [replace(photo, frame=replace(photo.frame, name=name)) for photo, name in zip(photos, names, strict=True)]
 
 
-class _Film(NamedTuple):
-    """A video's frames with times from its start, its seconds, its start on the clock of its telemetry, and notes."""
-
-    frames: Sequence[Frame]
-    duration: float
-    start: float | None
-    notes: list[str]
-
-
 def _flight_of_videos(
     files: _Files, flight_logs: Sequence[Log], folder: Path, name: str, options: FlightOptions
 ) -> Flight:
@@ -350,7 +341,14 @@ def _flight_of_videos(
         raise DataError(
             f"Two videos are named {printable(twice[0])}; their frames would replace each other, so rename one."
         )
-    films, unread = _each(filmed, lambda video: _film(video, files, flight_logs, folder, options), "video")
+
+    def read(video: Path) -> videos.VideoFrames:
+        notes: list[str] = []
+        log = _telemetry(video, files, flight_logs, options, notes)
+        film = videos.read_frames(video, folder, log, options.every, options.every_metres)
+        return film._replace(notes=notes + film.notes)
+
+    films, unread = _each(filmed, read, "video")
     notes = [note for log in flight_logs for note in log.notes]
     notes += [note for film in films for note in film.notes]
     starts = [film.start for film in films if film.start is not None]
@@ -367,26 +365,6 @@ def _flight_of_videos(
     ]
     frames.sort(key=lambda frame: (frame.time, natural(frame.name)))
     return _flight(name, frames, False, notes, unread)
-
-
-def _film(video: Path, files: _Files, flight_logs: Sequence[Log], folder: Path, options: FlightOptions) -> _Film:
-    notes: list[str] = []
-    log = _telemetry(video, files, flight_logs, options, notes)
-    telemetry = Telemetry(log.entries)
-    is_subtitles = log.end is not None
-    part = videos.read_frames(video, folder, options.every, options.every_metres, telemetry, is_subtitles)
-    notes += videos.mismatch(log, video, part.duration)
-    if part.turns:
-        turned = f"{printable(video.name)} is turned by {90 * part.turns}° by its file"
-        sources = {frame.heading_source for frame in part.frames if frame.heading is not None}
-        # If the gimbal rolled the camera, the aircraft's heading is not that of the upright picture's top.
-        doubt = (
-            " If the gimbal itself turned the camera, the heading, which is that of the aircraft, is off by as much."
-        )
-        heading = f", and its heading with it.{doubt if 'aircraft' in sources else ''}"
-        notes.append(turned + (heading if sources else "."))
-    starts = (entry.clock - entry.time for entry in telemetry.entries if entry.clock is not None)
-    return _Film(part.frames, part.duration, next(starts, None), notes)
 
 
 def _telemetry(video: Path, files: _Files, flight_logs: Sequence[Log], options: FlightOptions, notes: list[str]) -> Log:

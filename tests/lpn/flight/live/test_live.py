@@ -392,41 +392,28 @@ def test_memory_does_not_grow_with_the_flight(town: Map, flight: Flight, monkeyp
     assert len(locator._scored) == 8
 
 
-def test_photos_that_come_into_a_folder_are_read_when_they_are_whole(tmp_path: Path) -> None:
+def test_new_photos_below_a_folder_are_read_when_they_are_whole(tmp_path: Path) -> None:
     write_photo(tmp_path / "before.jpg")
+    said: list[str] = []
+    source = LiveSource(folder_pictures(tmp_path, said.append), said.append)
     whole = photo_bytes(exif(main={ExifTags.Base.Orientation: 6}))
-    said: list[str] = []
-    source = LiveSource(folder_pictures(tmp_path, said.append), said.append)
-    source.start()
-    try:
-        (tmp_path / "new.jpg").write_bytes(whole[: len(whole) // 2])
-        assert source.take(0.15) is None
-        (tmp_path / "new.jpg").write_bytes(whole)
-        picture = source.take(10)
-    finally:
-        source.close()
-    assert picture is not None
-    assert (picture.frame.name, picture.turns) == ("new.jpg", 1)
-    assert picture.pixels().shape == (40, 30, 3)
-    assert said == [f"1 photos that were in {tmp_path.name} before are left out."]
-
-
-def test_photos_of_folders_inside_count_and_hidden_and_vanished_files_do_not(tmp_path: Path) -> None:
-    said: list[str] = []
-    source = LiveSource(folder_pictures(tmp_path, said.append), said.append)
-    for name in ("inside/later/new.jpg", "inside/.hidden.jpg", "inside/notes.txt", ".trash/new.jpg"):
-        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+    for name in ("inside/.hidden.jpg", "inside/notes.txt", ".trash/new.jpg"):
         write_photo(tmp_path / name)
+    new = tmp_path / "inside" / "later" / "new.jpg"
+    new.parent.mkdir()
     source.start()
     try:
+        new.write_bytes(whole[: len(whole) // 2])
+        assert source.take(0.15) is None
+        new.write_bytes(whole)
         picture = source.take(TIMEOUT)
         assert source.take(3 * lpn.flight.live.frames._POLL) is None
     finally:
         source.close()
     assert picture is not None
-    assert picture.frame.name == "new.jpg"
-    assert picture.frame.file == tmp_path / "inside" / "later" / "new.jpg"
-    assert said == []
+    assert (picture.frame.file, picture.turns) == (new, 1)
+    assert picture.pixels().shape == (40, 30, 3)
+    assert said == [f"1 photos that were in {tmp_path.name} before are left out."]
 
 
 def test_frames_of_a_video_have_their_times_and_its_turn(tmp_path: Path) -> None:
@@ -460,18 +447,20 @@ def test_a_link_gives_frames_heading_height_and_position_and_says_what_is_odd(fl
     link = MavlinkLink(f"udp:127.0.0.1:{port}", said.append)
     vehicle, other = SimulatedVehicle(flight, port=port, system=7), SimulatedVehicle(flight, port=port, system=9)
     frame = flight.frames[0]
+
+    def told(sent: Frame) -> Frame:
+        vehicle.tell(sent)  # repeated, because a position holds for only 2 s
+        return link.value(arrived(frame)).frame
+
     try:
         assert link.value(arrived(frame)).age is None
-
-        def in_time() -> Any:
-            vehicle.tell(frame)  # repeated, because a position holds for only 2 s
-            value = link.value(arrived(frame))
-            return value.frame.latitude and value
-
-        value = wait_until(in_time)
-        assert value.frame.latitude == pytest.approx(frame.latitude, abs=1e-6)
-        assert (value.frame.heading, value.frame.heading_source) == (pytest.approx(90), "gimbal")
-        assert value.frame.flying_height == HEIGHT
+        lost = replace(frame, latitude=None, longitude=None, heading_source="aircraft")
+        found = wait_until(lambda: (one := told(lost)).heading is not None and one.flying_height is not None and one)
+        assert (found.heading, found.flying_height, found.latitude) == (pytest.approx(90), HEIGHT, None)
+        assert link.vehicle.system == 7
+        found = wait_until(lambda: (one := told(frame)).latitude is not None and one.heading_source == "gimbal" and one)
+        assert found.latitude == pytest.approx(frame.latitude, abs=1e-6)
+        assert (found.heading, found.flying_height) == (pytest.approx(90), HEIGHT)
         kept = link.value(arrived(frame, 5.0)).frame
         assert (kept.heading, kept.latitude, kept.longitude, kept.flying_height) == (None, None, None, HEIGHT)
         assert link.value(arrived(frame, 50.0)).frame.flying_height is None
@@ -578,26 +567,6 @@ def test_bad_options_of_the_command_are_refused_in_a_sentence(
     captured = capsys.readouterr()
     assert sentence in captured.err
     assert captured.err.count("\n") == 1
-
-
-def test_a_vehicle_without_positions_gives_heading_and_height(flight: Flight) -> None:
-    pytest.importorskip("pymavlink")
-    link = MavlinkLink(f"udp:127.0.0.1:{(port := free_port())}", lambda _: None)
-    vehicle = SimulatedVehicle(flight, port=port, system=7)
-    lost = replace(flight.frames[0], latitude=None, longitude=None, heading=90.0, heading_source="aircraft")
-    try:
-
-        def known() -> bool:
-            vehicle.tell(lost)
-            frame = link.value(arrived(replace(lost, heading=None))).frame
-            return frame.heading == pytest.approx(90) and frame.flying_height == HEIGHT
-
-        wait_until(known)
-        assert link.vehicle.system == 7
-        assert link.value(arrived(lost)).frame.latitude is None
-    finally:
-        link.close()
-        vehicle.close()
 
 
 def test_an_answer_is_moved_below_a_camera_of_known_tilt(flight: Flight) -> None:
