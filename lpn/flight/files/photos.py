@@ -268,7 +268,10 @@ def _told_angles(known: _Metadata) -> Iterator[_Angles]:
         elif row.names == "GPSImgDirection" and text_of(known.raw("GPSImgDirectionRef")).upper().startswith("M"):
             known.oddities.append("has a direction from magnetic north, which was not corrected")
         source, down = _CONVENTIONS[convention]
-        pitch, roll = (None, None) if down is None else (None if pitch is None else pitch + down, roll)
+        if down is None:
+            pitch = roll = None
+        elif pitch is not None:
+            pitch += down
         if source == "gimbal" and yaw is not None and pitch is not None:
             yaw, pitch, roll = cameras.from_gimbal(yaw, pitch, roll or 0.0)
         pitch, roll = (angle if angle is None or abs(angle) <= 180 else wrap_degrees(angle) for angle in (pitch, roll))

@@ -40,15 +40,19 @@ def set_times(photos: Sequence[Photo]) -> tuple[list[Frame], bool, list[str]]:
     """
     lags = sorted(photo.utc - photo.local for photo in photos if photo.utc is not None and photo.local is not None)
     is_utc = any(photo.utc is not None for photo in photos)
-    lag = lags[len(lags) // 2] if lags else math.nan if is_utc else 0.0
+    lag = math.nan if is_utc else 0.0
+    if lags:
+        lag = lags[len(lags) // 2]
+    by_lag = [None if photo.local is None else photo.local + lag for photo in photos]
     times = np.array(
-        [photo.utc if photo.utc is not None or photo.local is None else photo.local + lag for photo in photos],
-        np.float64,
+        [late if photo.utc is None else photo.utc for photo, late in zip(photos, by_lag, strict=True)], np.float64
     )
-    known, notes = np.isfinite(times), []
+    known = np.isfinite(times)
+    notes = []
     if lags:
         zone = -round(lag / _QUARTER) * _QUARTER
-        late, name = lag + zone, f"UTC{zone / 3600:+g}" if zone else "UTC"
+        name = f"UTC{zone / 3600:+g}" if zone else "UTC"
+        late = lag + zone
         if abs(late) > 2:
             notes.append(f"The camera's clock is {abs(late):.0f} s {'behind' if late > 0 else 'ahead of'} {name}.")
         if (spread := lags[-1] - lags[0]) > 2:
@@ -73,7 +77,8 @@ def natural(name: str) -> list[tuple[int, str]]:
 
 def with_courses(frames: Sequence[Frame]) -> tuple[list[Frame], list[str]]:
     """Fill missing headings with the course over ground where the drone moves straight; return notes about it."""
-    made, missing = list(frames), [i for i, frame in enumerate(frames) if frame.heading is None]
+    made = list(frames)
+    missing = [i for i, frame in enumerate(frames) if frame.heading is None]
     metres, times = local_metres(degrees(frames)), _times(frames)
     for i in missing:
         if (course := _course(metres - metres[i], np.abs(times - times[i]), i)) is not None:
@@ -103,7 +108,8 @@ def flight_notes(frames: Sequence[Frame], oddities: Sequence[Sequence[str]] = ()
     elif len(known) < len(frames):
         names = [frame.name for frame in frames if frame.latitude is None]
         notes.append(f"{len(names)} of {len(frames)} photos have no GPS tag: {first_few(names, _NAMED)}.")
-    metres, seconds = np.hypot(*np.diff(local_metres(degrees(known)), axis=0).T), np.diff(_times(known))
+    metres = np.hypot(*np.diff(local_metres(degrees(known)), axis=0).T)
+    seconds = np.diff(_times(known))
     fast = np.where(np.isnan(seconds), metres > _FAR, metres > _FASTEST * np.maximum(seconds, 1.0))
     usual = float(np.median(metres)) if len(metres) > 1 else math.inf
     jumps = np.flatnonzero(fast & (metres > _JUMP * usual))

@@ -55,12 +55,12 @@ class LiveFix:
 
     def line(self) -> str:
         """Return the fix as a feature of GeoJSON (RFC 7946) in one line, see docs/locate-a-flight.md."""
-        answer, best, geometry = self.best.answer, self.best, None
+        answer, geometry = self.best.answer, None
         if self.latitude is not None and self.longitude is not None:
             geometry = {"type": "Point", "coordinates": [round(self.longitude, 8), round(self.latitude, 8)]}
         properties: dict[str, Any] = {
             "frame": printable(self.located.frame.name),
-            **best.columns,
+            **self.best.columns,
             "time": round(self.clock, 3),
             "camera": answer.camera,
             "radius": _rounded(answer.radius, 2),

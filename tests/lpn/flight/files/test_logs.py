@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from pathlib import Path
 
 import pytest
@@ -199,18 +200,15 @@ def test_recordings_of_a_log_begin_with_the_video(
 def test_a_video_takes_its_positions_from_a_log(
     tmp_path: Path, name: str, text: str, begins: int | None, start: float | None, note: str
 ) -> None:
-    av = pytest.importorskip("av")
-    with (
-        av.open(str(write_video(tmp_path / "plain.mp4", 3))) as source,
-        av.open(str(tmp_path / "a.mp4"), "w") as target,
-    ):
-        target.metadata.update({} if begins is None else {"creation_time": f"2024-05-01T12:00:{begins:02d}Z"})
-        pictures = target.add_stream_from_template(source.streams.video[0])
-        for packet in source.demux(source.streams.video[0]):
-            if packet.dts is not None:
-                packet.stream = pictures
-                target.mux(packet)
-    flight = make_flight([tmp_path / "a.mp4", written(tmp_path, text, name)], tmp_path / "flight")
+    video = write_video(tmp_path / "a.mp4", 3)
+    if begins is not None:
+        pytest.importorskip("av")
+        data = bytearray(video.read_bytes())
+        # The film's header has its creation in seconds since 1904.
+        at = data.index(b"mvhd") + 8
+        data[at : at + 4] = struct.pack(">I", int(NOON) + begins + 2_082_844_800)
+        video.write_bytes(data)
+    flight = make_flight([video, written(tmp_path, text, name)], tmp_path / "flight")
     step = 1 / 1000 if name == "track.gpx" else 1 / 10_000
     for frame in flight.frames:
         expected = None if start is None else pytest.approx(start + step * (frame.time or 0))

@@ -448,19 +448,26 @@ def test_a_link_gives_frames_heading_height_and_position_and_says_what_is_odd(fl
     vehicle, other = SimulatedVehicle(flight, port=port, system=7), SimulatedVehicle(flight, port=port, system=9)
     frame = flight.frames[0]
 
-    def told(sent: Frame) -> Frame:
-        vehicle.tell(sent)  # repeated, because a position holds for only 2 s
-        return link.value(arrived(frame)).frame
+    def told(sent: Frame, *names: str) -> Any:
+        """Send a frame's telemetry until a picture has the named values."""
+
+        def known() -> Frame | None:
+            vehicle.tell(sent)  # repeated, because a position holds for only 2 s
+            found = link.value(arrived(frame)).frame
+            return found if all(getattr(found, name) is not None for name in names) else None
+
+        return wait_until(known)
 
     try:
         assert link.value(arrived(frame)).age is None
         lost = replace(frame, latitude=None, longitude=None, heading_source="aircraft")
-        found = wait_until(lambda: (one := told(lost)).heading is not None and one.flying_height is not None and one)
+        found = told(lost, "heading", "height_above_takeoff")
         assert (found.heading, found.flying_height, found.latitude) == (pytest.approx(90), HEIGHT, None)
         assert link.vehicle.system == 7
-        found = wait_until(lambda: (one := told(frame)).latitude is not None and one.heading_source == "gimbal" and one)
+        found = told(frame, "latitude")
         assert found.latitude == pytest.approx(frame.latitude, abs=1e-6)
-        assert (found.heading, found.flying_height) == (pytest.approx(90), HEIGHT)
+        assert (found.heading, found.heading_source) == (pytest.approx(90), "gimbal")
+        assert found.flying_height == HEIGHT
         kept = link.value(arrived(frame, 5.0)).frame
         assert (kept.heading, kept.latitude, kept.longitude, kept.flying_height) == (None, None, None, HEIGHT)
         assert link.value(arrived(frame, 50.0)).frame.flying_height is None
