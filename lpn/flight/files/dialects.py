@@ -373,7 +373,9 @@ def columns_of(header: Sequence[str], name: str) -> tuple[Dialect, dict[str, Log
         taken = {column.place for column in columns.values()}
         free = [reading for reading in readings if reading[2] not in taken]
         found = {what: _best(free, what, names) for what, names in table.columns.items() if what not in columns}
-        for what, column in ((what, column) for what, column in found.items() if column is not None):
+        for what, column in found.items():
+            if column is None:
+                continue
             written = printable(header[column.place])
             if column.factor is not None:
                 columns[what] = column._replace(name=written, has_unit=column.has_unit or table is not COMMON)
@@ -429,12 +431,15 @@ def _best(readings: Sequence[tuple[str, tuple[str, ...], int]], what: str, names
     for rank, written in enumerate(names.split("|")):
         wanted, wanted_units = _readings(written)[0]
         own = units[wanted_units[0]] if wanted_units else 1.0
-        for words, place in ((words, place) for plain, words, place in readings if plain == wanted):
+        for plain, words, place in readings:
+            if plain != wanted:
+                continue
             unit = next((word for word in words if word in units), "")
             is_unknown = bool(units and words and not unit)
             # A column of time in another unit may hold another value of time.
             if is_unknown and what in ("time", "date", "clock"):
                 continue
-            column = LogColumn(place, "", None if is_unknown else units.get(unit, own), bool(unit or wanted_units))
-            ranked.append((rank, 2 if is_unknown or unit == "local" else int(not unit), place, column))
+            factor = None if is_unknown else units.get(unit, own)
+            doubt = 2 if is_unknown or unit == "local" else int(not unit)
+            ranked.append((rank, doubt, place, LogColumn(place, "", factor, bool(unit or wanted_units))))
     return min(ranked, key=lambda found: found[:3])[3] if ranked else None

@@ -87,11 +87,11 @@ def _log_of(table: LogTable) -> Log:
         below = [text == "1" or text.casefold().startswith("below") for text in table.text("below")]
         columns["altitude"] = np.where(below, -np.abs(columns["altitude"]), columns["altitude"])
     entries = []
-    for i, time in enumerate(table.numbers("time").tolist()):
-        entry = entry_of(time, clocks[i], {what: float(column[i]) for what, column in columns.items()})
-        video = table.text("is_video")[i].casefold()
-        recording = video in ("1", "true", "yes") if video else None
-        entries.append(replace(entry, file=table.text("file")[i] or None, recording=recording, line=table.lines[i]))
+    times, pictures = table.numbers("time").tolist(), table.text("file")
+    for i, video in enumerate(table.text("is_video")):
+        entry = entry_of(times[i], clocks[i], {what: float(column[i]) for what, column in columns.items()})
+        recording = video.casefold() in ("1", "true", "yes") if video else None
+        entries.append(replace(entry, file=pictures[i] or None, recording=recording, line=table.lines[i]))
     if missing := sum(entry.latitude is None for entry in entries):
         notes.append(f"{missing} of {count} rows of {table.name} have no position.")
     return Log(table.name, tuple(entries), utc, tuple(notes))
