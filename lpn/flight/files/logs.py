@@ -129,9 +129,9 @@ def _clean(table: LogTable, columns: dict[str, Float64Array], what: str) -> Iter
         first = beyond[0]
         latitude, longitude = columns["latitude"][first], columns["longitude"][first]
         largest = max(abs(latitude), abs(longitude))
-        hint = _SWAPPED if largest < _LEAST_GRID else f" {GRID}"
-        if largest >= _LEAST_SCALED:
-            hint = _SCALED
+        hint = _SCALED
+        if largest < _LEAST_SCALED:
+            hint = _SWAPPED if largest < _LEAST_GRID else f" {GRID}"
         raise DataError(
             f"Line {table.lines[first]} of {table.name} has the position {latitude:g}, {longitude:g}; expected degrees, latitude "
             f"from -90 to 90.{hint}"
