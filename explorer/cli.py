@@ -119,7 +119,7 @@ class ExploreLive(ServeOptions, LiveInput):
             run = self.open_run(say, [record.send], stack, [record.count_windows])
             warn_of_listening(self.host or "0.0.0.0", self.port)
             print(f"LPN Explorer is ready: {app.link}  (stop with Ctrl-C)", flush=True)
-            say(f"The flight has ended; {run.run()} frames were located, and the page goes on showing them.")
+            say(f"The flight has ended; {run()} frames were located, and the page goes on showing them.")
             while True:
                 time.sleep(0.5)
 

@@ -18,11 +18,11 @@ def flights(folder: Path) -> list[FuzzCase]:
     from lpn.core.images import header_error
     from lpn.flight.files import Frame, footprint, open_flight, write_flight
     from lpn.flight.files.clock_fit import fit_clocks
-    from lpn.flight.files.logs import Log, for_video, moments, parse_track, read_log, rows_by_name
+    from lpn.flight.files.logs import entries_by_name, for_video, moments, parse_track, read_log
     from lpn.flight.files.makers import Properties
     from lpn.flight.files.photos import Photo, photo_of
     from lpn.flight.files.subtitles import blocks_of, parse_subtitles
-    from lpn.flight.files.telemetry import Telemetry
+    from lpn.flight.files.telemetry import Log, Telemetry
     from lpn.flight.files.values import decoded
     from tools.fixtures.field_photos import FIELD
     from tools.fixtures.photos import dji_xmp, exif, photo_bytes, sensefly_xmp, write_photo, xmp_packet
@@ -86,7 +86,7 @@ def flights(folder: Path) -> list[FuzzCase]:
     photos = [Photo(frame, 1714564800.0 + i) for i, frame in enumerate(frames)]
 
     def fitted(found: Log) -> None:
-        rows_by_name(found)
+        entries_by_name(found)
         fit_clocks(photos, Telemetry(moments(found)[0]), found.utc)
         Telemetry(for_video(found, 0)[0]).at(0.5)
 

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack, closing
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Annotated, Literal
 
@@ -19,7 +20,7 @@ from lpn.sources.options import ADVANCED
 if TYPE_CHECKING:
     from lpn.core.progress import CountProgress
     from lpn.flight.live.frames import Say
-    from lpn.flight.live.run import FixOutput, LiveRun
+    from lpn.flight.live.run import FixOutput
 
 # Seconds between two sentences about the progress of describing windows.
 _SAID = 5.0
@@ -63,8 +64,8 @@ class LiveInput(ModelOptions):
 
     def open_run(
         self, say: Say, outputs: Sequence[FixOutput], stack: ExitStack, on_windows: Sequence[CountProgress] = ()
-    ) -> LiveRun:
-        """Open map, model, pictures, and telemetry.
+    ) -> Callable[[], int]:
+        """Open map, model, pictures, and telemetry; return a function that locates the frames, and returns their number.
 
         Args:
             outputs: receivers of each fix.
@@ -78,7 +79,7 @@ class LiveInput(ModelOptions):
         from lpn.core.resources import one_thread_a_library
         from lpn.flight.live.frames import open_source
         from lpn.flight.live.locator import LiveLocator
-        from lpn.flight.live.run import LiveRun
+        from lpn.flight.live.run import locate_live
         from lpn.flight.live.telemetry import open_telemetry
         from lpn.flight.locate.options import LocateOptions
         from lpn.flight.maps import open_map
@@ -117,7 +118,7 @@ class LiveInput(ModelOptions):
                 "The package threadpoolctl is not installed, so NumPy computes by several threads, and a frame may take twice as "
                 "long; pip install 'lpn-explorer[live]', or set OMP_NUM_THREADS=1."
             )
-        return LiveRun(source, telemetry, locator, outputs, say, self.idle)
+        return partial(locate_live, source, telemetry, locator, outputs, say, self.idle)
 
 
 @dataclass(kw_only=True)
@@ -137,7 +138,7 @@ class LocateLive(LiveInput):
                 check_outputs((self.out, ".jsonl", ".geojsonl", ".ndjson"))
                 lines = stack.enter_context(self.out.open("a", encoding="utf-8"))
             run = self.open_run(_say, [lambda fix: print(fix.line(), file=lines, flush=True)], stack)
-            count = run.run()
+            count = run()
         _say(f"{count} frames were located.")
 
 

@@ -117,6 +117,11 @@ def degrees(frames: Sequence[Frame]) -> Float64Array:
     return np.array([(frame.latitude, frame.longitude) for frame in frames], np.float64).reshape(-1, 2)
 
 
+def on_earth(latitude: float, longitude: float) -> bool:
+    """Tell whether degrees are a position on the Earth."""
+    return abs(latitude) <= 90 and abs(longitude) <= 180
+
+
 def local_metres(places: Float64Array) -> Float64Array:
     """Return metres east and north of the first known latitude and longitude, (N, 2); NaN where unknown.
 

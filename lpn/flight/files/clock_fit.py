@@ -71,8 +71,9 @@ def _fit(telemetry: Telemetry, times: Float64Array, places: Float64Array, basis:
     """Return the best offset of one of the photos' clocks; `is_like` if it is of the log's kind."""
     offsets = _QUARTER * np.array(sorted(range(-_MOST_QUARTERS, _MOST_QUARTERS + 1), key=abs))
     shares, metres = np.array([_score(telemetry, times + offset, places) for offset in offsets]).T
-    likely, near = shares >= _MOST, (shares >= _SOME) & (metres <= _NEAR)
+    likely = shares >= _MOST
     best = likely if likely.any() else shares >= _SOME
+    near = (shares >= _SOME) & (metres <= _NEAR)
     if near.any():
         least = metres[near].min()
         best = near & (metres <= max(_CLEAR * least, least + _CLEAR_METRES))
@@ -86,7 +87,8 @@ def _fit(telemetry: Telemetry, times: Float64Array, places: Float64Array, basis:
             "the photos' times lie within it at several offsets, and nothing decides between them; give one, in seconds, with "
             f"--clock-offset: {', '.join(f'{offset:g}' for offset in choices[:4])}",
         )
-    offset, away, parts = choices[0], metres[best][0], []
+    offset, away = choices[0], metres[best][0]
+    parts = []
     if offset:
         ahead = "ahead of" if offset > 0 else "behind"
         parts.append(f"with a constant offset: the log's clock is {abs(offset) / 3600:g} h {ahead} the photos'")

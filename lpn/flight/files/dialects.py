@@ -172,6 +172,19 @@ class LogColumn(NamedTuple):
     has_unit: bool
 
 
+# The number of a line of the file, and its text.
+_Line = tuple[int, str]
+
+
+class _Header(NamedTuple):
+    """The names of a table's columns with the lines below them; a delimiter of None is any whitespace."""
+
+    below: Sequence[_Line]
+    delimiter: str | None
+    names: list[str]
+    notes: list[str]
+
+
 @dataclass(frozen=True)
 class LogTable:
     """The known columns of a log.
@@ -240,18 +253,7 @@ def table_of(text: str, name: str) -> LogTable:
     ]
     if not lines:
         raise DataError(f"{name} is empty; expected a log with a line of column names.")
-    first = next((i for i, (_, line) in enumerate(lines) if not line.startswith(_COMMENT)), len(lines) - 1)
-    notes: list[str] = []
-    heads = enumerate(lines[: min(first + 1, _MOST_COMMENTS)])
-    for i, row, delimiter in ((i, line, mark) for i, line in heads for mark in _delimiters(line[1])):
-        header = [cell.strip() for cell in _rows([row], delimiter, name)[0][1]]
-        header = header[1:] if header[0] in ("#", "%") else header
-        columns = {} if len(header) > _MOST_NAMES else columns_of(header, name)[1]
-        if "position" in columns or {"latitude", "longitude"} <= columns.keys():
-            below = lines[i + 1 :]
-            break
-    else:
-        below, delimiter, header, notes = _without_header(lines, name)
+    below, delimiter, header, notes = _with_header(lines, name) or _without_header(lines, name)
     # RTKLIB has one name for two columns, date and time of day.
     if delimiter is None and header[0].lstrip("%") in ("GPST", "UTC"):
         header = [header[0], "time of day", *header[1:]]
@@ -295,7 +297,7 @@ def _delimiters(line: str) -> Sequence[str | None]:
     return found or [None]
 
 
-def _rows(lines: Sequence[tuple[int, str]], delimiter: str | None, name: str) -> list[tuple[int, list[str]]]:
+def _rows(lines: Sequence[_Line], delimiter: str | None, name: str) -> list[tuple[int, list[str]]]:
     """Return the cells of each row with the number of its last line."""
     if delimiter is None:
         return [(number, line.split()) for number, line in lines]
@@ -307,16 +309,27 @@ def _rows(lines: Sequence[tuple[int, str]], delimiter: str | None, name: str) ->
         raise DataError(f"Line {number} of {name} is not comma-separated values; correct it.") from error
 
 
-def _without_header(
-    lines: Sequence[tuple[int, str]], name: str
-) -> tuple[list[tuple[int, str]], str | None, list[str], list[str]]:
-    """Return the rows' lines, delimiter, names, and notes of a table of Pix4D or OpenDroneMap."""
+def _with_header(lines: Sequence[_Line], name: str) -> _Header | None:
+    """Return the header with names of a position: the first line, or one of the comments before it."""
+    first = next((i for i, (_, line) in enumerate(lines) if not line.startswith(_COMMENT)), len(lines) - 1)
+    for i, line in enumerate(lines[: min(first + 1, _MOST_COMMENTS)]):
+        for delimiter in _delimiters(line[1]):
+            header = [cell.strip() for cell in _rows([line], delimiter, name)[0][1]]
+            header = header[1:] if header[0] in _COMMENT else header
+            columns = {} if len(header) > _MOST_NAMES else columns_of(header, name)[1]
+            if "position" in columns or {"latitude", "longitude"} <= columns.keys():
+                return _Header(lines[i + 1 :], delimiter, header, [])
+    return None
+
+
+def _without_header(lines: Sequence[_Line], name: str) -> _Header:
+    """Return the known header of a table of Pix4D or OpenDroneMap, which the file lacks."""
     line = lines[0][1].strip()
     delimiter = _delimiters(line)[0]
     if _is_picture_row(row := _rows(lines[:1], delimiter, name)[0][1]):
         note = f"{name} has no line of column names; latitude before longitude was taken, as in Pix4D's files."
         more = " Further numbers in it were not read." if len(row) > len(_PIX4D) else ""
-        return list(lines), delimiter, _PIX4D, [note + more]
+        return _Header(lines, delimiter, _PIX4D, [note + more])
     second: Sequence[str] = ()
     if len(lines) > 1 and _PROJECTION.fullmatch(line):
         delimiter = _delimiters(lines[1][1])[0]
@@ -329,7 +342,7 @@ def _without_header(
     if _is_picture_row(second):
         if not _DEGREES.fullmatch(line):
             raise DataError(f"{name} has positions in {printable(line)[:80]}. {GRID}")
-        return list(lines[1:]), delimiter, _GEO_TXT + _GEO_TXT_ANGLES * (len(second) > 6), []
+        return _Header(lines[1:], delimiter, _GEO_TXT + _GEO_TXT_ANGLES * (len(second) > 6), [])
     names = set(re.findall(r"[a-z]+", line.casefold()))
     grid = f" {GRID}" if {"x", "y"} <= names or names & {"easting", "northing", "utm"} else ""
     raise DataError(
@@ -360,7 +373,9 @@ def columns_of(header: Sequence[str], name: str) -> tuple[Dialect, dict[str, Log
         taken = {column.place for column in columns.values()}
         free = [reading for reading in readings if reading[2] not in taken]
         found = {what: _best(free, what, names) for what, names in table.columns.items() if what not in columns}
-        for what, column in ((what, column) for what, column in found.items() if column is not None):
+        for what, column in found.items():
+            if column is None:
+                continue
             written = printable(header[column.place])
             if column.factor is not None:
                 columns[what] = column._replace(name=written, has_unit=column.has_unit or table is not COMMON)
@@ -416,12 +431,15 @@ def _best(readings: Sequence[tuple[str, tuple[str, ...], int]], what: str, names
     for rank, written in enumerate(names.split("|")):
         wanted, wanted_units = _readings(written)[0]
         own = units[wanted_units[0]] if wanted_units else 1.0
-        for words, place in ((words, place) for plain, words, place in readings if plain == wanted):
+        for plain, words, place in readings:
+            if plain != wanted:
+                continue
             unit = next((word for word in words if word in units), "")
             is_unknown = bool(units and words and not unit)
             # A column of time in another unit may hold another value of time.
             if is_unknown and what in ("time", "date", "clock"):
                 continue
-            column = LogColumn(place, "", None if is_unknown else units.get(unit, own), bool(unit or wanted_units))
-            ranked.append((rank, 2 if is_unknown or unit == "local" else int(not unit), place, column))
+            factor = None if is_unknown else units.get(unit, own)
+            doubt = 2 if is_unknown or unit == "local" else int(not unit)
+            ranked.append((rank, doubt, place, LogColumn(place, "", factor, bool(unit or wanted_units))))
     return min(ranked, key=lambda found: found[:3])[3] if ranked else None

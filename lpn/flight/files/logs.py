@@ -11,8 +11,8 @@ import itertools
 import math
 import re
 from collections import defaultdict
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from datetime import UTC
 from pathlib import Path
 from typing import Any
@@ -25,7 +25,7 @@ from lpn.core.files import printable
 from lpn.core.numbers import wrap_degrees
 from lpn.flight.files import cameras, values
 from lpn.flight.files.dialects import GRID, LogTable, picture_name, table_of
-from lpn.flight.files.telemetry import TelemetryEntry, entry_of
+from lpn.flight.files.telemetry import Log, TelemetryEntry, entry_of
 
 SUFFIXES = (".csv", ".tsv", ".txt", ".pos", ".log", ".gpx")
 _MOST_BYTES = 200_000_000
@@ -53,38 +53,6 @@ _SWAPPED = " Check that latitude and longitude are not exchanged."
 _SCALED = " Another unit is named behind a column, as in lat (degE7)."
 
 
-@dataclass(frozen=True)
-class LogRow:
-    """A row of a log.
-
-    Attributes:
-        entry: its values; `time` is from its column, else NaN, and `clock` from its date.
-        file: its picture; None in a log of moments.
-        recording: whether the drone was recording a video; None if unknown.
-        line: its number in the file, from 1; 0 in a track.
-    """
-
-    entry: TelemetryEntry
-    file: str | None = None
-    recording: bool | None = None
-    line: int = 0
-
-
-@dataclass(frozen=True)
-class Log:
-    """A log of a flight.
-
-    Attributes:
-        utc: True if the log names the entries' `clock` as UTC.
-        notes: sentences about oddities.
-    """
-
-    name: str
-    rows: tuple[LogRow, ...]
-    utc: bool
-    notes: tuple[str, ...]
-
-
 def read_log(file: Path) -> Log:
     """Read a table or a GPX track.
 
@@ -103,83 +71,87 @@ def read_log(file: Path) -> Log:
 
 
 def _log_of(table: LogTable) -> Log:
-    name, count = table.name, len(table.lines)
     notes = list(table.notes)
     columns = {what: table.numbers(what) for what in (*_HEIGHTS, *_RANGES) if what in table.columns}
+    notes += _unit_notes(table, columns)
+    for what in [what for what in _RANGES if what in columns]:
+        notes += _clean(table, columns, what)
+    clocks, utc = _clocks(table, notes)
+    count = len(table.lines)
+    if unfixed := sum(text not in ("", table.dialect.fixed) for text in table.text("quality")):
+        notes.append(
+            f"{unfixed} of {count} rows of {table.name} have no fixed RTK solution ({table.columns['quality'].name} is not "
+            f"{table.dialect.fixed}), so they may be off by metres."
+        )
+    if "altitude" in columns:
+        below = [text == "1" or text.casefold().startswith("below") for text in table.text("below")]
+        columns["altitude"] = np.where(below, -np.abs(columns["altitude"]), columns["altitude"])
+    entries = []
+    times, pictures = table.numbers("time").tolist(), table.text("file")
+    for i, video in enumerate(table.text("is_video")):
+        entry = entry_of(times[i], clocks[i], {what: float(column[i]) for what, column in columns.items()})
+        recording = video.casefold() in ("1", "true", "yes") if video else None
+        entries.append(replace(entry, file=pictures[i] or None, recording=recording, line=table.lines[i]))
+    if missing := sum(entry.latitude is None for entry in entries):
+        notes.append(f"{missing} of {count} rows of {table.name} have no position.")
+    return Log(table.name, tuple(entries), utc, tuple(notes))
+
+
+def _unit_notes(table: LogTable, columns: Mapping[str, Float64Array]) -> Iterator[str]:
+    """Yield a note on positions, and one on angles, that may be radians."""
     for kinds, most in ((("latitude", "longitude"), math.pi), (_ANGLES, math.tau)):
         unsaid = [what for what in kinds if what in columns and not table.columns[what].has_unit]
         known = np.concatenate([np.zeros(1), *(columns[what] for what in unsaid)])
         if 0 < np.nanmax(np.abs(known)) <= most:
             names = [table.columns[what].name for what in unsaid]
-            notes.append(
-                f"All values of {', '.join(names)} in {name} lie within {most:.2f} of 0 and name no unit; they were read as "
-                f"degrees. If they are radians, say so in the header, as in {names[0]} (rad)."
+            yield (
+                f"All values of {', '.join(names)} in {table.name} lie within {most:.2f} of 0 and name no unit; they were read "
+                f"as degrees. If they are radians, say so in the header, as in {names[0]} (rad)."
             )
-    _clean(table, columns, notes)
-    clocks, utc = _clocks(table, notes)
-    times = table.numbers("time").tolist()
-    fixed = table.dialect.fixed
-    if unfixed := sum(text not in ("", fixed) for text in table.text("quality")):
-        notes.append(
-            f"{unfixed} of {count} rows of {name} have no fixed RTK solution ({table.columns['quality'].name} is not {fixed}), "
-            "so they may be off by metres."
-        )
-    if "altitude" in columns:
-        below = [text == "1" or text.casefold().startswith("below") for text in table.text("below")]
-        columns["altitude"] = np.where(below, -np.abs(columns["altitude"]), columns["altitude"])
-    rows = []
-    for i, (file, video) in enumerate(zip(table.text("file"), table.text("is_video"), strict=True)):
-        entry = entry_of(times[i], clocks[i], {what: float(column[i]) for what, column in columns.items()})
-        recording = video.casefold() in ("1", "true", "yes") if video else None
-        rows.append(LogRow(entry, file or None, recording, table.lines[i]))
-    if missing := sum(row.entry.latitude is None for row in rows):
-        notes.append(f"{missing} of {count} rows of {name} have no position.")
-    return Log(name, tuple(rows), utc, tuple(notes))
 
 
-def _clean(table: LogTable, columns: dict[str, Float64Array], notes: list[str]) -> None:
-    """Remove angles beyond their range, or their whole column, and a gimbal's pitch that always looks up, with notes.
+def _clean(table: LogTable, columns: dict[str, Float64Array], what: str) -> Iterator[str]:
+    """Remove angles beyond their range, or their whole column, and a gimbal's pitch that always looks up; yield notes.
 
     Raises:
         DataError: if more than a tenth of the positions are not on the Earth.
     """
-    for what, (least, most) in _RANGES.items():
-        if what not in columns:
-            continue
-        angles = columns[what]
-        if what in _ANGLES and most == 180.0:
-            turned = (np.abs(angles) > 180.0) & (np.abs(angles) <= 360.0)
-            angles[turned] = wrap_degrees(angles[turned])
-        beyond = np.flatnonzero((angles < least) | (angles > most))
-        worst = max(angles[beyond].tolist(), key=abs, default=0.0)
-        known = int((~np.isnan(angles)).sum())
-        line = table.lines[beyond[0]] if len(beyond) else 0
-        column = f"column {table.columns[what].name} of {table.name}"
-        expected = f"from {least:g} to {most:g} degrees"
-        if what in ("latitude", "longitude") and len(beyond) > _MOST_BEYOND * known:
-            latitude, longitude = columns["latitude"][beyond[0]], columns["longitude"][beyond[0]]
-            largest = max(abs(latitude), abs(longitude))
-            hint = _SWAPPED if largest < _LEAST_GRID else f" {GRID}" if largest < _LEAST_SCALED else _SCALED
-            raise DataError(
-                f"Line {line} of {table.name} has the position {latitude:g}, {longitude:g}; expected degrees, latitude from -90 "
-                f"to 90.{hint}"
-            )
-        if len(beyond) > _MOST_BEYOND * known:
-            hint = "" if what == "fov" else "; another unit is named behind a column, as in (cdeg)"
-            notes.append(f"The {column} was left out: it holds {worst:g}, and expected are angles {expected}{hint}.")
-            del columns[what]
-            continue
-        if len(beyond):
-            notes.append(
-                f"{len(beyond)} of {known} values of the {column} are not {expected} and were not used, first in line {line}."
-            )
-            angles[beyond] = np.nan
-        if what == "gimbal_pitch" and known and (lowest := np.nanmin(angles)) > _LOOKS_UP:
-            notes.append(
-                f"The {column} was left out: it looks up by {lowest:g} degrees and more, where -90 should be straight down; "
-                "--pitch tells it."
-            )
-            del columns[what]
+    angles, (least, most) = columns[what], _RANGES[what]
+    if what in _ANGLES and most == 180.0:
+        turned = (np.abs(angles) > 180.0) & (np.abs(angles) <= 360.0)
+        angles[turned] = wrap_degrees(angles[turned])
+    beyond = np.flatnonzero((angles < least) | (angles > most))
+    known = int((~np.isnan(angles)).sum())
+    is_doubtful = len(beyond) > _MOST_BEYOND * known
+    column = f"column {table.columns[what].name} of {table.name}"
+    expected = f"from {least:g} to {most:g} degrees"
+    if is_doubtful and what in ("latitude", "longitude"):
+        first = beyond[0]
+        latitude, longitude = columns["latitude"][first], columns["longitude"][first]
+        largest = max(abs(latitude), abs(longitude))
+        hint = _SCALED
+        if largest < _LEAST_SCALED:
+            hint = _SWAPPED if largest < _LEAST_GRID else f" {GRID}"
+        raise DataError(
+            f"Line {table.lines[first]} of {table.name} has the position {latitude:g}, {longitude:g}; expected degrees, latitude "
+            f"from -90 to 90.{hint}"
+        )
+    if is_doubtful:
+        del columns[what]
+        worst = max(angles[beyond].tolist(), key=abs)
+        hint = "" if what == "fov" else "; another unit is named behind a column, as in (cdeg)"
+        yield f"The {column} was left out: it holds {worst:g}, and expected are angles {expected}{hint}."
+        return
+    if len(beyond):
+        line = table.lines[beyond[0]]
+        yield f"{len(beyond)} of {known} values of the {column} are not {expected} and were not used, first in line {line}."
+        angles[beyond] = np.nan
+    if what == "gimbal_pitch" and known and (lowest := np.nanmin(angles)) > _LOOKS_UP:
+        del columns[what]
+        yield (
+            f"The {column} was left out: it looks up by {lowest:g} degrees and more, where -90 should be straight down; --pitch "
+            "tells it."
+        )
 
 
 def _clocks(table: LogTable, notes: list[str]) -> tuple[list[float | None], bool]:
@@ -229,8 +201,9 @@ def parse_track(text: str, name: str) -> Log:
     except (gpxpy.gpx.GPXException, ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
         raise DataError(f"{name} is cut off or damaged, so it was not read; export the track again.") from error
     points: list[Any] = [point for track in gpx.tracks for segment in track.segments for point in segment.points]
-    points += [*gpx.waypoints, *(point for route in gpx.routes for point in route.points)]
-    rows, utc = [], False
+    points += gpx.waypoints
+    points += [point for route in gpx.routes for point in route.points]
+    entries, utc = [], False
     for point in points:
         clock: float | None = None
         if point.time is not None:
@@ -238,27 +211,27 @@ def parse_track(text: str, name: str) -> Log:
                 clock = point.time.replace(tzinfo=point.time.tzinfo or UTC).timestamp()
                 utc |= point.time.tzinfo is not None
         told = {"latitude": point.latitude, "longitude": point.longitude, "altitude": point.elevation}
-        rows.append(LogRow(entry_of(math.nan, clock, told), picture_name(point.name or "")))
-    placed = [row for row in rows if row.entry.latitude is not None]
+        entries.append(replace(entry_of(math.nan, clock, told), file=picture_name(point.name or "")))
+    placed = [entry for entry in entries if entry.latitude is not None]
     if not placed:
         raise DataError(f"{name} has no point with a position on the Earth; expected a track.")
-    used = [row for row in placed if row.entry.clock is not None or row.file is not None]
+    used = [entry for entry in placed if entry.clock is not None or entry.file is not None]
     notes: tuple[str, ...] = ()
     if not used:
         notes = (f"{name} has {len(placed)} points without a time, so it fits no picture; export a track with times.",)
-    elif left := len(rows) - len(used):
+    elif left := len(entries) - len(used):
         notes = (
-            f"{left} of {len(rows)} points of {name} have no time, or no position on the Earth, and were left out.",
+            f"{left} of {len(entries)} points of {name} have no time, or no position on the Earth, and were left out.",
         )
     return Log(name, tuple(used), utc, notes)
 
 
-def rows_by_name(log: Log) -> dict[str, list[LogRow]]:
-    """Return the rows of a log by the names of their pictures in lower case, without folders."""
+def entries_by_name(log: Log) -> dict[str, list[TelemetryEntry]]:
+    """Return the entries of a log by the names of their pictures in lower case, without folders."""
     by_name = defaultdict(list)
-    for row in log.rows:
-        if row.file:
-            by_name[path_parts(row.file)[-1]].append(row)
+    for entry in log.entries:
+        if entry.file:
+            by_name[path_parts(entry.file)[-1]].append(entry)
     return dict(by_name)
 
 
@@ -283,7 +256,7 @@ def moments(log: Log) -> tuple[list[TelemetryEntry], list[str]]:
 
     A clock in whole seconds gets its fraction from the column of elapsed time.
     """
-    known = [row.entry for row in log.rows if row.entry.clock is not None]
+    known = [entry for entry in log.entries if entry.clock is not None]
     clocks = np.array([entry.clock for entry in known], np.float64)
     times = np.array([entry.time for entry in known], np.float64)
     if len(known) > 1 and np.isfinite(times).all() and (clocks == np.floor(clocks)).all():
@@ -309,7 +282,7 @@ def _distinct(entries: Sequence[TelemetryEntry], name: str) -> tuple[list[Teleme
 
 
 def for_video(log: Log, number: int, began: float | None = None) -> tuple[list[TelemetryEntry], list[str]]:
-    """Return the entries of a log's recording with times from its start, and notes about them.
+    """Return the entries of a log's recording with times from its start, and notes about them; those of subtitles unchanged.
 
     Args:
         number: of the recording, from 0, in a log that marks recordings.
@@ -318,23 +291,29 @@ def for_video(log: Log, number: int, began: float | None = None) -> tuple[list[T
     Raises:
         DataError: if the log has no times, or fewer recordings.
     """
-    clocks = [row.entry.clock if math.isnan(row.entry.time) else row.entry.time for row in log.rows]
-    timed = [(row, time) for row, time in zip(log.rows, clocks, strict=True) if time is not None]
+    if log.end is not None:
+        return list(log.entries), []
+    timed = [
+        replace(entry, time=entry.clock) if math.isnan(entry.time) and entry.clock is not None else entry
+        for entry in log.entries
+    ]
+    timed = [entry for entry in timed if not math.isnan(entry.time)]
     if not timed:
         raise DataError(f"{log.name} has no times, so it does not fit a video; expected a column time or datetime.")
     notes = []
-    start = timed[0][1]
-    known = [(row.entry.clock, time) for row, time in timed if row.entry.clock is not None]
-    if any(row.recording is not None for row, _ in timed):
-        starts = [i for i, (row, _) in enumerate(timed) if row.recording and not (i and timed[i - 1][0].recording)]
+    start = timed[0].time
+    known = [(entry.clock, entry.time) for entry in timed if entry.clock is not None]
+    if any(entry.recording is not None for entry in timed):
+        starts = [i for i, entry in enumerate(timed) if entry.recording and not (i and timed[i - 1].recording)]
         if number >= len(starts):
             raise DataError(
                 f"{log.name} has {len(starts)} recordings, and this is video {number + 1}; give the log of this flight."
             )
-        following = timed[starts[number] : starts[number + 1] if number + 1 < len(starts) else None]
-        timed = list(itertools.takewhile(lambda pair: pair[0].recording, following))
-        start = timed[0][1]
-        if timed[-1][1] - start < _LEAST_RECORDING:
+        ends = [*starts[1:], len(timed)]
+        following = timed[starts[number] : ends[number]]
+        timed = list(itertools.takewhile(lambda entry: entry.recording, following))
+        start = timed[0].time
+        if timed[-1].time - start < _LEAST_RECORDING:
             timed = following
             notes.append(f"{log.name} has the start of the video but not its length; all rows from there on were used.")
     elif began is not None and log.utc and known and known[0][0] <= began <= known[-1][0]:
@@ -343,5 +322,5 @@ def for_video(log: Log, number: int, began: float | None = None) -> tuple[list[T
         notes.append(f"The time in the video's file says where in {log.name} it began; that clock may be wrong.")
     else:
         notes.append(f"{log.name} does not say when the video began; its first row counts as the beginning.")
-    entries, twice = _distinct([replace(row.entry, time=time - start) for row, time in timed], log.name)
+    entries, twice = _distinct([replace(entry, time=entry.time - start) for entry in timed], log.name)
     return entries, notes + twice

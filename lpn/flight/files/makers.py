@@ -209,10 +209,12 @@ class Properties:
         # The cut removes a document type, which precedes the first element, so the parser sees none of its entities.
         end = text.rfind(f"</{opening[1]}")
         text = text[opening.start() : None if end < 0 else text.find(">", end) + 1]
+        is_damaged = False
         try:
-            found, is_damaged = list(_properties(ElementTree.fromstring(text), ())), False
+            found = list(_properties(ElementTree.fromstring(text), ()))
         except (ElementTree.ParseError, RecursionError):
-            declared, is_damaged = dict(_PREFIX.findall(text)), True
+            is_damaged = True
+            declared = dict(_PREFIX.findall(text))
             told = _PROPERTY.findall(text)
             found = [(declared.get(prefix, prefix), name, unescape(one or other)) for prefix, name, one, other in told]
         for address, name, value in found:

@@ -16,9 +16,8 @@ from lpn.flight.files import logs
 from lpn.flight.files.base import Frame, HeadingSource, local_metres
 from lpn.flight.files.cameras import upright_values
 from lpn.flight.files.clock_fit import fit_clocks
-from lpn.flight.files.logs import Log, LogRow
 from lpn.flight.files.photos import Photo, turned_oddity
-from lpn.flight.files.telemetry import Telemetry, TelemetryEntry
+from lpn.flight.files.telemetry import Log, Telemetry, TelemetryEntry
 
 # A row belongs to one of several photos of its name if that photo is this many times nearer to it than the others.
 _CLEARLY = 3.0
@@ -36,10 +35,10 @@ def with_log(photos: Sequence[Photo], log: Log, clock_offset: float | None = Non
     Args:
         clock_offset: seconds to add to the photos' clock for the log's; None estimates it.
     """
-    rows = logs.rows_by_name(log)
+    named = logs.entries_by_name(log)
     how, why_not, notes = "by name", "", list[str]()
-    if rows:
-        made = _by_name(photos, log, rows, notes)
+    if named:
+        made = _by_name(photos, log, named, notes)
     else:
         entries, notes = logs.moments(log)
         telemetry = Telemetry(entries)
@@ -58,35 +57,37 @@ def with_log(photos: Sequence[Photo], log: Log, clock_offset: float | None = Non
     return made, [*notes, said]
 
 
-def _by_name(photos: Sequence[Photo], log: Log, rows: Mapping[str, Sequence[LogRow]], notes: list[str]) -> list[Photo]:
-    """Return photos with the rows that name them; add notes about ambiguous names."""
+def _by_name(
+    photos: Sequence[Photo], log: Log, by_name: Mapping[str, Sequence[TelemetryEntry]], notes: list[str]
+) -> list[Photo]:
+    """Return photos with the entries that name them; add notes about ambiguous names."""
     paths = [logs.path_parts(str(photo.frame.file)) for photo in photos]
-    claims: dict[LogRow, list[int]] = defaultdict(list)
+    claims: dict[TelemetryEntry, list[int]] = defaultdict(list)
     twice = []
     for i, photo in enumerate(photos):
         frame = photo.frame
-        named = rows.get(frame.file.name.casefold()) or rows.get(frame.file.stem.casefold(), [])
-        found = [
-            named[j] for j in logs.nearest_in_folders(paths[i], [logs.path_parts(row.file or "") for row in named])
-        ]
+        named = by_name.get(frame.file.name.casefold()) or by_name.get(frame.file.stem.casefold(), [])
+        folders = [logs.path_parts(entry.file or "") for entry in named]
+        found = [named[j] for j in logs.nearest_in_folders(paths[i], folders)]
         if not found:
             continue
-        claims[min(found, key=lambda row: _metres_apart(frame, row.entry))].append(i)
-        if any(replace(row.entry, time=0.0) != replace(found[0].entry, time=0.0) for row in found):
-            twice.append(f"{printable(frame.name)} in lines {' and '.join(str(row.line) for row in found[:3])}")
+        claims[min(found, key=lambda entry: _metres_apart(frame, entry))].append(i)
+        if any((entry.clock, entry.values()) != (found[0].clock, found[0].values()) for entry in found):
+            twice.append(f"{printable(frame.name)} in lines {' and '.join(str(entry.line) for entry in found[:3])}")
     made, moved = list(photos), []
-    for row, claiming in claims.items():
-        nearest = logs.nearest_in_folders(logs.path_parts(row.file or ""), [paths[i] for i in claiming])
-        apart = sorted((_metres_apart(photos[claiming[j]].frame, row.entry), claiming[j]) for j in nearest)
+    for entry, claiming in claims.items():
+        nearest = logs.nearest_in_folders(logs.path_parts(entry.file or ""), [paths[i] for i in claiming])
+        apart = sorted((_metres_apart(photos[claiming[j]].frame, entry), claiming[j]) for j in nearest)
         if len(apart) == 1 or _CLEARLY * apart[0][0] < apart[1][0] <= apart[-1][0] < math.inf:
             metres, i = apart[0]
-            made[i] = _with_entry(photos[i], row.entry, log.utc)
-            moved += [metres] if metres < math.inf else []
+            made[i] = _with_entry(photos[i], entry, log.utc)
+            if metres < math.inf:
+                moved.append(metres)
             continue
-        names = first_few([printable(photos[i].frame.name) for _, i in sorted(apart, key=lambda pair: pair[1])], 3)
+        names = first_few([printable(photos[i].frame.name) for i in sorted(i for _, i in apart)], 3)
         notes.append(
-            f"{log.name} names {printable(row.file or '')}, which {len(apart)} photos are called ({names}), so none of them has "
-            "its values; write their folders in it."
+            f"{log.name} names {printable(entry.file or '')}, which {len(apart)} photos are called ({names}), so none of them "
+            "has its values; write their folders in it."
         )
     if twice:
         notes.append(

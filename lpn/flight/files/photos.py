@@ -8,12 +8,11 @@ from __future__ import annotations
 
 import hashlib
 import io
-import math
 import re
 import struct
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import NamedTuple
@@ -26,7 +25,7 @@ from lpn.core.files import first_few, printable
 from lpn.core.numbers import wrap_degrees
 from lpn.datasets.integrity import stream_error
 from lpn.flight.files import cameras
-from lpn.flight.files.base import Frame, HeadingSource, local_metres
+from lpn.flight.files.base import Frame, HeadingSource, local_metres, on_earth
 from lpn.flight.files.lenses import Lens, lens_of_text
 from lpn.flight.files.makers import Convention, Properties, degrees, number, text_of
 from lpn.flight.files.values import moment
@@ -59,7 +58,6 @@ _RTK_FIXED = 50
 # Texts that mark an altitude above the ellipsoid: DJI's AltitudeType, and VertCS of Pix4D and Skydio.
 _ELLIPSOIDAL = ("rtkalt", "ellipsoidal")
 _ZONE = re.compile(r"\s*(?:Z|[-+]\d\d:?\d\d)$", re.ASCII)
-_QUARTER = 900.0
 
 
 @dataclass(frozen=True)
@@ -208,7 +206,7 @@ def _metadata(data: bytes) -> _Metadata:
 def _position(known: _Metadata) -> tuple[float | None, float | None]:
     found = []
     for row, (latitude, longitude, _) in known.rows("position"):
-        if max(abs(latitude or 0) / 90, abs(longitude or 0) / 180) > 1:
+        if not on_earth(latitude or 0.0, longitude or 0.0):
             known.refuse(f"{row.namespace}:{row.names.split()[0]}")
         elif latitude is not None and longitude is not None and (latitude or longitude):
             found.append((row.namespace, (latitude, longitude)))
@@ -270,7 +268,10 @@ def _told_angles(known: _Metadata) -> Iterator[_Angles]:
         elif row.names == "GPSImgDirection" and text_of(known.raw("GPSImgDirectionRef")).upper().startswith("M"):
             known.oddities.append("has a direction from magnetic north, which was not corrected")
         source, down = _CONVENTIONS[convention]
-        pitch, roll = (None, None) if down is None else (None if pitch is None else pitch + down, roll)
+        if down is None:
+            pitch = roll = None
+        elif pitch is not None:
+            pitch += down
         if source == "gimbal" and yaw is not None and pitch is not None:
             yaw, pitch, roll = cameras.from_gimbal(yaw, pitch, roll or 0.0)
         pitch, roll = (angle if angle is None or abs(angle) <= 180 else wrap_degrees(angle) for angle in (pitch, roll))
@@ -377,42 +378,3 @@ def _times(known: _Metadata) -> tuple[float | None, float | None]:
         known.refuse("exif:GPSTimeStamp")
         return None, local
     return None if day is None or hours is None else day.seconds + round(3600 * hours, 3), local
-
-
-def set_times(photos: Sequence[Photo]) -> tuple[list[Frame], bool, list[str]]:
-    """Put the photos of a flight on one clock, and order them by time, then by name.
-
-    Returns:
-        Frames, whether their times are UTC (else seconds since the first), and notes about the clocks.
-    """
-    lags = sorted(photo.utc - photo.local for photo in photos if photo.utc is not None and photo.local is not None)
-    is_utc = any(photo.utc is not None for photo in photos)
-    lag = lags[len(lags) // 2] if lags else math.nan if is_utc else 0.0
-    times = np.array(
-        [photo.utc if photo.utc is not None or photo.local is None else photo.local + lag for photo in photos],
-        np.float64,
-    )
-    known, notes = np.isfinite(times), []
-    if lags:
-        zone = -round(lag / _QUARTER) * _QUARTER
-        late, name = lag + zone, f"UTC{zone / 3600:+g}" if zone else "UTC"
-        if abs(late) > 2:
-            notes.append(f"The camera's clock is {abs(late):.0f} s {'behind' if late > 0 else 'ahead of'} {name}.")
-        if (spread := lags[-1] - lags[0]) > 2:
-            notes.append(f"The camera's clock and UTC move apart by {spread:.0f} s during the flight.")
-    if known.any() and not is_utc:
-        times -= np.nanmin(times)
-        notes.append("No photo has its time in UTC: times are seconds since the first photo.")
-    frames = [
-        replace(photo.frame, time=None if math.isnan(time) else time)
-        for photo, time in zip(photos, times.tolist(), strict=True)
-    ]
-    if missing := int((~known).sum()):
-        notes.append(f"{missing} of {len(frames)} photos have no time: the photos are in the order of their names.")
-    by_time = missing == 0
-    return sorted(frames, key=lambda frame: (by_time and frame.time, natural(frame.name))), is_utc, notes
-
-
-def natural(name: str) -> list[tuple[int, str]]:
-    """Return a sort key that compares numbers in names by value: "9.jpg" precedes "10.jpg"."""
-    return [(int(digits or 0), letters.casefold()) for digits, letters in re.findall(r"([0-9]*)([^0-9]*)", name)]

@@ -7,11 +7,11 @@ import os
 import re
 import warnings
 from collections import Counter, defaultdict
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from PIL import Image
 
@@ -23,13 +23,13 @@ from lpn.flight.files import cameras, logs, subtitles, vehicle_logs, videos
 from lpn.flight.files.base import Flight, Frame
 from lpn.flight.files.folder import FRAMES, check_folder, write_flight
 from lpn.flight.files.lenses import Lens, read_camera
-from lpn.flight.files.logs import Log
 from lpn.flight.files.photo_logs import with_log
-from lpn.flight.files.photos import DAMAGED, Photo, natural, read_photo, set_times
-from lpn.flight.files.quality import flight_notes, with_courses
-from lpn.flight.files.subtitles import GpsOrder, Subtitles
-from lpn.flight.files.telemetry import Telemetry, TelemetryEntry
+from lpn.flight.files.photos import DAMAGED, Photo, read_photo
+from lpn.flight.files.quality import flight_notes, natural, set_times, with_courses
+from lpn.flight.files.subtitles import GpsOrder
+from lpn.flight.files.telemetry import Log
 
+T = TypeVar("T")
 PHOTOS = (".jpg", ".jpeg", ".png", ".webp", ".tif", ".tiff")
 # Pictures of unsupported kinds, which a note names.
 _OTHER_PICTURES = (*images.OTHER_SUFFIXES, ".bmp", ".gif")
@@ -107,7 +107,8 @@ def make_flight(files: Sequence[Path], out: Path, options: FlightOptions | None 
     """
     options = options or FlightOptions()
     check_folder(out)
-    _refuse(files)
+    for file in files:
+        _refuse(file)
     camera = None if options.camera is None else read_camera(options.camera)
     inputs = _sorted_files(files)
     read, unread = _read_logs(inputs)
@@ -140,12 +141,14 @@ def make_flight(files: Sequence[Path], out: Path, options: FlightOptions | None 
 
 
 def read_any_log(file: Path) -> Log:
-    """Read a log of any kind: a table, a track, or a log of an autopilot.
+    """Read a log of any kind: a table, a track, a log of an autopilot, or subtitles.
 
     Raises:
         DataError: if it is damaged, of an unsupported kind, or a track by lpn locate.
     """
-    _refuse([file])
+    _refuse(file)
+    if file.suffix.lower() in videos.SUBTITLES:
+        return subtitles.read_subtitles(file)
     return vehicle_logs.read_vehicle_log(file) if vehicle_logs.is_vehicle_log(file) else logs.read_log(file)
 
 
@@ -168,24 +171,23 @@ def _read_logs(inputs: _Files) -> tuple[dict[Path, Log], list[str]]:
     return read, notes
 
 
-def _refuse(files: Sequence[Path]) -> None:
+def _refuse(file: Path) -> None:
     """Raise DataError for a track or log of an unsupported kind, and for a track by lpn locate."""
-    for file in files:
-        suffix = file.suffix.lower()
-        if suffix in _INSTEAD:
-            raise DataError(
-                f"{printable(str(file))} is {suffix.upper()}, which is not read; give the flight as {_INSTEAD[suffix]}."
-            )
-        if suffix not in (".csv", ".geojson", ".gpx"):
-            continue
-        head = b""
-        with contextlib.suppress(OSError), file.open("rb") as opened:  # its own reader tells why
-            head = opened.read(4096)
-        if _OWN_TRACK.match(head):
-            raise DataError(
-                f"{printable(file.name)} is a track of lpn locate: it has places found on a map, and a flight needs what the "
-                "drone told; give the photos, with the drone's own log if there is one, and open the track in a map program."
-            )
+    suffix = file.suffix.lower()
+    if suffix in _INSTEAD:
+        raise DataError(
+            f"{printable(str(file))} is {suffix.upper()}, which is not read; give the flight as {_INSTEAD[suffix]}."
+        )
+    if suffix not in (".csv", ".geojson", ".gpx"):
+        return
+    head = b""
+    with contextlib.suppress(OSError), file.open("rb") as opened:  # its own reader tells why
+        head = opened.read(4096)
+    if _OWN_TRACK.match(head):
+        raise DataError(
+            f"{printable(file.name)} is a track of lpn locate: it has places found on a map, and a flight needs what the "
+            "drone told; give the photos, with the drone's own log if there is one, and open the track in a map program."
+        )
 
 
 def photos_of(paths: Sequence[Path], name: str) -> Flight:
@@ -217,28 +219,45 @@ def _flight_of_photos(
     Args:
         flight_logs, clock_offset: see `lpn.flight.files.photo_logs.with_log`.
     """
-    photos, broken = [], []
-    for file in files:
-        try:
-            photos.append(read_photo(file))
-        except PictureError as error:
-            broken.append(str(error))
-    if not photos:
-        raise DataError(f"No photo of {len(files)} can be read. {broken[0] if broken else 'Give photos.'}")
+    photos, unread = _each(files, read_photo, "photo")
     photos = _with_names(photos)
     log_notes: list[str] = []
     for log in flight_logs:
         photos, notes_of_log = with_log(photos, log, clock_offset)
         log_notes += [*log.notes, *notes_of_log]
     frames, is_utc, notes = set_times(photos)
-    frames, course_notes = with_courses(frames)
-    notes += log_notes + flight_notes(frames, [photo.oddities for photo in photos]) + course_notes
-    return Flight(name, tuple(frames), (*notes, *_unread(broken, len(files), "photos")), is_utc)
+    oddities = [photo.oddities for photo in photos]
+    return _flight(name, frames, is_utc, [*notes, *log_notes], unread, oddities)
 
 
-def _unread(broken: Sequence[str], count: int, noun: str) -> list[str]:
+def _each(files: Sequence[Path], read: Callable[[Path], T], noun: str) -> tuple[list[T], list[str]]:
+    """Read each file; a note names those that cannot be read."""
+    made, broken = [], []
+    for file in files:
+        try:
+            made.append(read(file))
+        except (DataError, PictureError) as error:
+            broken.append(str(error))
+    if not made:
+        raise DataError(f"No {noun} of {len(files)} can be read. {broken[0]}")
+    if not broken:
+        return made, []
     more = f" {len(broken) - _NAMED} more are left out, too." if len(broken) > _NAMED else ""
-    return [f"{len(broken)} of {count} {noun} are left out: {' '.join(broken[:_NAMED])}{more}"] if broken else []
+    return made, [f"{len(broken)} of {len(files)} {noun}s are left out: {' '.join(broken[:_NAMED])}{more}"]
+
+
+def _flight(
+    name: str,
+    frames: Sequence[Frame],
+    is_utc: bool,
+    notes: Sequence[str],
+    unread: Sequence[str],
+    oddities: Sequence[Sequence[str]] = (),
+) -> Flight:
+    """Return a flight with headings from the course where it has none, and with the notes about its frames."""
+    known, course_notes = with_courses(frames)
+    notes = (*notes, *flight_notes(known, oddities), *course_notes, *unread)
+    return Flight(name, tuple(known), notes, is_utc)
 
 
 def _sorted_files(paths: Sequence[Path]) -> _Files:
@@ -296,9 +315,9 @@ def _no_pictures(files: _Files) -> str:
 
 
 def _named_by(log: Log, file: Path) -> list[Path]:
-    rows = logs.rows_by_name(log)
-    photos = files_below(file.parent, PHOTOS) if rows else []
-    return [photo for photo in photos if photo.name.casefold() in rows or photo.stem.casefold() in rows]
+    named = logs.entries_by_name(log)
+    photos = files_below(file.parent, PHOTOS) if named else []
+    return [photo for photo in photos if photo.name.casefold() in named or photo.stem.casefold() in named]
 
 
 def _with_names(photos: Sequence[Photo]) -> list[Photo]:
@@ -322,70 +341,42 @@ def _flight_of_videos(
         raise DataError(
             f"Two videos are named {printable(twice[0])}; their frames would replace each other, so rename one."
         )
-    parts: list[tuple[videos.VideoFrames, float | None]] = []
+
+    def read(video: Path) -> videos.VideoFrames:
+        notes: list[str] = []
+        log = _telemetry(video, files, flight_logs, options, notes)
+        film = videos.read_frames(video, folder, log, options.every, options.every_metres)
+        return film._replace(notes=notes + film.notes)
+
+    films, unread = _each(filmed, read, "video")
     notes = [note for log in flight_logs for note in log.notes]
-    broken: list[str] = []
-    for number, video in enumerate(filmed):
-        notes_of_video: list[str] = []
-        try:
-            told, where = _telemetry(video, files, flight_logs, number, options, notes_of_video)
-            telemetry = Telemetry(told.entries if isinstance(told, Subtitles) else told)
-            part = videos.read_frames(
-                video, folder, options.every, options.every_metres, telemetry, isinstance(told, Subtitles)
-            )
-        except DataError as error:
-            broken.append(str(error))
-            continue
-        notes += notes_of_video
-        if isinstance(told, Subtitles) and (note := videos.mismatch(told, where, video, part.duration)):
-            notes.append(note)
-        notes += _turned_note(part, video)
-        starts = (entry.clock - entry.time for entry in telemetry.entries if entry.clock is not None)
-        parts.append((part, next(starts, None)))
-    if not parts:
-        raise DataError(f"No video of {len(filmed)} can be read. {broken[0]}")
-    known_starts = [start for _, start in parts if start is not None]
-    if len(known_starts) == len(parts):
-        offsets = [start - min(known_starts) for start in known_starts]
+    notes += [note for film in films for note in film.notes]
+    starts = [film.start for film in films if film.start is not None]
+    if len(starts) == len(films):
+        offsets = [start - min(starts) for start in starts]
     else:
-        offsets = [sum(part.duration for part, _ in parts[:i]) for i in range(len(parts))]
-        if len(parts) > 1:
-            notes.append(f"Not all of the {len(parts)} videos have a start time; their times follow one another.")
+        offsets = [sum(film.duration for film in films[:i]) for i in range(len(films))]
+        if len(films) > 1:
+            notes.append(f"Not all of the {len(films)} videos have a start time; their times follow one another.")
     frames = [
         replace(frame, time=(frame.time or 0.0) + offset)
-        for (part, _), offset in zip(parts, offsets, strict=True)
-        for frame in part.frames
+        for film, offset in zip(films, offsets, strict=True)
+        for frame in film.frames
     ]
-    frames, course_notes = with_courses(sorted(frames, key=lambda frame: (frame.time, natural(frame.name))))
-    notes += flight_notes(frames) + course_notes + _unread(broken, len(filmed), "videos")
-    return Flight(name, tuple(frames), tuple(notes))
+    frames.sort(key=lambda frame: (frame.time, natural(frame.name)))
+    return _flight(name, frames, False, notes, unread)
 
 
-def _turned_note(part: videos.VideoFrames, video: Path) -> list[str]:
-    """Return a note, if any, about a video whose file asks for a turn."""
-    if not part.turns:
-        return []
-    sources = {frame.heading_source for frame in part.frames if frame.heading is not None}
-    turned = f"{printable(video.name)} is turned by {90 * part.turns}° by its file"
-    if not sources:
-        return [f"{turned}."]
-    # If the gimbal rolled the camera, the aircraft's heading is not that of the upright picture's top.
-    doubt = " If the gimbal itself turned the camera, the heading, which is that of the aircraft, is off by as much."
-    return [f"{turned}, and its heading with it.{doubt if 'aircraft' in sources else ''}"]
-
-
-def _telemetry(
-    video: Path, files: _Files, flight_logs: Sequence[Log], number: int, options: FlightOptions, notes: list[str]
-) -> tuple[Subtitles | Sequence[TelemetryEntry], str]:
-    """Return a video's telemetry from a log, else from its `.SRT` file, else from inside, and its place; add notes."""
+def _telemetry(video: Path, files: _Files, flight_logs: Sequence[Log], options: FlightOptions, notes: list[str]) -> Log:
+    """Return a video's telemetry from a log, else from its `.SRT` file, else from inside, else without entries; add notes."""
     for log in flight_logs:
         try:
-            entries, notes_of_log = logs.for_video(log, number, videos.began(video))
+            entries, notes_of_log = logs.for_video(log, files["videos"].index(video), videos.began(video))
         except DataError as error:
             notes.append(str(error))
             continue
         notes += notes_of_log
-        return entries, log.name
+        return replace(log, entries=tuple(entries))
     given = files["subtitles"]
     file = given[0] if len(files["videos"]) == len(given) == 1 else videos.beside(video, given)
     can_look_inside = find_spec("av") is not None
@@ -399,11 +390,11 @@ def _telemetry(
         notes.append(str(error))
     if found is not None:
         notes += found.notes
-        return found, "the subtitle stream" if file is None else file.name
+        return found
     install = "; those inside of it need the package av: pip install 'lpn-explorer[maps]'"
     inside = "" if can_look_inside or file is not None else install
     notes.append(f"{printable(video.name)} has no subtitles with telemetry{inside}.")
-    return (), ""
+    return Log(video.name, (), False, ())
 
 
 def _set_lens(frames: list[Frame], notes: list[str], lens: Lens, proportions: float) -> None:

@@ -21,7 +21,7 @@ from typing import Literal, NamedTuple
 from lpn.core.errors import DataError
 from lpn.core.files import printable
 from lpn.flight.files import cameras, values
-from lpn.flight.files.telemetry import TelemetryEntry, entry_of
+from lpn.flight.files.telemetry import Log, entry_of
 
 GpsOrder = Literal["lat-lon", "lon-lat"]
 
@@ -53,14 +53,6 @@ _MOST_LETTERS = 120
 _LEAST_SCALED, _ZOOM_SCALE = 100.0, 10_000.0
 
 
-class Subtitles(NamedTuple):
-    """The telemetry of a subtitle file, the end of its last subtitle in seconds, and sentences about oddities."""
-
-    entries: tuple[TelemetryEntry, ...]
-    end: float
-    notes: tuple[str, ...]
-
-
 class SubtitleBlock(NamedTuple):
     """One subtitle: its text, and its start and end in seconds."""
 
@@ -69,7 +61,7 @@ class SubtitleBlock(NamedTuple):
     end: float
 
 
-def read_subtitles(file: Path, gps_order: GpsOrder | None = None) -> Subtitles:
+def read_subtitles(file: Path, gps_order: GpsOrder | None = None) -> Log:
     """Read a file of subtitles; see `parse_subtitles`.
 
     Raises:
@@ -102,7 +94,7 @@ def _seconds(hours: str, minutes: str, seconds: str) -> float:
     return 3600.0 * int(hours) + 60 * int(minutes) + float(seconds.replace(",", "."))
 
 
-def parse_subtitles(blocks: Sequence[SubtitleBlock], name: str, gps_order: GpsOrder | None = None) -> Subtitles:
+def parse_subtitles(blocks: Sequence[SubtitleBlock], name: str, gps_order: GpsOrder | None = None) -> Log:
     """Return the telemetry of subtitles in any known dialect; one file may mix them.
 
     Args:
@@ -132,7 +124,7 @@ def parse_subtitles(blocks: Sequence[SubtitleBlock], name: str, gps_order: GpsOr
     if missing := sum(entry.latitude is None for entry in entries):
         unread = "" if any("latitude" in told for told in rows) else _a_line(texts)
         notes.append(f"{missing} of {len(entries)} entries of {name} have no position{unread}.")
-    return Subtitles(tuple(entries), max(block.end for block in blocks), tuple(notes))
+    return Log(name, tuple(entries), False, tuple(notes), max(block.end for block in blocks))
 
 
 def _a_line(texts: Sequence[str]) -> str:
@@ -171,28 +163,38 @@ def _order(lists: Sequence[list[str]], chosen: GpsOrder | None, name: str) -> tu
 def _told(text: str, items: Sequence[str], order: GpsOrder) -> dict[str, float | None]:
     """Return the values of one subtitle, named as in `lpn.flight.files.dialects.UNITS`; `items` are those of its GPS list."""
     named = {key.strip(): number for inside in _BRACKET.findall(text) for key, number in _NAMED.findall(inside)}
-    told: dict[str, float | None] = {}
-    if items:
-        if letter := _LETTER.search(items[0]):
-            order = "lat-lon" if letter[0] in "NS" else "lon-lat"
-        latitude, longitude = items[:2] if order == "lat-lon" else items[1::-1]
-        told = {"latitude": values.angle(latitude, "NS"), "longitude": values.angle(longitude, "EW")}
-        if letter or not _SATELLITES.fullmatch(items[2]):
-            told["altitude"] = values.number(items[2]) or None
+    told = _listed_values(items, order) if items else {}
     if height := _HEIGHT.search(text):
         told["height_above_takeoff"] = values.number(height[1])
-    for letter_of, *angles in _ANGLES.findall(text):
+    for letter, *angles in _ANGLES.findall(text):
         pitch, roll, yaw = map(float, angles)
-        if letter_of == "G":
+        if letter == "G":
             told |= {"gimbal_heading": yaw, "gimbal_pitch": pitch, "gimbal_roll": roll}
         elif pitch or roll or yaw:
             told["heading"] = yaw
     told |= {_COLUMNS[key]: float(number) for key, number in named.items() if key in _COLUMNS}
-    if focal_length := named.get("focal_len"):
-        # A 35 mm equivalent focal length, "24.00" or, in tenths, "240".
-        equivalent = float(focal_length) / (10.0 if focal_length.isdecimal() and len(focal_length) > 2 else 1.0)
-        zoom = float(named.get("dzoom_ratio", 1.0)) or 1.0
-        equivalent *= max(zoom / _ZOOM_SCALE if zoom >= _LEAST_SCALED else zoom, 1.0)
-        if 5 <= equivalent <= 1000:
-            told["fov"] = cameras.fov_of_equivalent(equivalent)
+    if "focal_len" in named:
+        fov = _fov(named["focal_len"], float(named.get("dzoom_ratio", 1.0)))
+        told |= {} if fov is None else {"fov": fov}
     return told
+
+
+def _listed_values(items: Sequence[str], order: GpsOrder) -> dict[str, float | None]:
+    letter = _LETTER.search(items[0])
+    if letter:
+        order = "lat-lon" if letter[0] in "NS" else "lon-lat"
+    latitude, longitude = items[:2] if order == "lat-lon" else items[1::-1]
+    told = {"latitude": values.angle(latitude, "NS"), "longitude": values.angle(longitude, "EW")}
+    if letter or not _SATELLITES.fullmatch(items[2]):
+        told["altitude"] = values.number(items[2]) or None
+    return told
+
+
+def _fov(focal_length: str, zoom: float) -> float | None:
+    """Return the field of view of a 35 mm equivalent focal length, "24.00" or, in tenths, "240"; None if it is impossible."""
+    is_in_tenths = focal_length.isdecimal() and len(focal_length) > 2
+    equivalent = float(focal_length) / (10.0 if is_in_tenths else 1.0)
+    if zoom >= _LEAST_SCALED:
+        zoom /= _ZOOM_SCALE
+    equivalent *= max(zoom, 1.0)
+    return cameras.fov_of_equivalent(equivalent) if 5 <= equivalent <= 1000 else None

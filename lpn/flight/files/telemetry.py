@@ -13,7 +13,7 @@ from lpn.core.arrays import BoolArray, Float64Array
 from lpn.core.errors import DataError
 from lpn.core.numbers import wrap_degrees
 from lpn.flight.files import cameras
-from lpn.flight.files.base import HeadingSource, local_metres
+from lpn.flight.files.base import HeadingSource, local_metres, on_earth
 
 # Values are not interpolated between entries more than `_GAP` seconds and more than `_GAPS` median steps apart.
 _GAP, _GAPS = 5.0, 3.0
@@ -28,11 +28,14 @@ VALUES = (*_LINEAR, *_ANGLES, "heading_source")
 
 @dataclass(frozen=True)
 class TelemetryEntry:
-    """Values at one moment, as in `Frame`; None where unknown.
+    """Values at one moment or of one picture, as in `Frame`; None where unknown.
 
     Attributes:
-        time: seconds from the start of a video or log.
+        time: seconds from the start of a video or log; NaN if unknown.
         clock: seconds since 1970-01-01 on the camera's or drone's clock, whose zone is unknown.
+        file: its picture; None in a log of moments.
+        recording: whether the drone was recording a video; None if unknown.
+        line: its number in a log's file, from 1; 0 elsewhere.
     """
 
     time: float
@@ -47,10 +50,30 @@ class TelemetryEntry:
     pitch: float | None = None
     roll: float | None = None
     fov: float | None = None
+    file: str | None = None
+    recording: bool | None = None
+    line: int = 0
 
     def values(self) -> dict[str, Any]:
         """Return those of `VALUES` that are known."""
         return {name: value for name in VALUES if (value := getattr(self, name)) is not None}
+
+
+@dataclass(frozen=True)
+class Log:
+    """A log of a flight, or the subtitles of a video.
+
+    Attributes:
+        utc: True if the log names the entries' `clock` as UTC.
+        notes: sentences about oddities.
+        end: of the last subtitle, in seconds from the video's start; None in a log.
+    """
+
+    name: str
+    entries: tuple[TelemetryEntry, ...]
+    utc: bool
+    notes: tuple[str, ...]
+    end: float | None = None
 
 
 def entry_of(time: float, clock: float | None, told: Mapping[str, float | None]) -> TelemetryEntry:
@@ -63,24 +86,9 @@ def entry_of(time: float, clock: float | None, told: Mapping[str, float | None])
     """
     known = {what: value for what, value in told.items() if value is not None and math.isfinite(value)}
     latitude, longitude = known.get("latitude"), known.get("longitude")
-    if (
-        latitude is None
-        or longitude is None
-        or not (latitude or longitude)
-        or abs(latitude) > 90
-        or abs(longitude) > 180
-    ):
+    if latitude is None or longitude is None or not (latitude or longitude) or not on_earth(latitude, longitude):
         latitude = longitude = None
-    heading, pitch, roll = known.get("gimbal_heading"), known.get("gimbal_pitch"), known.get("gimbal_roll")
-    source: HeadingSource = "gimbal"
-    if heading is None or not (heading or pitch or roll):
-        looked, nose, bank = known.get("direction"), known.get("nose"), known.get("bank")
-        if nose is not None and looked is not None and not (looked or nose or bank):
-            looked = nose = bank = None
-        heading, source = (known.get("heading"), "aircraft") if looked is None else (looked, "camera")
-        pitch, roll = (pitch or None) if nose is None else nose - 90.0, bank
-    elif pitch is not None:
-        heading, pitch, roll = cameras.from_gimbal(heading, pitch, roll or 0.0)
+    heading, pitch, roll, source = _angles(known)
     return TelemetryEntry(
         time,
         clock,
@@ -95,6 +103,21 @@ def entry_of(time: float, clock: float | None, told: Mapping[str, float | None])
         roll,
         known.get("fov"),
     )
+
+
+def _angles(known: Mapping[str, float]) -> tuple[float | None, float | None, float | None, HeadingSource]:
+    heading, pitch, roll = (known.get(what) for what in ("gimbal_heading", "gimbal_pitch", "gimbal_roll"))
+    if heading is not None and (heading or pitch or roll):
+        if pitch is not None:
+            heading, pitch, roll = cameras.from_gimbal(heading, pitch, roll or 0.0)
+        return heading, pitch, roll, "gimbal"
+    direction, nose, bank = (known.get(what) for what in ("direction", "nose", "bank"))
+    if direction == nose == 0 and not bank:
+        direction = nose = bank = None
+    pitch = (pitch or None) if nose is None else nose - 90.0
+    if direction is not None:
+        return direction, pitch, bank, "camera"
+    return known.get("heading"), pitch, bank, "aircraft"
 
 
 class Telemetry:

@@ -171,7 +171,9 @@ def moment_in(text: str) -> Moment | None:
 def _moment(match: re.Match[str] | None, day_first: bool) -> Moment | None:
     if match is None:
         return None
-    year, month, day = match["year"] or match["late"], match["month"] or match["one"], match["day"] or match["other"]
+    year = match["year"] or match["late"]
+    month = match["month"] or match["one"]
+    day = match["day"] or match["other"]
     if match["sign"] and (match["sign"] == "." or day_first or int(month) > 12):
         month, day = day, month
     hour = int(match["hour"])

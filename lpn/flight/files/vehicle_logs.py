@@ -20,8 +20,8 @@ import numpy as np
 
 from lpn.core.errors import DataError, OtherKindError
 from lpn.core.files import printable
-from lpn.flight.files.logs import Log, LogRow
-from lpn.flight.files.telemetry import TelemetryEntry, entry_of
+from lpn.flight.files.base import on_earth
+from lpn.flight.files.telemetry import Log, TelemetryEntry, entry_of
 
 SUFFIXES = (".ulg", ".tlog", ".bin")
 # A smaller time counts from a start; it is not a UTC epoch.
@@ -114,7 +114,7 @@ class Vehicle:
         if self.system not in (None, system):
             self.others |= {system} if has_position else set()
             return None
-        self.outside += abs(told.get("latitude", 0.0)) > 90 or abs(told.get("longitude", 0.0)) > 180
+        self.outside += not on_earth(told.get("latitude", 0.0), told.get("longitude", 0.0))
         entry = entry_of(time, clock, _recent(held, time) | told)
         if entry.latitude is None:
             if 0 <= time - self._placed < _HOLD:
@@ -241,7 +241,7 @@ def read_vehicle_log(file: Path) -> Log:
     utc = all(entry.clock is not None for entry in entries)
     if not utc:
         notes.append(f"{name} has no time of day; its times are counted from its start.")
-    return Log(name, tuple(LogRow(entry) for entry in entries), utc, tuple(notes))
+    return Log(name, tuple(entries), utc, tuple(notes))
 
 
 def _beginning(file: Path) -> bytes:

@@ -24,8 +24,8 @@ from lpn.core.errors import DataError
 from lpn.core.files import printable, write_atomic
 from lpn.flight.files.base import Frame
 from lpn.flight.files.cameras import upright_values
-from lpn.flight.files.subtitles import GpsOrder, SubtitleBlock, Subtitles, parse_subtitles
-from lpn.flight.files.telemetry import Telemetry
+from lpn.flight.files.subtitles import GpsOrder, SubtitleBlock, parse_subtitles
+from lpn.flight.files.telemetry import Log, Telemetry
 
 SUFFIXES = (".mp4", ".mov", ".m4v", ".mkv", ".avi")
 SUBTITLES = (".srt",)
@@ -42,65 +42,84 @@ _DIFFERS, _DIFFERS_SHARE = 3.0, 0.05
 
 
 class VideoFrames(NamedTuple):
-    """The chosen frames of a video, with times from its start.
+    """The chosen frames of a video.
 
     Attributes:
+        frames: with times from its start.
         duration: of the video in seconds.
-        turns: quarter turns clockwise that the video's file asks for; they turn the heading, too.
+        start: the clock of its telemetry at its start, in seconds since 1970-01-01; None if unknown.
+        notes: sentences about oddities.
     """
 
-    frames: tuple[Frame, ...]
+    frames: Sequence[Frame]
     duration: float
-    turns: int = 0
+    start: float | None
+    notes: list[str]
 
 
 def read_frames(
-    video: Path,
-    folder: Path,
-    every: float = 1.0,
-    every_metres: float | None = None,
-    telemetry: Telemetry | None = None,
-    across_longer_side: bool = False,
+    video: Path, folder: Path, log: Log, every: float = 1.0, every_metres: float | None = None
 ) -> VideoFrames:
     """Write the chosen frames of a video as JPEG files, and return them with their telemetry.
 
     Args:
         folder: of the JPEG files; existing frames are replaced.
+        log: the video's telemetry with times from its start.
         every: seconds from one frame to the next, 0.04 or more. The sharpest frame of the following second is taken.
         every_metres: metres flown from one frame to the next, in place of `every`; needs positions.
-        telemetry: of the video.
-        across_longer_side: see `lpn.flight.files.cameras.upright_values`.
 
     Raises:
         DataError: if the video cannot be read, has no frame, or has no positions for `every_metres`.
         OutputError: if a frame cannot be written.
     """
+    name, telemetry = printable(video.name), Telemetry(log.entries)
     starts: Iterable[float] = (every * step for step in itertools.count())
     if every_metres is not None:
-        starts = telemetry.times_by_distance(every_metres) if telemetry is not None else []
+        starts = telemetry.times_by_distance(every_metres)
         if not starts:
             raise DataError(
-                f"{printable(video.name)} has no positions, so frames cannot be chosen by metres flown; choose them by seconds."
+                f"{name} has no positions, so frames cannot be chosen by metres flown; choose them by seconds."
             )
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # its own messages would add to ours
     capture = cv2.VideoCapture(str(video))
     frames, turns, times = [], turns_of(capture), [0.0]
     try:
         if not capture.isOpened():
-            raise DataError(_UNREADABLE.format(printable(video.name)))
+            raise DataError(_UNREADABLE.format(name))
         for time, picture in _sharpest(capture, starts, times):
             file = folder / f"{video.stem}_{time:09.3f}s.jpg"
             encoded: np.ndarray[Any, Any] = cv2.imencode(".jpg", picture, (cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY))[1]
             write_atomic(file, encoded.tobytes())
             frame = Frame(file.name, file, picture.shape[1], picture.shape[0], time)
-            values = {} if telemetry is None else telemetry.at(time)
-            frames.append(replace(frame, **upright_values(values, turns, frame, across_longer_side)))
+            # The field of view of subtitles is across the longer side of the picture.
+            values = upright_values(telemetry.at(time), turns, frame, across_longer_side=log.end is not None)
+            frames.append(replace(frame, **values))
         rate = capture.get(cv2.CAP_PROP_FPS)
     finally:
         capture.release()
     if not frames:
-        raise DataError(f"{printable(video.name)} has no frame that can be read; it may be cut short.")
-    return VideoFrames(tuple(frames), times[-1] + (1 / rate if rate > 0 and math.isfinite(rate) else 0.0), turns)
+        raise DataError(f"{name} has no frame that can be read; it may be cut short.")
+    duration = times[-1] + (1 / rate if rate > 0 and math.isfinite(rate) else 0.0)
+    clocks = (entry.clock - entry.time for entry in telemetry.entries if entry.clock is not None)
+    return VideoFrames(frames, duration, next(clocks, None), _notes(name, log, duration, frames, turns))
+
+
+def _notes(name: str, log: Log, duration: float, frames: Sequence[Frame], turns: int) -> list[str]:
+    """Return notes about subtitles of another duration, and about a video whose file asks for a turn."""
+    notes = []
+    if log.end is not None and abs(log.end - duration) > max(_DIFFERS, _DIFFERS_SHARE * duration):
+        notes.append(
+            f"{log.name} ends at {log.end:.0f} s and {name} at {duration:.0f} s: they are of two recordings, or one is cut; "
+            "positions are doubtful."
+        )
+    if turns:
+        sources = {frame.heading_source for frame in frames if frame.heading is not None}
+        heading = ", and its heading with it." if sources else "."
+        if "aircraft" in sources:
+            # The gimbal may have rolled the camera; then the aircraft's heading is not that of the upright picture's top.
+            heading += " If the gimbal itself turned the camera, the heading, which is that of the aircraft, is off by as much."
+        notes.append(f"{name} is turned by {90 * turns}° by its file{heading}")
+    return notes
 
 
 def turns_of(capture: Any) -> int:
@@ -109,15 +128,11 @@ def turns_of(capture: Any) -> int:
     return round(degrees / 90) % 4
 
 
-def mismatch(subtitles: Subtitles, name: str, video: Path, duration: float) -> str | None:
-    """Return a note if subtitles do not fit a video of `duration` seconds; None if they do."""
-    off = abs(subtitles.end - duration)
-    if off <= max(_DIFFERS, _DIFFERS_SHARE * duration):
-        return None
-    return (
-        f"{printable(name)} ends at {subtitles.end:.0f} s and {printable(video.name)} at {duration:.0f} s: they are of two "
-        "recordings, or one is cut; positions are doubtful."
-    )
+def position(capture: Any, count: int) -> float:
+    """Return the seconds of the capture's current picture, before which `count` pictures were read."""
+    # Some containers have no times of their own.
+    rate = float(capture.get(cv2.CAP_PROP_FPS))
+    return float(capture.get(cv2.CAP_PROP_POS_MSEC)) / 1000 or (count / rate if rate > 0 else 0.0)
 
 
 def began(video: Path) -> float | None:
@@ -133,7 +148,7 @@ def began(video: Path) -> float | None:
         return None
 
 
-def embedded_subtitles(video: Path, gps_order: GpsOrder | None = None) -> Subtitles | None:
+def embedded_subtitles(video: Path, gps_order: GpsOrder | None = None) -> Log | None:
     """Return the telemetry in the subtitles inside a video; None if it has none.
 
     Raises:
@@ -175,13 +190,10 @@ def _sharpest(capture: Any, starts: Iterable[float], times: list[float]) -> Iter
     windows = itertools.pairwise(itertools.chain(starts, [math.inf]))
     (start, end), compared = next(windows), -math.inf
     best: tuple[float, float, UInt8Array] | None = None  # sharpness, time, picture
-    rate = capture.get(cv2.CAP_PROP_FPS)
     for count in itertools.count():
         if not capture.grab():
             break
-        # Some containers have no times of their own.
-        position = capture.get(cv2.CAP_PROP_POS_MSEC) / 1000 or (count / rate if rate > 0 else 0.0)
-        times[-1] = time = max(times[-1], position)
+        times[-1] = time = max(times[-1], position(capture, count))
         while time >= end - _CLOSE:
             if best is not None:
                 yield best[1:]

@@ -5,5 +5,5 @@
     locator       the forward half of the sequence, and registration near its prediction
     run           all of these together until the flight ends; its answers are lines of GeoJSON
 
-It imports `locate`, `flights`, `maps`, and `models`; `cli` and `explorer` import it. docs/locate-a-flight.md shows its use.
+It imports `locate`, `files`, `maps`, and `models`; `commands` and `explorer` import it. docs/locate-a-flight.md shows its use.
 """

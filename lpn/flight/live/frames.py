@@ -6,7 +6,6 @@ import os
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -18,12 +17,12 @@ from lpn.core import images
 from lpn.core.arrays import UInt8Array
 from lpn.core.errors import InputError, PictureError
 from lpn.core.files import printable
-from lpn.datasets.listed_paths import hidden_name
+from lpn.datasets.base import files_below
 from lpn.flight.files.base import Frame
 from lpn.flight.files.photos import read_photo
 from lpn.flight.files.sources import PHOTOS
 from lpn.flight.files.videos import SUFFIXES as VIDEOS
-from lpn.flight.files.videos import turns_of
+from lpn.flight.files.videos import position, turns_of
 
 # Called with sentences for the user.
 Say = Callable[[str], None]
@@ -128,7 +127,7 @@ class LiveSource:
 
 def folder_pictures(folder: Path, say: Say) -> PictureReader:
     """Return a reader of the new photos of a folder and its subfolders; photos that exist already are left out."""
-    seen = set(_photos(folder))
+    seen = set(files_below(folder, PHOTOS))
     if seen:
         say(f"{len(seen)} photos that were in {printable(folder.name)} before are left out.")
     # Files that could not be read, by the time of the first try: a camera may still be writing them.
@@ -138,7 +137,7 @@ def folder_pictures(folder: Path, say: Say) -> PictureReader:
         pause = _POLL
         while not stop.wait(pause):
             began = time.monotonic()
-            photos = sorted(file for file in _photos(folder) if file not in seen)
+            photos = [file for file in files_below(folder, PHOTOS) if file not in seen]
             # Listing a folder of a million photos takes long.
             pause = max(_POLL, min(_BACK_OFF * (time.monotonic() - began), _LONGEST_PAUSE))
             for file in photos:
@@ -156,19 +155,6 @@ def folder_pictures(folder: Path, say: Say) -> PictureReader:
                 yield ArrivedPicture(frame, now, None, photo.utc is not None, photo.turns)
 
     return read
-
-
-def _photos(folder: Path) -> Iterator[Path]:
-    """Yield the photos of all folders that are not hidden."""
-    folders = [folder]
-    while folders:
-        with suppress(OSError):  # it was removed
-            for one in os.scandir(folders.pop()):
-                if one.is_dir(follow_symlinks=False):
-                    if not hidden_name(one.name):
-                        folders.append(Path(one))
-                elif not one.name.startswith(".") and one.name.lower().endswith(PHOTOS) and one.is_file():
-                    yield Path(one)
 
 
 def stream_pictures(source: Path | str, say: Say, fov: float | None = None) -> PictureReader:
@@ -199,7 +185,8 @@ def stream_pictures(source: Path | str, say: Say, fov: float | None = None) -> P
 
     def read(stop: threading.Event) -> Iterator[ArrivedPicture]:
         nonlocal capture
-        count, began, position = 0, time.monotonic(), None
+        count, began = 0, time.monotonic()
+        seconds: float | None = None
         while not stop.is_set():
             was_open = capture.isOpened()
             got, picture = capture.read()
@@ -213,11 +200,10 @@ def stream_pictures(source: Path | str, say: Say, fov: float | None = None) -> P
                 capture = opened()
                 continue
             if is_file:
-                rate, milliseconds = (float(capture.get(p)) for p in (cv2.CAP_PROP_FPS, cv2.CAP_PROP_POS_MSEC))
-                position = milliseconds / 1000 or (count / rate if rate > 0 else 0.0)
-                stop.wait(max(began + position - time.monotonic(), 0))
+                seconds = position(capture, count)
+                stop.wait(max(began + seconds - time.monotonic(), 0))
             count += 1
-            frame = Frame(f"{count:06d}", Path(), picture.shape[1], picture.shape[0], position, fov=fov)
+            frame = Frame(f"{count:06d}", Path(), picture.shape[1], picture.shape[0], seconds, fov=fov)
             rgb = cv2.cvtColor(picture, cv2.COLOR_BGR2RGB)
             yield ArrivedPicture(frame, time.monotonic(), rgb, turns=turns)
         capture.release()

@@ -55,12 +55,12 @@ class LiveFix:
 
     def line(self) -> str:
         """Return the fix as a feature of GeoJSON (RFC 7946) in one line, see docs/locate-a-flight.md."""
-        answer, best, geometry = self.best.answer, self.best, None
+        answer, geometry = self.best.answer, None
         if self.latitude is not None and self.longitude is not None:
             geometry = {"type": "Point", "coordinates": [round(self.longitude, 8), round(self.latitude, 8)]}
         properties: dict[str, Any] = {
             "frame": printable(self.located.frame.name),
-            **best.columns,
+            **self.best.columns,
             "time": round(self.clock, 3),
             "camera": answer.camera,
             "radius": _rounded(answer.radius, 2),
@@ -82,8 +82,15 @@ def _rounded(value: float | None, digits: int) -> float | None:
 FixOutput = Callable[[LiveFix], object]
 
 
-class LiveRun:
-    """A loop that locates the frames of a source one after another.
+def locate_live(
+    source: LiveSource,
+    telemetry: LiveTelemetry,
+    locator: LiveLocator,
+    outputs: Sequence[FixOutput],
+    say: Say,
+    idle: float | None = None,
+) -> int:
+    """Locate the frames of a source one after another until it ends, and return their number.
 
     Args:
         source: of the pictures; it is started and closed here.
@@ -91,109 +98,91 @@ class LiveRun:
         locator: of the frames.
         outputs: receivers of each fix.
         say: receives sentences about oddities.
-        idle: seconds without a frame after which the run ends; None waits until the source ends.
+        idle: seconds without a frame after which the flight counts as ended; None waits until the source ends.
     """
-
-    def __init__(
-        self,
-        source: LiveSource,
-        telemetry: LiveTelemetry,
-        locator: LiveLocator,
-        outputs: Sequence[FixOutput],
-        say: Say,
-        idle: float | None = None,
-    ) -> None:
-        self._source, self._telemetry, self._locator = source, telemetry, locator
-        self._outputs, self._say, self._idle = outputs, say, idle
-        # The wall clock may jump during the flight, so it is read once.
-        self._clock_lead = time.time() - time.monotonic()
-        # The number of the last frames in a row without a usable place, the last error, and whether an output has failed.
-        self._unplaced, self._problem, self._failed = 0, "", False
-
-    def run(self) -> int:
-        """Locate frames until the source ends, or nothing has come for `idle` seconds; return the number of frames."""
-        count = 0
-        try:
-            self._source.start()
-            for picture in self._pictures():
-                if (fix := self._fix(picture)) is not None:
-                    count += 1
-                    self._send(fix)
-                    self._watch(fix)
-        finally:
-            self._source.close()
-            self._telemetry.close()
-        return count
-
-    def _pictures(self) -> Iterator[ArrivedPicture]:
-        """Yield the newest picture repeatedly, and tell the user when none arrives."""
-        came, stalled = time.monotonic(), False
-        while not self._source.ended:
-            picture = self._source.take(_LOOK)
-            waited = time.monotonic() - came
-            if picture is not None:
-                if stalled:
-                    self._say("Frames come again.")
-                yield picture
-                came, stalled = time.monotonic(), False
-            elif self._idle is not None and waited > self._idle:
-                self._say(f"No frame has come for {self._idle:g} s, so the flight counts as ended.")
-                return
-            elif waited > _STALLED and not stalled:
-                stalled = True
-                self._say(
-                    f"No frame has come for {_STALLED:g} s; the last answer grows old, and the next frame is waited for."
-                )
-
-    def _fix(self, picture: ArrivedPicture) -> LiveFix | None:
-        frame, telemetry_age = self._telemetry.value(picture)
-        if frame.time is None:
-            frame = replace(frame, time=picture.received)
-        try:
-            pixels = picture.pixels()
-            # Describing the map takes long, so the first frame may be old by then.
-            if self._locator.begin(frame) and self._source.replaced():
-                return None
-            located = self._locator.locate(frame, pixels)
-        except LPNError as error:
-            if str(error) != self._problem:
-                self._say(f"{error} The flight goes on without it.")
-            self._problem = str(error)
-            return None
-        best = live_answer(located)
-        latitude, longitude = None, None
-        if best.answer.x is not None and best.answer.y is not None:
-            place = best.answer.x, best.answer.y
-            latitude, longitude = self._locator.basemap.frame.degrees([place])[0].tolist()
-        clock = picture.frame.time if picture.utc else None
-        clock = picture.received + self._clock_lead if clock is None else clock
-        age = time.monotonic() - picture.received
-        return LiveFix(located, best, latitude, longitude, clock, age, self._source.dropped, telemetry_age, pixels)
-
-    def _send(self, fix: LiveFix) -> None:
-        for output in self._outputs:
+    # The wall clock may jump during the flight, so it is read once.
+    clock_lead = time.time() - time.monotonic()
+    count = unplaced = 0
+    problem, has_failed = "", False
+    try:
+        source.start()
+        for picture in _pictures(source, say, idle):
             try:
-                output(fix)
-            except (LPNError, OSError, ValueError) as error:
-                if not self._failed:
-                    self._say(f"An output failed ({error}); the flight goes on.")
-                self._failed = True
+                fix = _fix(picture, source, telemetry, locator, clock_lead)
+            except LPNError as error:
+                if str(error) != problem:
+                    say(f"{error} The flight goes on without it.")
+                problem = str(error)
+                continue
+            if fix is None:
+                continue
+            count += 1
+            for output in outputs:
+                try:
+                    output(fix)
+                except (LPNError, OSError, ValueError) as error:
+                    if not has_failed:
+                        say(f"An output failed ({error}); the flight goes on.")
+                    has_failed = True
+            unplaced = 0 if fix.best.usable else unplaced + 1
+            if unplaced == _REFUSED:
+                say(_without_place(fix, locator.near_border))
+    finally:
+        source.close()
+        telemetry.close()
+    return count
 
-    def _watch(self, fix: LiveFix) -> None:
-        """Tell the user when many frames in a row have no usable place."""
-        self._unplaced = 0 if fix.best.usable else self._unplaced + 1
-        if self._unplaced != _REFUSED:
+
+def _pictures(source: LiveSource, say: Say, idle: float | None) -> Iterator[ArrivedPicture]:
+    """Yield the newest picture repeatedly, and tell the user when none arrives."""
+    came, has_stalled = time.monotonic(), False
+    while not source.ended:
+        picture = source.take(_LOOK)
+        waited = time.monotonic() - came
+        if picture is not None:
+            if has_stalled:
+                say("Frames come again.")
+            yield picture
+            came, has_stalled = time.monotonic(), False
+        elif idle is not None and waited > idle:
+            say(f"No frame has come for {idle:g} s, so the flight counts as ended.")
             return
-        if fix.best.answer.accepted and fix.best.doubt == ["tag"]:
-            self._say(
-                f"{_REFUSED} frames in a row have no certain place: details place the last one, and its GPS tag alone disagrees, "
-                "which may have drifted."
-            )
-            return
-        last = f"{fix.best.summary}. {fix.best.reason}"
-        if fix.located.stages["sequence"].code == "beyond" or self._locator.near_border:
-            last += " The last place is near the border of the map; the flight may have left it."
-        self._say(f"{_REFUSED} frames in a row have no certain place; the last one says: {last}")
+        elif waited > _STALLED and not has_stalled:
+            has_stalled = True
+            say(f"No frame has come for {_STALLED:g} s; the last answer grows old, and the next frame is waited for.")
+
+
+def _fix(
+    picture: ArrivedPicture, source: LiveSource, telemetry: LiveTelemetry, locator: LiveLocator, clock_lead: float
+) -> LiveFix | None:
+    """Locate a picture; None if a newer one came while the map was described, which takes long."""
+    frame, telemetry_age = telemetry.value(picture)
+    if frame.time is None:
+        frame = replace(frame, time=picture.received)
+    pixels = picture.pixels()
+    if locator.begin(frame) and source.replaced():
+        return None
+    located = locator.locate(frame, pixels)
+    best = live_answer(located)
+    latitude, longitude = None, None
+    if best.answer.x is not None and best.answer.y is not None:
+        place = best.answer.x, best.answer.y
+        latitude, longitude = locator.basemap.frame.degrees([place])[0].tolist()
+    clock = picture.frame.time if picture.utc else None
+    clock = picture.received + clock_lead if clock is None else clock
+    age = time.monotonic() - picture.received
+    return LiveFix(located, best, latitude, longitude, clock, age, source.dropped, telemetry_age, pixels)
+
+
+def _without_place(fix: LiveFix, near_border: bool) -> str:
+    """Return the sentence about many frames in a row without a usable place, by the last of them."""
+    begin = f"{_REFUSED} frames in a row have no certain place"
+    if fix.best.answer.accepted and fix.best.doubt == ["tag"]:
+        return f"{begin}: details place the last one, and its GPS tag alone disagrees, which may have drifted."
+    last = f"{fix.best.summary}. {fix.best.reason}"
+    if fix.located.stages["sequence"].code == "beyond" or near_border:
+        last += " The last place is near the border of the map; the flight may have left it."
+    return f"{begin}; the last one says: {last}"
 
 
 def live_answer(located: LocatedFrame) -> FrameVerdict:

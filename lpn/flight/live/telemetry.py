@@ -15,10 +15,8 @@ from lpn.flight.files import logs
 from lpn.flight.files.base import Frame
 from lpn.flight.files.cameras import upright_values
 from lpn.flight.files.sources import read_any_log
-from lpn.flight.files.subtitles import read_subtitles
 from lpn.flight.files.telemetry import Telemetry, TelemetryEntry
 from lpn.flight.files.vehicle_logs import Vehicle, mavlink_package
-from lpn.flight.files.videos import SUBTITLES
 from lpn.flight.live.frames import ArrivedPicture, Say
 
 # Seconds for which quickly changing values hold, and heights.
@@ -60,15 +58,11 @@ class LogTelemetry(LiveTelemetry):
     """
 
     def __init__(self, file: Path, say: Say) -> None:
+        log = read_any_log(file)
         # The field of view of subtitles is across the longer side of the picture.
-        self._across_longer_side = file.suffix.lower() in SUBTITLES
-        self._by_clock = Telemetry([])
-        if self._across_longer_side:
-            self._elapsed = Telemetry(read_subtitles(file).entries)
-        else:
-            log = read_any_log(file)
-            self._by_clock = Telemetry(logs.moments(log)[0] if log.utc else [])
-            self._elapsed = Telemetry(logs.for_video(log, 0)[0])
+        self._across_longer_side = log.end is not None
+        self._by_clock = Telemetry(logs.moments(log)[0] if log.utc else [])
+        self._elapsed = Telemetry(logs.for_video(log, 0)[0])
         self._start = self._elapsed.entries[0].time
         self._first: float | None = None
         self._say, self._name, self._warned = say, printable(file.name), False

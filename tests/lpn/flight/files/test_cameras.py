@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from lpn.flight.files import Frame, footprint, ground_width
-from lpn.flight.files.cameras import fov_of_equivalent, from_gimbal, turned
+from lpn.flight.files.cameras import fov_of_equivalent, from_gimbal, turned, upright_values
+from lpn.flight.files.lenses import Lens
 
 DOWN = Frame("a", Path("a"), 400, 300, heading=0.0, heading_source="gimbal", pitch=-90.0, roll=0.0, fov=60.0)
 
@@ -103,6 +104,26 @@ def test_a_turned_picture_shows_the_same_ground(turns: int) -> None:
     assert expected is not None
     # After one turn clockwise the corner at the bottom left is at the top left.
     np.testing.assert_allclose(found, np.roll(expected, turns, axis=0), atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("turns", "size", "across_longer_side", "heading", "fov"),
+    [
+        (0, (64, 48), False, 40.0, 45.0), (0, (48, 64), False, 40.0, 45.0), (0, (48, 64), True, 40.0, 34.51),
+        (1, (48, 64), False, 310.0, 34.51), (1, (64, 48), False, 310.0, 57.82), (1, (48, 64), True, 310.0, 34.51),
+        (2, (64, 48), True, 220.0, 45.0), (3, (48, 64), False, 130.0, 34.51),
+    ],
+)  # fmt: skip
+def test_telemetry_turns_with_the_picture(
+    turns: int, size: tuple[int, int], across_longer_side: bool, heading: float, fov: float
+) -> None:
+    frame = replace(DOWN, width=size[0], height=size[1])
+    told = upright_values({"heading": 40.0, "fov": 45.0}, turns, frame, across_longer_side)
+    assert told == {"heading": pytest.approx(heading), "fov": pytest.approx(fov, abs=0.01)}
+    down = upright_values({"heading": 40.0, "pitch": -90.0}, turns, frame)
+    assert (down["heading"], down["pitch"]) == pytest.approx((heading, -90.0))
+    of_lens = replace(frame, lens=Lens(0.7, 0.7, 0.0, 0.0))
+    assert "fov" not in upright_values({"fov": 45.0}, turns, of_lens, across_longer_side)
 
 
 def test_equivalent_focal_lengths_compare_diagonals() -> None:

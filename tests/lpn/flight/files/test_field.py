@@ -11,7 +11,6 @@ from lpn.core.errors import DataError
 from lpn.flight.files.dialects import DIALECTS, table_of
 from lpn.flight.files.logs import read_log
 from lpn.flight.files.sources import read_any_log
-from lpn.flight.files.subtitles import read_subtitles
 
 SRT = "1\n00:00:00,000 --> 00:00:01,000\n{}\n\n"
 PARSER, ODM_SRT = "https://github.com/JuanIrache/DJI_SRT_Parser", "https://github.com/OpenDroneMap/ODM/pull/1667"
@@ -223,19 +222,14 @@ CASES = (
 )
 def test_text_of_the_field_is_read(tmp_path: Path, file: str, text: str, expected: dict[str, Any], note: str) -> None:
     (tmp_path / file).write_text(SRT.format(text) if file.endswith(".srt") else text, "utf-8")
-    if file.endswith(".srt"):
-        found = read_subtitles(tmp_path / file)
-        entry, notes = found.entries[0], found.notes
-    else:
-        if text.startswith("FMT"):
-            pytest.importorskip("pymavlink")
-        log = read_any_log(tmp_path / file)
-        entry, notes = log.rows[0].entry, log.notes
-    read = {name: getattr(entry, name) for name in expected}
+    if text.startswith("FMT"):
+        pytest.importorskip("pymavlink")
+    log = read_any_log(tmp_path / file)
+    read = {name: getattr(log.entries[0], name) for name in expected}
     assert read == {
         name: pytest.approx(value, abs=1e-6) if isinstance(value, float) else value for name, value in expected.items()
     }
-    assert any(note in line for line in notes) if note else not notes
+    assert any(note in line for line in log.notes) if note else not log.notes
 
 
 def test_every_dialect_has_a_case_and_a_source() -> None:
@@ -275,6 +269,8 @@ BEGINS = "log.csv begins with {!r}; expected a line of column names with latitud
         ("WGS84 UTM 32N\na.jpg 464512.10 5238471.2 560.2\n", f"log.csv has positions in WGS84 UTM 32N. {GRID}"),
         ("EPSG:4326\n-7.395223 39.650364 2.59 1920 1080 a.jpg\n", GROUND),
         ("EPSG:32632\n500100.5 5205000.2 412.3 800.0 600.0 a.jpg\n", GROUND),
+        ("EPSG:4326\n8.1,47.1,400,10,20,a.jpg,gcp1\n", GROUND),
+        ("name,lat,lon" + ",x" * 200_000, "log.csv begins with 'name,lat,lon,x"),
         ("lat,lon,a,b,c\n47,301,8,501,1,2,3,4\n", "has 8 values below 5 names, as decimal commas between commas give"),
         ("name,lat,Longitude (W)\na.jpg,33.4,70.5\n", "The column Longitude (W) of log.csv is in an unknown unit"),
         ("\x00\x01\x02binary", "log.csv is no text"),

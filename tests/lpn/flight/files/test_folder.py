@@ -40,26 +40,18 @@ def test_a_flight_may_be_moved_with_its_photos(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("name", "text"), [("flight.csv", "latitude,longitude,time\n1,2,3\n"), ("flight.json", "{}")])
 def test_files_that_lpn_flight_did_not_write_are_not_replaced(tmp_path: Path, name: str, text: str) -> None:
-    photo = write_photo(tmp_path / "a.jpg", exif(1.0, 2.0))
-    (tmp_path / name).write_text(text)
+    photo, own = write_photo(tmp_path / "a.jpg", exif(1.0, 2.0)), tmp_path / "flight"
     for _ in range(2):  # it replaces its own
-        flight = make_flight([photo], tmp_path / "flight")
-    for attempt in (lambda: make_flight([photo], tmp_path), lambda: write_flight(flight, tmp_path)):
-        with pytest.raises(OutputError, match=f"{name} was not written by lpn flight"):
-            attempt()
-    assert (tmp_path / name).read_text() == text
+        flight = make_flight([photo], own)
+    (own / "flight.json").unlink()
+    write_flight(flight, own)
+    for folder in (tmp_path, own):  # alone, and beside our other file
+        (folder / name).write_text(text)
+        for attempt in (lambda out: make_flight([photo], out), lambda out: write_flight(flight, out)):
+            with pytest.raises(OutputError, match=f"{name} was not written by lpn flight"):
+                attempt(folder)
+        assert (folder / name).read_text() == text
     assert sorted(path.name for path in tmp_path.iterdir()) == sorted(["a.jpg", "flight", name])
-
-
-def test_a_table_is_only_replaced_if_it_is_ours_itself(tmp_path: Path) -> None:
-    folder = written(tmp_path)
-    flight = open_flight(folder)
-    (folder / "flight.json").unlink()
-    write_flight(flight, folder)
-    (folder / "flight.csv").write_text("my,own\ntable,1\n")
-    with pytest.raises(OutputError, match=r"flight\.csv was not written by lpn flight"):
-        write_flight(flight, folder)
-    assert (folder / "flight.csv").read_text() == "my,own\ntable,1\n"
 
 
 @pytest.mark.parametrize(

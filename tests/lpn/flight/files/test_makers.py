@@ -70,9 +70,8 @@ def test_unreadable_values_are_named_and_the_first_of_two_counts() -> None:
 @pytest.mark.parametrize(
     ("text", "value"),
     [
-        ("+39.80", 39.8), ("-8759/100", -87.59), ("12.5 m", 12.5), ("39,8", 39.8), ("1e2", 100.0), (".5", 0.5), ((7,), 7.0),
-        (b"\x37\x00", 7.0),
-        ("0/0", None), ("1/0", None), ("", None), ("NA", None), ("nan", None), ("1e999", None), ((1, 2), None), (None, None),
+        ("+39.80", 39.8), ("39,8", 39.8), ((7,), 7.0), (b"\x37\x00", 7.0), (2.5, 2.5),
+        ("NA", None), ((1, 2), None), (None, None),
     ],
 )  # fmt: skip
 def test_numbers_as_exif_and_xmp_write_them(text: object, value: float | None) -> None:
@@ -82,10 +81,9 @@ def test_numbers_as_exif_and_xmp_write_them(text: object, value: float | None) -
 @pytest.mark.parametrize(
     ("text", "value"),
     [
-        ("47,18.0740N", 47.301234), ("8,30.07404E", 8.501234), ("47,18,4.4424N", 47.301234), ("33,51.0S", -33.85),
-        ("47° 18' 4.4424\" N", 47.301234), ("-47.301234", -47.301234), ("-473012340/10000000", -47.301234),
-        ((47.0, 18.0, 4.4424), 47.301234), ((47.0, 18.07404, 4.4), 47.301234), ((-47.0, 18.07404), -47.301234), (47.5, 47.5),
-        ("47,78.0N", None), ("N", None), ("NA", None), ((47.0, 61.0), None), ((47.0, None, 0.0), None),
+        ("47,18.0740N", 47.301234), ("-473012340/10000000", -47.301234), ("N", None), (47.5, 47.5),
+        ((47.0, 18.0, 4.4424), 47.301234), ((47.0, 18.07404, 4.4), 47.301234), ((-47.0, 18.07404), -47.301234),
+        ((47.0, 61.0), None), ((47.0, None, 0.0), None),
     ],
 )  # fmt: skip
 def test_degrees_as_exif_and_xmp_write_them(text: object, value: float | None) -> None:

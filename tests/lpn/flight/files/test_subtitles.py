@@ -11,8 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lpn.core.errors import DataError
-from lpn.flight.files.subtitles import GpsOrder, Subtitles, blocks_of, parse_subtitles, read_subtitles
-from lpn.flight.files.telemetry import Telemetry, TelemetryEntry
+from lpn.flight.files.subtitles import GpsOrder, blocks_of, parse_subtitles, read_subtitles
+from lpn.flight.files.telemetry import Log, Telemetry, TelemetryEntry
 from tools.fixtures.videos import srt
 
 BRACKETS = "[focal_len: 24.00] [latitude: 34.270373] [longitude: -84.176160] [rel_alt: 1.500 abs_alt: 302.208] [ct: 5]"
@@ -21,7 +21,7 @@ MAVIC_PRO = (
 )
 
 
-def parsed(text: str, order: GpsOrder | None = None) -> Subtitles:
+def parsed(text: str, order: GpsOrder | None = None) -> Log:
     return parse_subtitles(blocks_of(text.encode()), "a.SRT", order)
 
 

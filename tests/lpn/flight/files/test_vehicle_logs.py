@@ -9,12 +9,10 @@ from pathlib import Path
 import pytest
 
 from lpn.core.errors import DataError
-from lpn.flight.files import make_flight
 from lpn.flight.files.sources import read_any_log
 from lpn.flight.files.telemetry import TelemetryEntry
 from lpn.flight.files.vehicle_logs import Vehicle, euler_degrees
 from tools.fixtures import vehicle_logs
-from tools.fixtures.photos import exif, write_photo
 
 WRITERS: dict[str, tuple[str, Callable[[Path], None]]] = {
     "flight.ulg": ("pyulog", vehicle_logs.write_ulog),
@@ -31,7 +29,7 @@ def test_a_log_has_positions_heights_and_angles_of_the_aircraft(tmp_path: Path, 
     pytest.importorskip(package)
     write(tmp_path / name)
     log = read_any_log(tmp_path / name)
-    entries = [row.entry for row in log.rows]
+    entries = log.entries
     assert log.utc
     for entry, sample in zip(entries, vehicle_logs.samples(), strict=True):
         assert entry.clock == pytest.approx(vehicle_logs.START + sample.time, abs=0.02)
@@ -45,7 +43,7 @@ def test_a_log_has_positions_heights_and_angles_of_the_aircraft(tmp_path: Path, 
     # A log that is cut short is read so far.
     whole = (tmp_path / name).read_bytes()
     (tmp_path / name).write_bytes(whole[: len(whole) // 2])
-    assert 5 <= len(read_any_log(tmp_path / name).rows) < 20
+    assert 5 <= len(read_any_log(tmp_path / name).entries) < 20
 
 
 def test_a_ulog_that_is_damaged_in_places_says_so(tmp_path: Path) -> None:
@@ -56,7 +54,7 @@ def test_a_ulog_that_is_damaged_in_places_says_so(tmp_path: Path) -> None:
     whole[middle : middle + 40] = bytes(40)
     (tmp_path / "flight.ulg").write_bytes(whole)
     log = read_any_log(tmp_path / "flight.ulg")
-    assert 5 <= len(log.rows) < 20
+    assert 5 <= len(log.entries) < 20
     assert log.notes == ("flight.ulg is damaged in places; the rest of it was used.",)
 
 
@@ -64,7 +62,7 @@ def test_positions_of_another_vehicle_are_left_out_with_a_note(tmp_path: Path) -
     pytest.importorskip("pymavlink")
     vehicle_logs.write_tlog(tmp_path / "two.tlog", foreign=True)
     log = read_any_log(tmp_path / "two.tlog")
-    assert len(log.rows) == 20
+    assert len(log.entries) == 20
     said = "two.tlog has positions of several vehicles; those of system 7 were used, and not those of 9."
     assert log.notes == (said,)
 
@@ -93,15 +91,6 @@ def test_a_log_that_cannot_be_read_is_refused_in_a_sentence(
     (tmp_path / name).write_bytes(content if isinstance(content, bytes) else content())
     with pytest.raises(DataError, match=message):
         read_any_log(tmp_path / name)
-
-
-@pytest.mark.parametrize("content", [b"\xd3\x00\x13" * 40, b""])
-def test_satellite_files_of_djis_cards_are_left_out_and_named(tmp_path: Path, content: bytes) -> None:
-    photo = write_photo(tmp_path / "DJI_0001.JPG", exif(47.3, 8.5))
-    (tmp_path / "DJI_PPKRAW.bin").write_bytes(content)
-    flight = make_flight([photo, tmp_path / "DJI_PPKRAW.bin"], tmp_path / "flight")
-    assert [frame.latitude for frame in flight.frames] == [pytest.approx(47.3)]
-    assert "Left out, because their kind is not supported: DJI_PPKRAW.bin." in flight.notes
 
 
 # Messages with their times; the values of the last one's entry, None if it makes none.

@@ -29,13 +29,14 @@ from lpn.flight.files import Flight, Frame
 from lpn.flight.live.frames import (
     ArrivedPicture,
     LiveSource,
+    Say,
     folder_pictures,
     open_source,
     shown_name,
     stream_pictures,
 )
 from lpn.flight.live.locator import LiveLocator
-from lpn.flight.live.run import LiveRun, live_answer
+from lpn.flight.live.run import live_answer, locate_live
 from lpn.flight.live.telemetry import LiveTelemetry, LogTelemetry, MavlinkLink, open_telemetry
 from lpn.flight.locate.agreement import MapAgreement
 from lpn.flight.locate.camera_place import below_camera
@@ -45,7 +46,7 @@ from lpn.flight.locate.registered_stage import PhotoSearch
 from lpn.flight.locate.tracks import best_track, track_bytes
 from lpn.flight.maps import Map
 from tests.lpn.flight.locate.scenery import GridModel, ground_to_photo, land, photo_of, write_map
-from tools.fixtures.photos import exif, write_photo
+from tools.fixtures.photos import exif, photo_bytes, write_photo
 from tools.fixtures.simulated_vehicle import SimulatedVehicle
 from tools.fixtures.videos import srt, turn, write_video
 from tools.fixtures.waiting import TIMEOUT, wait_until
@@ -101,16 +102,20 @@ class StepByStep(LiveSource):
             yield frame
 
 
+def locator_of(basemap: Map, options: LocateOptions = OPTIONS, say: Say = print) -> LiveLocator:
+    return LiveLocator(basemap, GridModel(), options, say=say)  # type: ignore[arg-type]
+
+
 def lines_of(
     town: Map, frames: list[Frame], options: LocateOptions = OPTIONS
 ) -> tuple[list[dict[str, Any]], list[str]]:
     """Return the properties of the lines of a run, and its sentences."""
     said: list[str] = []
     lines: list[str] = []
-    locator = LiveLocator(town, GridModel(), options, say=said.append)  # type: ignore[arg-type]
+    locator = locator_of(town, options, said.append)
     locator.prepare([44.0])
-    run = LiveRun(StepByStep(frames), LiveTelemetry(), locator, [lambda fix: lines.append(fix.line())], said.append)
-    count = run.run()
+    outputs = [lambda fix: lines.append(fix.line())]
+    count = locate_live(StepByStep(frames), LiveTelemetry(), locator, outputs, said.append)
     features = [json.loads(line) for line in lines]
     assert len(features) == count
     return [feature["properties"] | {"geometry": feature["geometry"]} for feature in features], said
@@ -176,7 +181,7 @@ def test_a_line_doubts_a_place_as_the_track_of_a_whole_flight_does(
     tag = [None, None] if metres is None else town.frame.degrees([(PLACES[0][0], PLACES[0][1] + metres)])[0].tolist()
     frame = replace(flight.frames[0], latitude=tag[0], longitude=tag[1])
     (line,), said = lines_of(town, [frame])
-    locator = LiveLocator(town, GridModel(), OPTIONS)  # type: ignore[arg-type]
+    locator = locator_of(town)
     locator.prepare([44.0])
     located = locator.locate(frame, ArrivedPicture(frame, 0).pixels())
     track = best_track(LocatedFlight(Flight("friday", (frame,)), town, [located], None, [], None))
@@ -218,7 +223,7 @@ def test_places_that_the_map_contradicts_prove_nothing_and_lead_no_later_frame(
     contradict(monkeypatch)
     unseen = [replace(flight.frames[-1], name=f"unseen {i}", time=9.0 + i) for i in range(2)]
     frames = [replace(frame, latitude=None, longitude=None) for frame in (*flight.frames, *unseen)]
-    locator = LiveLocator(town, GridModel(), OPTIONS)  # type: ignore[arg-type]
+    locator = locator_of(town)
     located = [locator.locate(frame, ArrivedPicture(frame, 0).pixels()) for frame in frames]
     answers = [live_answer(one) for one in located]
     assert [one.state for one in answers] == ["contradicted"] * 6 + ["refused"] * 2
@@ -265,7 +270,7 @@ def without_tags(flight: Flight) -> list[Frame]:
 
 @pytest.mark.usefixtures("laid")
 def test_registrations_prove_the_map(town: Map, flight: Flight) -> None:
-    locator = LiveLocator(town, GridModel(), OPTIONS)  # type: ignore[arg-type]
+    locator = locator_of(town)
     frames = without_tags(flight)
     states = [locator.locate(frame, ArrivedPicture(frame, 0).pixels()).stages["sequence"].state for frame in frames]
     assert states[:2] == ["refused"] * 2
@@ -282,7 +287,7 @@ def test_a_drone_that_hovers_proves_no_map(
     town: Map, flight: Flight, laid: dict[str, tuple[float, ...] | None]
 ) -> None:
     laid |= dict.fromkeys(laid, (*PLACES[0], 0.0))
-    locator = LiveLocator(town, GridModel(), OPTIONS)  # type: ignore[arg-type]
+    locator = locator_of(town)
     photo = ArrivedPicture(flight.frames[0], 0).pixels()
     frames = [replace(without_tags(flight)[0], time=float(i)) for i in range(10)]
     assert not any(locator.locate(frame, photo).stages["sequence"].accepted for frame in frames)
@@ -378,7 +383,7 @@ def test_frames_that_cannot_be_read_and_clocks_that_jump_are_said_and_the_flight
 def test_memory_does_not_grow_with_the_flight(town: Map, flight: Flight, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(lpn.flight.live.locator, "_KEPT", 30)
     monkeypatch.setattr(lpn.flight.live.locator, "_SCORED", 8)
-    locator = LiveLocator(town, GridModel(), replace(OPTIONS, register=False))  # type: ignore[arg-type]
+    locator = locator_of(town, replace(OPTIONS, register=False))
     rng, photo = np.random.default_rng(0), np.zeros((*SIZE[::-1], 3), np.uint8)
     for i in range(60):
         photo[:] = np.kron(rng.integers(0, 255, (9, 12, 1), np.uint8), np.ones((30, 30, 3), np.uint8))
@@ -387,57 +392,37 @@ def test_memory_does_not_grow_with_the_flight(town: Map, flight: Flight, monkeyp
     assert len(locator._scored) == 8
 
 
-def test_photos_that_come_into_a_folder_are_read_when_they_are_whole(tmp_path: Path) -> None:
+def test_new_photos_below_a_folder_are_read_when_they_are_whole(tmp_path: Path) -> None:
     write_photo(tmp_path / "before.jpg")
-    write_photo(tmp_path / "whole")
-    whole = (tmp_path / "whole").read_bytes()
     said: list[str] = []
     source = LiveSource(folder_pictures(tmp_path, said.append), said.append)
-    source.start()
-    try:
-        (tmp_path / "new.jpg").write_bytes(whole[: len(whole) // 2])
-        assert source.take(0.15) is None
-        (tmp_path / "new.jpg").write_bytes(whole)
-        picture = source.take(10)
-    finally:
-        source.close()
-    assert picture is not None
-    assert picture.frame.name == "new.jpg"
-    assert picture.pixels().shape[2] == 3
-    assert said == [f"1 photos that were in {tmp_path.name} before are left out."]
-
-
-def test_photos_of_folders_inside_count_and_hidden_and_vanished_files_do_not(tmp_path: Path) -> None:
-    said: list[str] = []
-    source = LiveSource(folder_pictures(tmp_path, said.append), said.append)
-    for name in ("inside/later/new.jpg", "inside/.hidden.jpg", "inside/notes.txt", ".trash/new.jpg"):
-        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+    whole = photo_bytes(exif(main={ExifTags.Base.Orientation: 6}))
+    for name in ("inside/.hidden.jpg", "inside/notes.txt", ".trash/new.jpg"):
         write_photo(tmp_path / name)
+    new = tmp_path / "inside" / "later" / "new.jpg"
+    new.parent.mkdir()
     source.start()
     try:
+        new.write_bytes(whole[: len(whole) // 2])
+        assert source.take(0.15) is None
+        new.write_bytes(whole)
         picture = source.take(TIMEOUT)
         assert source.take(3 * lpn.flight.live.frames._POLL) is None
     finally:
         source.close()
     assert picture is not None
-    assert picture.frame.name == "new.jpg"
-    assert picture.frame.file == tmp_path / "inside" / "later" / "new.jpg"
-    assert said == []
+    assert (picture.frame.file, picture.turns) == (new, 1)
+    assert picture.pixels().shape == (40, 30, 3)
+    assert said == [f"1 photos that were in {tmp_path.name} before are left out."]
 
 
-def test_frames_of_a_video_have_their_times(tmp_path: Path) -> None:
-    video = write_video(tmp_path / "v.mp4", 4)
-    source = LiveSource(stream_pictures(video, print, fov=70.0), print)
-    source.start()
-    pictures = []
-    while not source.ended:
-        if (picture := source.take(1)) is not None:
-            pictures.append(picture)
-    source.close()
-    assert len(pictures) > 1
-    times = [picture.frame.time or 0.0 for picture in pictures]
-    assert times == sorted(times)
-    assert pictures[0].frame.fov == 70.0
+def test_frames_of_a_video_have_their_times_and_its_turn(tmp_path: Path) -> None:
+    video = turn(write_video(tmp_path / "v.mp4", 0.5), 1)
+    said: list[str] = []
+    pictures = list(stream_pictures(video, said.append, fov=70.0)(threading.Event()))
+    assert [picture.frame.time for picture in pictures] == pytest.approx([0.0, 0.1, 0.2, 0.3, 0.4])
+    assert {(one.frame.width, one.frame.height, one.frame.fov, one.turns) for one in pictures} == {(48, 64, 70.0, 1)}
+    assert said == ["v.mp4 is turned by 90° by its file, and the heading of its telemetry with it."]
 
 
 @pytest.mark.parametrize("source", ["nowhere", "udp://127.0.0.1:1/?timeout=1000", "text.mp4", "notes.txt"])
@@ -462,18 +447,27 @@ def test_a_link_gives_frames_heading_height_and_position_and_says_what_is_odd(fl
     link = MavlinkLink(f"udp:127.0.0.1:{port}", said.append)
     vehicle, other = SimulatedVehicle(flight, port=port, system=7), SimulatedVehicle(flight, port=port, system=9)
     frame = flight.frames[0]
+
+    def told(sent: Frame, *names: str) -> Any:
+        """Send a frame's telemetry until a picture has the named values."""
+
+        def known() -> Frame | None:
+            vehicle.tell(sent)  # repeated, because a position holds for only 2 s
+            found = link.value(arrived(frame)).frame
+            return found if all(getattr(found, name) is not None for name in names) else None
+
+        return wait_until(known)
+
     try:
         assert link.value(arrived(frame)).age is None
-
-        def in_time() -> Any:
-            vehicle.tell(frame)  # repeated, because a position holds for only 2 s
-            value = link.value(arrived(frame))
-            return value.frame.latitude and value
-
-        value = wait_until(in_time)
-        assert value.frame.latitude == pytest.approx(frame.latitude, abs=1e-6)
-        assert (value.frame.heading, value.frame.heading_source) == (pytest.approx(90), "gimbal")
-        assert value.frame.flying_height == HEIGHT
+        lost = replace(frame, latitude=None, longitude=None, heading_source="aircraft")
+        found = told(lost, "heading", "height_above_takeoff")
+        assert (found.heading, found.flying_height, found.latitude) == (pytest.approx(90), HEIGHT, None)
+        assert link.vehicle.system == 7
+        found = told(frame, "latitude")
+        assert found.latitude == pytest.approx(frame.latitude, abs=1e-6)
+        assert (found.heading, found.heading_source) == (pytest.approx(90), "gimbal")
+        assert found.flying_height == HEIGHT
         kept = link.value(arrived(frame, 5.0)).frame
         assert (kept.heading, kept.latitude, kept.longitude, kept.flying_height) == (None, None, None, HEIGHT)
         assert link.value(arrived(frame, 50.0)).frame.flying_height is None
@@ -508,37 +502,15 @@ def test_a_log_gives_frames_its_values_from_the_first_picture_on(tmp_path: Path)
 @pytest.mark.parametrize(
     ("name", "text", "fov"),
     [
-        (
-            "v.srt",
-            srt(["[latitude: 47.0] [longitude: 8.0] [gb_yaw: 40.0 gb_pitch: -90.0] [focal_len: 24.00]"] * 2),
-            56.81,
-        ),
-        ("v.csv", "time,lat,lon,gimbal_yaw,gimbal_pitch,hfov\n0,47,8,40,-90,45\n2,47,8,40,-90,45\n", 34.51),
+        ("v.srt", srt(["[latitude: 47.0] [longitude: 8.0] [gb_yaw: 40.0 gb_pitch: -90.0] [focal_len: 24.00]"]), 56.81),
+        ("v.csv", "time,lat,lon,gimbal_yaw,gimbal_pitch,hfov\n0,47,8,40,-90,45\n", 34.51),
     ],
 )
-def test_telemetry_turns_with_a_video(tmp_path: Path, name: str, text: str, fov: float) -> None:
+def test_telemetry_turns_with_the_picture(tmp_path: Path, name: str, text: str, fov: float) -> None:
     (tmp_path / name).write_text(text)
-    said: list[str] = []
-    source = LiveSource(stream_pictures(turn(write_video(tmp_path / "v.mp4", 2), 1), said.append), print)
-    source.start()
-    picture = source.take(10)
-    source.close()
-    assert picture is not None
-    assert said == ["v.mp4 is turned by 90° by its file, and the heading of its telemetry with it."]
+    picture = ArrivedPicture(Frame("a", Path(), 48, 64, 0.0), 0.0, turns=1)
     frame = open_telemetry(str(tmp_path / name), print).value(picture).frame
-    assert (frame.width, frame.height) == (48, 64)
     assert (frame.heading, frame.fov) == (pytest.approx(310.0), pytest.approx(fov, abs=0.01))
-
-
-def test_telemetry_turns_with_a_photo(tmp_path: Path) -> None:
-    (tmp_path / "log.csv").write_text("time,lat,lon,gimbal_yaw,gimbal_pitch\n0,47,8,40,-90\n2,47,8,40,-90\n")
-    source = LiveSource(folder_pictures(tmp_path, print), print)
-    write_photo(tmp_path / "a.jpg", exif(main={ExifTags.Base.Orientation: 6}))
-    source.start()
-    picture = source.take(10)
-    source.close()
-    assert picture is not None
-    assert open_telemetry(str(tmp_path / "log.csv"), print).value(picture).frame.heading == pytest.approx(310.0)
 
 
 def test_the_command_locates_what_a_vehicle_sends(
@@ -583,10 +555,8 @@ def test_the_command_locates_what_a_vehicle_sends(
 @pytest.mark.parametrize(
     ("options", "sentence"),
     [
-        (["--live", "nowhere"], "There is no nowhere; give a folder that fills"),
         (["--live", "FOLDER", "--fov", "500"], "--fov is 500; expected a number from 0.1 to 170."),
         (["--live", "FOLDER", "--speed", "0"], "The speed is 0 m/s"),
-        (["--live", "FOLDER", "--telemetry", "none"], "There is no none; give a log, a track, or an address"),
         (["--live", "0"], "There is no 0; give a folder that fills"),
     ],
 )
@@ -604,26 +574,6 @@ def test_bad_options_of_the_command_are_refused_in_a_sentence(
     captured = capsys.readouterr()
     assert sentence in captured.err
     assert captured.err.count("\n") == 1
-
-
-def test_a_vehicle_without_positions_gives_heading_and_height(flight: Flight) -> None:
-    pytest.importorskip("pymavlink")
-    link = MavlinkLink(f"udp:127.0.0.1:{(port := free_port())}", lambda _: None)
-    vehicle = SimulatedVehicle(flight, port=port, system=7)
-    lost = replace(flight.frames[0], latitude=None, longitude=None, heading=90.0, heading_source="aircraft")
-    try:
-
-        def known() -> bool:
-            vehicle.tell(lost)
-            frame = link.value(arrived(replace(lost, heading=None))).frame
-            return frame.heading == pytest.approx(90) and frame.flying_height == HEIGHT
-
-        wait_until(known)
-        assert link.vehicle.system == 7
-        assert link.value(arrived(lost)).frame.latitude is None
-    finally:
-        link.close()
-        vehicle.close()
 
 
 def test_an_answer_is_moved_below_a_camera_of_known_tilt(flight: Flight) -> None:
