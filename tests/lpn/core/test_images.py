@@ -75,6 +75,19 @@ def test_further_kinds_are_read(suffix: str) -> None:
         images.decode_picture(whole.getvalue()[:800], "a")
 
 
+@pytest.mark.parametrize("kind", ["EPS", "TGA", "PPM"])
+def test_other_kinds_are_not_read_whatever_their_names(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Pillow would start Ghostscript for an EPS file."""
+    monkeypatch.setattr(subprocess, "Popen", None)
+    whole = io.BytesIO()
+    Image.fromarray(small_worlds.place(3)).save(whole, kind)
+    assert images.header_error(whole) == "is not a picture that can be read"
+    with pytest.raises(
+        PictureError, match=r"a\.jpg is not a picture that can be read; expected a JPEG, PNG, WebP, BMP, GIF, or TIFF"
+    ):
+        images.decode_picture(whole.getvalue(), "a.jpg")
+
+
 @pytest.mark.parametrize("bits", [8, 12, 14, 16])
 @pytest.mark.parametrize("suffix", [".tif", ".png"])
 @pytest.mark.parametrize("channels", [1, 3])
