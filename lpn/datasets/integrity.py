@@ -96,10 +96,10 @@ def check_whole(files: Sequence[Path], what: str, root: Path | None = None) -> N
         )
 
 
-def list_errors(errors: Mapping[Path, str], root: Path | None = None, most: int = 5) -> str:
+def list_errors(errors: Mapping[Path, str], root: Path | None = None) -> str:
     """Return the first broken files with their errors, and the number of further ones."""
     some = [f"{printable(str(file.relative_to(root) if root else file))} {error}" for file, error in errors.items()]
-    return first_few(some, most)
+    return first_few(some, 5)
 
 
 def _end_valid(file: BinaryIO) -> bool:

@@ -142,21 +142,27 @@ def test_no_half_of_a_token_is_shown_where_a_line_is_cut(
     assert "correct" not in shown
 
 
-def test_the_level_comes_from_the_command_line_or_else_from_the_environment() -> None:
-    assert log.parse_level(["explore"], {}) == ("warning", ["explore"])
-    assert log.parse_level(["explore"], {"LPN_LOG": " INFO "}) == ("info", ["explore"])
-    assert log.parse_level(["--log-level", "debug", "explore", "--port", "1"], {"LPN_LOG": "info"}) == (
-        "debug",
-        ["explore", "--port", "1"],
-    )
-    assert log.parse_level(["explore", "--log-level=error"], {}) == ("error", ["explore"])
-    for given, environ in (
-        (["--log-level", "all"], {}),
-        (["x", "--log-level"], {}),
-        ([], {"LPN_LOG": "verbose"}),
-    ):
-        with pytest.raises(InputError, match="expected one of debug, info, warning, error"):
-            log.parse_level(given, environ)
+@pytest.mark.parametrize(
+    ("given", "environ", "level", "rest"),
+    [
+        (["explore"], "", "warning", ["explore"]),
+        (["explore"], " INFO ", "info", ["explore"]),
+        (["--log-level", "debug", "explore", "--port", "1"], "info", "debug", ["explore", "--port", "1"]),
+        (["explore", "--log-level=error"], "", "error", ["explore"]),
+        (["--log-level", "all"], "", None, []),
+        (["x", "--log-level"], "", None, []),
+        ([], "verbose", None, []),
+    ],
+)
+def test_the_level_comes_from_the_command_line_or_else_from_the_environment(
+    given: list[str], environ: str, level: str | None, rest: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(log.VARIABLE, environ)
+    if level is not None:
+        assert log.parse_level(given) == (level, rest)
+        return
+    with pytest.raises(InputError, match="expected one of debug, info, warning, error"):
+        log.parse_level(given)
 
 
 def test_the_command_line_names_it(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
