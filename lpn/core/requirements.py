@@ -60,13 +60,6 @@ def read_requirements() -> Requirements | None:
     return Requirements(installed["Requires-Python"] or "", _packages(), extras)
 
 
-def satisfies(version: str, wanted: str) -> bool:
-    """Return whether a version is in a range such as ">=1.1.1,<1.2"."""
-    from packaging.specifiers import SpecifierSet
-
-    return SpecifierSet(wanted).contains(version, prereleases=True)
-
-
 def broken_package(error: Exception) -> str:
     """Return one sentence about a package that cannot be imported."""
     reason = printable(f"{type(error).__name__}: {error}")[:300]

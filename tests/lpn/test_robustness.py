@@ -259,18 +259,10 @@ def test_a_full_disk_is_one_sentence_and_leaves_nothing_whole(
     small_disk: Path, model_file: Path, data: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """In a process of its own: a mapped file on a full disk would end it without a word."""
-    given = [
-        "describe",
-        "--model",
-        str(model_file),
-        "--images",
-        str(data),
-        "--view",
-        "drone",
-        "--out",
-        str(small_disk / "s"),
-    ]
-    done = subprocess.run([sys.executable, "-m", "lpn", *given], capture_output=True, text=True, check=False)
+    given = ["--model", str(model_file), "--images", str(data), "--view", "drone", "--out", str(small_disk / "s")]
+    done = subprocess.run(
+        [sys.executable, "-m", "lpn", "describe", *given], capture_output=True, text=True, check=False
+    )
     assert done.returncode == 2, done.stderr
     assert "cannot be written (No space left on device); free space or choose another folder." in done.stderr
     assert "Traceback" not in done.stderr

@@ -96,19 +96,6 @@ def test_equal_files_and_shared_places_are_found(tmp_path: Path) -> None:
     assert not report.healthy
 
 
-def test_every_layout_is_named_with_its_lists(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    for make, kind, queries in (
-        (layouts.cvusa, "CVUSA", ("test/street", 3)),
-        (layouts.cvact, "CVACT", ("test/street", 2)),
-        (layouts.oxford, "Oxford5k", ("test/query_street", 4)),
-        (layouts.paris, "Paris6k", ("test/query_street", 1)),
-    ):
-        status, found = doctor(make(tmp_path / kind), tmp_path, "--quick")
-        assert (status, found["kind"], found["decoded"]) == (0, kind, False)
-        assert f"{kind} is in {kind}'s layout" in capsys.readouterr().out
-        assert queries in [(count["name"], count["pictures"]) for count in found["counts"]]
-
-
 def test_files_named_and_not_there_are_damage_but_what_is_published_broken_is_not(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
