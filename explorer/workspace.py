@@ -29,7 +29,7 @@ from lpn.core.tables import Table
 from lpn.core.views import View
 from lpn.datasets import Picture as Picture
 from lpn.descriptors.weather import CLEAR, Weather
-from lpn.drawing import mosaic, overlays, verdicts
+from lpn.drawing import mosaic, verdicts
 from lpn.drawing.part_areas import PartAreas
 from lpn.flight.locate.grades import doubtful_photos, is_doubtful
 from lpn.flight.locate.located import LocatedFlight
@@ -328,7 +328,7 @@ class Workspace:
 
     def _make_thumbnail(self, picture: Picture) -> bytes:
         try:
-            square = overlays.square(picture.load(), _THUMBNAIL)
+            square = images.resize(picture.load(), _THUMBNAIL, _THUMBNAIL)
         except PictureError:  # a flight may have unreadable frames
             square = np.full((_THUMBNAIL, _THUMBNAIL, 3), _UNREADABLE, np.uint8)
         return images.jpeg(square, 80)

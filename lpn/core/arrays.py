@@ -23,17 +23,6 @@ ObjectArray = npt.NDArray[np.object_]
 
 # Errors that NumPy raises for a damaged archive or array header.
 DAMAGED_ARRAY = (
-    OSError,
-    ValueError,
-    KeyError,
-    TypeError,
-    EOFError,
-    BadZipFile,
-    zlib.error,
-    NotImplementedError,
-    SyntaxError,
-    TokenError,
-    OverflowError,
-    MemoryError,
-    RuntimeError,
-)
+    OSError, ValueError, KeyError, TypeError, EOFError, BadZipFile, zlib.error, SyntaxError, TokenError, OverflowError,
+    MemoryError, RuntimeError,
+)  # fmt: skip

@@ -1,17 +1,4 @@
-"""The errors that a user can correct. Every message is one sentence for the user.
-
-LPNError
-├── ModelFileError   a model file is missing, damaged, or of a kind we cannot use
-├── DataError        a data set folder is missing, empty, or not laid out as expected
-│   └── OtherKindError    a file is of another kind than its name suggests
-├── PictureError     a picture cannot be read
-├── StoreError       a descriptor store cannot be read or written
-│   └── NewerStoreError   a later version wrote the store
-├── OutputError      a file cannot be written
-├── InputError       an array or option has the wrong shape, type, or value
-│   └── DivergedError   a training's loss or weights are out of bounds
-└── MissingPackageError   a feature needs a package of an extra that is not installed
-"""
+"""The errors that a user can correct. Every message is one sentence for the user."""
 
 from __future__ import annotations
 

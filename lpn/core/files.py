@@ -309,8 +309,7 @@ def printable(text: str, keep: str = "", instead: str = "?") -> str:
     if text.isprintable():
         return text
     misleading = {c for c in set(text) if c in _MISLEADING or unicodedata.category(c) in _HIDDEN}
-    hidden = {ord(c): instead for c in misleading if c not in keep}
-    return text.translate(hidden) if hidden else text
+    return text.translate({ord(c): instead for c in misleading if c not in keep})
 
 
 def first_few(texts: Sequence[str], most: int) -> str:

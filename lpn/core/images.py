@@ -5,7 +5,8 @@ from __future__ import annotations
 import io
 import struct
 import warnings
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO, cast
 
@@ -26,6 +27,8 @@ else:
 
 SUFFIXES = (".jpg", ".jpeg", ".png", ".webp", ".bmp", ".gif", ".tif", ".tiff")
 KINDS = "JPEG, PNG, WebP, BMP, GIF, or TIFF"
+# Pillow's names of these kinds. For others it may start a program, such as Ghostscript for an EPS file.
+_FORMATS = ("JPEG", "PNG", "WEBP", "BMP", "GIF", "TIFF")
 # Kinds of pictures that are not read; warnings name them.
 OTHER_SUFFIXES = (
     ".dng", ".raw", ".cr2", ".cr3", ".nef", ".arw", ".raf", ".orf", ".rw2", ".heic", ".heif", ".avif", ".jp2", ".jxl", ".svg",
@@ -90,13 +93,11 @@ def decode_picture(
     if (flaw := header_error(io.BytesIO(data))) is not None:
         raise PictureError(f"{name} {flaw}; expected a {kinds} file of at most {MAX_PIXELS // 1_000_000} megapixels.")
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # about metadata
-            with Image.open(io.BytesIO(data)) as file:
-                tags = getattr(file, "tag_v2", {})
-                sixteen = data[24] == 16 if file.format == "PNG" else 16 in tags.get(TiffImagePlugin.BITSPERSAMPLE, ())
-                white_is_0 = tags.get(TiffImagePlugin.PHOTOMETRIC_INTERPRETATION) == 0
-                picture = _decoded(file, side, upright, white_is_0)
+        with opened(io.BytesIO(data)) as file:
+            tags = getattr(file, "tag_v2", {})
+            sixteen = data[24] == 16 if file.format == "PNG" else 16 in tags.get(TiffImagePlugin.BITSPERSAMPLE, ())
+            white_is_0 = tags.get(TiffImagePlugin.PHOTOMETRIC_INTERPRETATION) == 0
+            picture = _decoded(file, side, upright, white_is_0)
     except _DAMAGED as error:
         tiff = data.startswith((b"II", b"MM"))
         raise PictureError(
@@ -132,17 +133,22 @@ def _decoded(file: Image.Image, side: int | None, upright: bool, white_is_0: boo
     return np.array(colours if reduced or factor == 1 else colours.reduce(factor))
 
 
+@contextmanager
+def opened(file: BinaryIO) -> Iterator[Image.Image]:
+    """Open a picture of one of the read kinds by Pillow, without its warnings about metadata; errors are Pillow's."""
+    with warnings.catch_warnings(action="ignore"), Image.open(file, formats=_FORMATS) as picture:
+        yield picture
+
+
 def header_error(file: BinaryIO) -> str | None:
     """Return the error of a picture file's header, as the end of a sentence; None if it is good.
 
     Decompression bombs are refused here, before anything is decoded.
     """
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            with Image.open(file) as header:
-                width, height = header.size
-                heights = header.format == "TIFF" and header.mode in ("I", "F")
+        with opened(file) as header:
+            width, height = header.size
+            heights = header.format == "TIFF" and header.mode in ("I", "F")
     except Image.DecompressionBombError:
         return "has far too many pixels to be read"
     except _DAMAGED:

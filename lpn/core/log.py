@@ -10,7 +10,7 @@ import os
 import re
 import sys
 import traceback as tracebacks
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from typing import Final, Literal, get_args
 from urllib.parse import quote, quote_plus
@@ -28,14 +28,13 @@ _TOKEN = re.compile(r"(token=)[^&\s\"'<>]+", re.IGNORECASE)
 _MAX_LENGTH = 1000
 
 
-def parse_level(arguments: list[str], environ: Mapping[str, str] | None = None) -> tuple[LogLevel, list[str]]:
+def parse_level(arguments: list[str]) -> tuple[LogLevel, list[str]]:
     """Return the level from the command line or else the environment, and the remaining arguments.
 
     Raises:
         InputError: if the level is unknown.
     """
-    environ = os.environ if environ is None else environ
-    level, source, rest = environ.get(VARIABLE, "").strip() or "warning", VARIABLE, list(arguments)
+    level, source, rest = os.environ.get(VARIABLE, "").strip() or "warning", VARIABLE, list(arguments)
     for position, argument in enumerate(rest):
         if argument == FLAG or argument.startswith(f"{FLAG}="):
             separate = argument == FLAG

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import re
-import tomllib
 from importlib import metadata
-from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from lpn.core.errors import MissingPackageError
 from lpn.core.files import printable
+
+if TYPE_CHECKING:
+    from packaging.requirements import Requirement
 
 NAME = "lpn-explorer"
 # Packages that replace a required one, because they hold its modules.
@@ -19,7 +19,6 @@ _PACKAGES = {
     **{"yaml": "pyyaml", "umap": "umap-learn", "numba": "umap-learn", "sklearn": "umap-learn", "faiss": "faiss-cpu"},
     **{"affine": "rasterio", "orthomosaic": "pyorthomosaic", "fsspec": "ray"},
 }
-_PYPROJECT = Path(__file__).parents[2] / "pyproject.toml"
 
 
 class Package(NamedTuple):
@@ -52,20 +51,13 @@ class Requirements(NamedTuple):
 
 
 def read_requirements() -> Requirements | None:
-    """Read the requirements from a checkout's pyproject.toml, else from the installed metadata; None without either."""
-    declared = _declared()
-    if declared is None:
+    """Read the requirements of the installed distribution; None if it is not installed."""
+    try:
+        installed = metadata.metadata(NAME)
+    except metadata.PackageNotFoundError:
         return None
-    python, base, extras = declared
-    of_extras = {extra: tuple(map(_package, lines)) for extra, lines in extras.items() if extra != "all"}
-    return Requirements(python, tuple(map(_package, base)), of_extras)
-
-
-def satisfies(version: str, wanted: str) -> bool:
-    """Return whether a version is in a range such as ">=1.1.1,<1.2"."""
-    from packaging.specifiers import SpecifierSet
-
-    return SpecifierSet(wanted).contains(version, prereleases=True)
+    extras = {extra: _packages(extra) for extra in installed.get_all("Provides-Extra") or [] if extra != "all"}
+    return Requirements(installed["Requires-Python"] or "", _packages(), extras)
 
 
 def broken_package(error: Exception) -> str:
@@ -78,23 +70,27 @@ def missing_package(error: ModuleNotFoundError) -> MissingPackageError:
     """Return the error for a package that is not installed, with the extra that installs it."""
     module = (error.name or "").split(".")[0]
     package = _PACKAGES.get(module, module.lower().replace("_", "-"))
-    _, _, extras = _declared() or ("", [], {})
-    having = [extra for extra, lines in extras.items() if package in map(_name, lines)]
+    found = read_requirements()
+    extras = {} if found is None else found.extras
+    having = (extra for extra, packages in extras.items() if package in {one.name.lower() for one in packages})
     extra = next((extra for extra in having if extra != "dev"), None)
     wanted = f"{NAME}[{extra}]" if extra else NAME
     return MissingPackageError(f"This needs the package {error.name}, which is not installed; pip install '{wanted}'.")
 
 
-def _name(line: str) -> str:
-    """Return the lower-case package name of a requirement such as "numpy>=1.26"."""
-    return re.split(r"[^\w.-]", line, maxsplit=1)[0].lower()
-
-
-def _package(line: str) -> Package:
+def _packages(extra: str = "") -> tuple[Package, ...]:
+    """Return the packages that are always required, or those of an extra."""
     from packaging.requirements import Requirement
+
+    required = map(Requirement, metadata.requires(NAME) or [])
+    return tuple(
+        _package(one) for one in required if (one.marker.evaluate({"extra": extra}) if one.marker else not extra)
+    )
+
+
+def _package(requirement: Requirement) -> Package:
     from packaging.version import InvalidVersion
 
-    requirement = Requirement(line)
     name, wanted = requirement.name, requirement.specifier
     for one in filter(None, (name, _STAND_INS.get(name))):
         try:
@@ -105,28 +101,3 @@ def _package(line: str) -> Package:
         except (InvalidVersion, TypeError):  # remains of a broken installation
             return Package(name, str(wanted), "unknown", False)
     return Package(name, str(wanted), None, False)
-
-
-def _declared() -> tuple[str, list[str], dict[str, list[str]]] | None:
-    """Return the required Python, and the lines of the base packages and of each extra."""
-    try:
-        project = tomllib.loads(_PYPROJECT.read_text(encoding="utf-8"))["project"]
-        if project["name"] == NAME:
-            return project["requires-python"], project["dependencies"], project["optional-dependencies"]
-    except (OSError, ValueError, KeyError):
-        pass  # no checkout
-    from packaging.requirements import Requirement
-
-    try:
-        installed = metadata.metadata(NAME)
-    except metadata.PackageNotFoundError:
-        return None
-    markers = {line: Requirement(line).marker for line in metadata.requires(NAME) or []}
-    extras = {
-        extra: [
-            line.partition(";")[0] for line, marker in markers.items() if marker and marker.evaluate({"extra": extra})
-        ]
-        for extra in installed.get_all("Provides-Extra") or []
-    }
-    base = [line for line, marker in markers.items() if marker is None or marker.evaluate({"extra": ""})]
-    return installed["Requires-Python"] or "", base, extras

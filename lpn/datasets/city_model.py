@@ -35,14 +35,10 @@ class CityModel:
     Attributes:
         data: the file, uncompressed.
         origin: the geographic position of the model's origin.
-        base: metres above the datum of heights at the model's height 0.
-        top: height in metres above which tiles and lines are drawn.
     """
 
     data: bytes
     origin: Position
-    base: float = 0.0
-    top: float = 42.0
 
 
 def city_model(root: Path) -> CityModel | None:

@@ -27,7 +27,7 @@ import numpy.typing as npt
 from lpn.core.arrays import Float64Array
 from lpn.core.errors import DataError, InputError
 from lpn.core.files import printable
-from lpn.core.lists import decoded, read_text, table
+from lpn.core.lists import read_text, table
 from lpn.core.numbers import wrap_degrees
 from lpn.datasets.listed_paths import by_name, fold, plain_path
 
@@ -88,7 +88,7 @@ class Positions:
 
     def __init__(self, root: Path, by_path: Mapping[str, Position] | None = None, source: str = NAME) -> None:
         self.source, self._root = source, root
-        self._by_path = _positions_in(read_text(root / NAME, NAME), NAME) if by_path is None else by_path
+        self._by_path = read_positions(read_text(root / NAME, NAME)) if by_path is None else by_path
 
     def of(self, pictures: Sequence[Picture]) -> list[Position]:
         """Return the position of each picture; DataError if one has none."""
@@ -235,22 +235,19 @@ def degrees(places: Sequence[Position]) -> Float64Array:
     return np.array([(place.latitude, place.longitude) for place in places], dtype=np.float64).reshape(-1, 2)
 
 
-def read_positions(data: bytes, file: str = NAME) -> dict[str, Position]:
-    """Parse positions by path; `file` is the file's name for messages.
+def read_positions(text: str) -> dict[str, Position]:
+    """Parse the text of a `geo.csv` as positions by path.
 
     Raises:
         DataError: if the format is wrong; the message names the line.
     """
-    return _positions_in(decoded(data, file), file)
 
-
-def _positions_in(text: str, file: str) -> dict[str, Position]:
     def fits(header: list[str]) -> bool:
         return len(set(header)) == len(header) and {*_REQUIRED} <= {*header} <= {*_REQUIRED, *_LIMITS}
 
     expected = "path,latitude,longitude and, if known, altitude,heading,tilt,fov,width"
     positions: dict[str, Position] = {}
-    for line, row in table(text, file, fits, expected, decimals=_LIMITS)[1]:
+    for line, row in table(text, NAME, fits, expected, decimals=_LIMITS)[1]:
         path = plain_path(row.pop("path"))
         numbers = {name: _number(value, name, line) for name, value in row.items() if value or name in _REQUIRED}
         if not path:

@@ -15,8 +15,6 @@ from functools import partial
 from pathlib import Path
 from typing import BinaryIO
 
-from PIL import Image
-
 from lpn.core import images
 from lpn.core.errors import PictureError
 from lpn.core.files import first_few, printable
@@ -56,7 +54,7 @@ def stream_error(file: BinaryIO, decode: bool = False) -> str | None:
         data = file.read()
         images.decode_picture(data, "")
         if not end_valid:  # Pillow decodes a PNG whose last chunks are missing
-            with Image.open(io.BytesIO(data)) as picture:
+            with images.opened(io.BytesIO(data)) as picture:
                 picture.verify()
     except (PictureError, OSError, SyntaxError):
         return DAMAGED if end_valid else "is cut short or damaged"
@@ -98,10 +96,10 @@ def check_whole(files: Sequence[Path], what: str, root: Path | None = None) -> N
         )
 
 
-def list_errors(errors: Mapping[Path, str], root: Path | None = None, most: int = 5) -> str:
+def list_errors(errors: Mapping[Path, str], root: Path | None = None) -> str:
     """Return the first broken files with their errors, and the number of further ones."""
     some = [f"{printable(str(file.relative_to(root) if root else file))} {error}" for file, error in errors.items()]
-    return first_few(some, most)
+    return first_few(some, 5)
 
 
 def _end_valid(file: BinaryIO) -> bool:
@@ -123,7 +121,7 @@ def _end_valid(file: BinaryIO) -> bool:
 def _strips_valid(file: BinaryIO, size: int) -> bool:
     """Return whether the strips or tiles of a TIFF's first picture lie within the file."""
     file.seek(0)
-    with Image.open(file) as picture:
+    with images.opened(file) as picture:
         tags = dict(getattr(picture, "tag_v2", {}))
     for offsets, counts in ((273, 279), (324, 325)):
         if offsets in tags and len(tags[offsets]) == len(tags.get(counts, ())):

@@ -6,6 +6,7 @@ import hashlib
 from collections import defaultdict
 from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import asdict, dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -173,18 +174,16 @@ def _unanswered(dataset: Dataset) -> Iterable[tuple[bool, MissingCounterparts]]:
 
 def _duplicates(root: Path, lists: dict[str, list[Picture]], broken: Collection[Path]) -> Iterable[tuple[str, ...]]:
     """Find equal files of different places; only files of equal size are read."""
-    digests: dict[Path, str] = {}
 
-    def digest(picture: Picture) -> str:
-        if picture.path not in digests:
-            with picture.path.open("rb") as file:
-                digests[picture.path] = hashlib.file_digest(file, "sha256").hexdigest()
-        return digests[picture.path]
+    @cache
+    def digest(path: Path) -> bytes:
+        with path.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").digest()
 
     for pictures in lists.values():
         there = [picture for picture in pictures if picture.path not in broken]
         for same_size in _alike(there, lambda picture: picture.path.stat().st_size):
-            for equal in _alike(same_size, digest):
+            for equal in _alike(same_size, lambda picture: digest(picture.path)):
                 yield tuple(_below(root, picture.path) for picture in equal)
 
 

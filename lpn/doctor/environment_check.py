@@ -81,7 +81,9 @@ def _python_and_packages() -> Iterator[Finding]:
         message = f"{version}; the requirements of {requirements.NAME} are unknown"
         yield Finding("Python", "note", message, "install it with pip")
         return
-    if requirements.satisfies(version, required.python):
+    from packaging.specifiers import SpecifierSet
+
+    if SpecifierSet(required.python).contains(version, prereleases=True):
         yield Finding("Python", "OK", f"{version} in {sys.prefix}")
     else:
         wanted = f"{version}; {required.python} is needed"

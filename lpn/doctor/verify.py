@@ -47,7 +47,7 @@ def verify(path: Path) -> Iterator[VerifiedFile]:
     """
     if not path.exists():
         raise InputError(f"There is nothing at {path}; check the path.")
-    files = [path] if path.is_file() else sorted({*_find(path)})
+    files = [path] if path.is_file() else sorted(_find(path))
     if not files:
         raise InputError(f"{path} holds no store and no model; give one of these, or a folder of them.")
     for file in files:
@@ -70,13 +70,10 @@ def _verify_store(folder: Path) -> VerifiedFile:
 
 
 def _find(folder: Path) -> Iterator[Path]:
-    for file in folder.rglob("*"):
-        if (file.is_dir() and ((file / MANIFEST).is_file() or parts_of(file))) or (
-            file.suffix in _MODELS and file.is_file()
-        ):
-            yield file
-    if (folder / MANIFEST).is_file() or parts_of(folder):
-        yield folder
+    for path in (folder, *folder.rglob("*")):
+        is_store = path.is_dir() and ((path / MANIFEST).is_file() or parts_of(path))
+        if is_store or (path.suffix in _MODELS and path.is_file()):
+            yield path
 
 
 def _verify(path: Path) -> str:

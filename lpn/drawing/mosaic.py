@@ -6,10 +6,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from lpn.core import images
 from lpn.core.arrays import UInt8Array
 from lpn.core.errors import PictureError
 from lpn.datasets import Picture
-from lpn.drawing import overlays, theme
+from lpn.drawing import theme
 from lpn.tasks.gallery_geometry import GalleryGeometry
 
 # Pixels of the mosaic's longer side.
@@ -34,7 +35,7 @@ def draw(geometry: GalleryGeometry, gallery: Sequence[Picture]) -> UInt8Array:
         if gallery[index].missing:
             continue
         try:
-            tile = overlays.square(gallery[index].load(), side)
+            tile = images.resize(gallery[index].load(), side, side)
         except PictureError:
             continue  # the ground shows in place of a damaged picture
         x, y = geometry.ground[index]

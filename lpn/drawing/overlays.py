@@ -16,11 +16,8 @@ from lpn.drawing.theme import HEAT, HEAT_AGAINST, part_colour
 
 # The strongest heat that is not painted, and the greyed picture: share of its light, and the level that is added.
 _BARE, _GREY, _RAISED = 0.3, 0.61, 10.0
-
-
-def square(picture: UInt8Array, size: int) -> UInt8Array:
-    """Resize a whole picture to a square, like the network's input."""
-    return images.resize(picture, size, size)
+# Pixels of a part's border.
+_LINE = 2
 
 
 def with_evidence(picture: UInt8Array, cells: FloatingArray, limit: float) -> UInt8Array:
@@ -76,7 +73,7 @@ def heat_cells(values: FloatingArray, low: float, high: float) -> UInt8Array:
     return np.dstack([colours, np.where(np.isnan(values), 0, 255).astype(np.uint8)])
 
 
-def with_parts(picture: UInt8Array, areas: PartAreas | None, thickness: int = 2) -> UInt8Array:
+def with_parts(picture: UInt8Array, areas: PartAreas | None) -> UInt8Array:
     """Draw the border of each part in its colour, with a dark outline that is visible on bright ground.
 
     Args:
@@ -86,18 +83,18 @@ def with_parts(picture: UInt8Array, areas: PartAreas | None, thickness: int = 2)
     if areas is None:
         return drawn
     if not areas.straight:
-        return _with_outlines(drawn, areas.labels, thickness)
+        return _with_outlines(drawn, areas.labels)
     height, width = picture.shape[:2]
     for part, (left, top, right, bottom) in enumerate(areas.boxes):
-        inset = thickness // 2 + 1
+        inset = _LINE // 2 + 1
         first = (round(left * width) + inset, round(top * height) + inset)
         second = (round(right * width) - 1 - inset, round(bottom * height) - 1 - inset)
-        cv2.rectangle(drawn, first, second, (0, 0, 0), thickness + 2)
-        cv2.rectangle(drawn, first, second, part_colour(part), thickness)
+        cv2.rectangle(drawn, first, second, (0, 0, 0), _LINE + 2)
+        cv2.rectangle(drawn, first, second, part_colour(part), _LINE)
     return drawn
 
 
-def _with_outlines(drawn: UInt8Array, labels: Int64Array, thickness: int) -> UInt8Array:
+def _with_outlines(drawn: UInt8Array, labels: Int64Array) -> UInt8Array:
     """Draw the outline of each label's cells, just inside of them."""
     spread = images.enlarge(labels, *drawn.shape[:2])
     for part in range(int(labels.max()) + 1):
@@ -107,7 +104,7 @@ def _with_outlines(drawn: UInt8Array, labels: Int64Array, thickness: int) -> UIn
             cv2.erode(
                 inside, np.ones((3, 3), np.uint8), iterations=steps, borderType=cv2.BORDER_CONSTANT, borderValue=0
             )
-            for steps in (1, 1 + thickness)
+            for steps in (1, 1 + _LINE)
         )
         innermost = cv2.erode(inner, np.ones((3, 3), np.uint8))
         drawn[(inside > outer) | (inner > innermost)] = 0

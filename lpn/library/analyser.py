@@ -123,7 +123,7 @@ class QueryAnalyser:
     ) -> None:
         self._model, self._describe_tile, self._load, self._keep = model, describe_tile, load, keep
         self._source: _LastValue[UInt8Array] = _LastValue()
-        self._query: tuple[Hashable, DescribedPicture] | None = None
+        self._query: _LastValue[DescribedPicture] = _LastValue()
         self._ahead: dict[QueryRequest, tuple[_Photo, DescribedPicture]] = {}
         self._zoom: _LastValue[float] = _LastValue()
         self._search: _LastValue[RankUnderWeights] = _LastValue()
@@ -151,25 +151,11 @@ class QueryAnalyser:
         started = time.perf_counter()
         ahead = self._ahead.pop(request, None)
         photo = self._photo(task, request) if ahead is None else ahead[0]
-        own, index, query_key = photo.own, photo.index, photo.key
-        if ahead is not None:
-            self._query = query_key, ahead[1]
-        if self._query is None or self._query[0] != query_key:
-            if self._model is not None:
-                model = self._model.for_task(*task.views)
-                describe = partial(retrieval.describe_picture, model, photo.source, task.query_view, photo.change)
-                described = (
-                    describe() if index is None else self._keep(described_key(task, index, photo.change), describe)
-                )
-            elif index is not None:
-                described = DescribedPicture(photo.source, task.query_descriptors[index], None, None)
-            else:
-                raise InputError(f"{task.model_name} has no network, only descriptors; choose a query of the data set.")
-            self._query = query_key, described
-        query = self._query[1]
+        index = photo.index
+        query = self._query.get(photo.key, lambda: self._described(task, photo) if ahead is None else ahead[1])
         weights = scoring.part_weights(task.contract.n_parts, request.weights)
         # The descriptor of a region depends on the part weights.
-        search_key = query_key, request.region, request.weights if request.region else None
+        search_key = photo.key, request.region, request.weights if request.region else None
         search = self._search.get(search_key, lambda: start_search(task, index, query, request.region, weights))
         ranking = search(weights)
         matches = ranking.top(k)
@@ -188,7 +174,7 @@ class QueryAnalyser:
             describe_tile=self._describe_tile,
             tile=compared,
             positive=ranking.positive(),
-            errors_m=_errors_m(task, index, own),
+            errors_m=_errors_m(task, photo),
             source=photo.source,
             zoom=photo.zoom,
             pair_evidence=pair_evidence(
@@ -198,6 +184,17 @@ class QueryAnalyser:
             else None,
             seconds=time.perf_counter() - started,
         )
+
+    def _described(self, task: Task, photo: _Photo) -> DescribedPicture:
+        """Describe a query, or take its stored descriptor without a network."""
+        index = photo.index
+        if self._model is None:
+            if index is None:
+                raise InputError(f"{task.model_name} has no network, only descriptors; choose a query of the data set.")
+            return DescribedPicture(photo.source, task.query_descriptors[index], None, None)
+        model = self._model.for_task(*task.views)
+        describe = partial(retrieval.describe_picture, model, photo.source, task.query_view, photo.change)
+        return describe() if index is None else self._keep(described_key(task, index, photo.change), describe)
 
     def _photo(self, task: Task, request: QueryRequest) -> _Photo:
         """Return the query of a request, and its change."""
@@ -223,13 +220,12 @@ class QueryAnalyser:
         return task.calibration.own_zoom(self._model, own.picture, task.query_view)
 
 
-def _errors_m(task: Task, index: int | None, own: OwnPicture | None) -> Float64Array | None:
+def _errors_m(task: Task, photo: _Photo) -> Float64Array | None:
     """Return metres from a query's place, or the own picture's camera, to each tile, (G,)."""
-    if task.geometry is None:
-        return None
-    if index is not None:
-        return task.geometry.errors_m(index)
-    return None if own is None or own.place is None else task.geometry.metres_from(Position(*own.place))
+    if task.geometry is not None and photo.index is not None:
+        return task.geometry.errors_m(photo.index)
+    place = None if photo.own is None else photo.own.place
+    return None if task.geometry is None or place is None else task.geometry.metres_from(Position(*place))
 
 
 def describe_tile(task: Task, index: int, model: Model | None) -> DescribedPicture:

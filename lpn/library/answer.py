@@ -13,6 +13,7 @@ import numpy as np
 from markupsafe import Markup
 
 from lpn import explain
+from lpn.core import images
 from lpn.core.arrays import Float32Array, Float64Array, UInt8Array
 from lpn.core.errors import InputError
 from lpn.core.files import check_ending, printable, write_atomic
@@ -323,7 +324,7 @@ def _bar(match: NamedMatch, full: float, names: Sequence[str]) -> Markup:
 
 
 def _thumbnail(picture: UInt8Array) -> Markup:
-    small = overlays.data_uri(overlays.square(picture, _THUMBNAIL))
+    small = overlays.data_uri(images.resize(picture, _THUMBNAIL, _THUMBNAIL))
     return Markup('<img src="{}" width="{}" height="{}" alt="">').format(small, _THUMBNAIL, _THUMBNAIL)
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from jinja2 import Environment
 from markupsafe import Markup
 
+from lpn.core import images
 from lpn.core.arrays import UInt8Array
 from lpn.core.files import TYPED, printable
 from lpn.core.templates import environment
@@ -33,7 +34,7 @@ def style_sheet() -> str:
 
 def thumbnail(picture: UInt8Array) -> str:
     """Encode a small square version of a picture, (H, W, 3) uint8."""
-    return overlays.data_uri(overlays.square(picture, _THUMBNAIL), 72)
+    return overlays.data_uri(images.resize(picture, _THUMBNAIL, _THUMBNAIL), 72)
 
 
 @cache

@@ -85,9 +85,7 @@ def model_names(
     They consist of file, pooling of tokens, and, if that is not enough, the given kinds.
     """
     distinct = list(dict.fromkeys(files))
-    names = dict(
-        zip(distinct, [file.name for file in distinct] if len(distinct) == 1 else distinct_names(distinct), strict=True)
-    )
+    names = dict(zip(distinct, distinct_names(distinct), strict=True))
     named = [names[file] + (f", {pooling}" if pooling else "") for file, pooling in zip(files, poolings, strict=True)]
     return [
         f"{name}, {kind}" if kind and named.count(name) > 1 else name

@@ -7,10 +7,14 @@ from pathlib import Path
 import pytest
 import torch
 
+import lpn
+from lpn.datasets import open_dataset
 from lpn.models.checkpoints import save
 from lpn.models.export import export
 from lpn.models.lpn import LPN
 from lpn.models.spec import ModelSpec
+from lpn.tasks.opening import describe_task
+from lpn.tasks.task import Task
 from tests.conftest import MakeOnce
 
 
@@ -19,6 +23,14 @@ def int8_file(make_once: MakeOnce, model_file: Path) -> Path:
     """The model of `model_file` with weights stored in 8 bits."""
     weights = model_file.with_suffix(".safetensors")
     return make_once("int8", lambda folder: export(weights, folder / "model.onnx", "int8")) / "model.onnx"
+
+
+@pytest.fixture(scope="session")
+def task(data: Path, model_file: Path, tmp_path_factory: pytest.TempPathFactory) -> Task:
+    """The first task of the small data set under the small model."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("LPN_CACHE", str(tmp_path_factory.mktemp("cache")))
+        return describe_task(lpn.load(model_file), "model.onnx", open_dataset(data))
 
 
 @pytest.fixture(scope="session")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import resource
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from multiprocessing import get_context
 from pathlib import Path
 
@@ -16,7 +16,6 @@ from lpn.core.errors import OutputError
 from lpn.flight.locate.line_records import LineRecords
 from lpn.flight.locate.located import StageRecord
 from lpn.flight.locate.tracks import write_track
-from lpn.tasks import notes
 from tools.fixtures import saves
 from tools.fixtures.small_disks import fill, small_disk
 
@@ -98,28 +97,3 @@ def test_answers_of_a_flight_that_cannot_be_kept_are_told_and_those_before_stay(
     LineRecords(file).append("c.jpg", answer)
     kept = LineRecords(file)
     assert [kept.get(name) for name in ("a.jpg", "b.jpg", "c.jpg")] == [answer, None, answer]
-
-
-def _set_notes(file: Path, name: str) -> None:
-    for count in range(20):
-        notes.set_note(file, f"{name}/{count}.jpg", "night", "- of both")
-    os._exit(0)
-
-
-def _in_processes(work: Callable[..., None], file: Path) -> list[int | None]:
-    context = get_context("fork")
-    processes = [context.Process(target=work, args=(file, name)) for name in "abc"]
-    for process in processes:
-        process.start()
-    for process in processes:
-        process.join()
-    return [process.exitcode for process in processes]
-
-
-@pytest.mark.skipif(sys.platform == "win32", reason="two processes must not write into one folder there")
-def test_three_programs_that_save_at_once_lose_nothing(tmp_path: Path) -> None:
-    assert _in_processes(_set_notes, tmp_path / "notes.csv") == [0, 0, 0]
-    stored = notes.read_notes(tmp_path / "notes.csv")
-    assert len(stored) == 60
-    assert set(stored.values()) == {notes.Note(("night",), "- of both")}
-    assert [file.name for file in tmp_path.iterdir()] == ["notes.csv"]

@@ -94,6 +94,16 @@ def survives(command: Command, killer: Killer, out: Path, rounds: int = ROUNDS) 
         assert command.result() == expected, f"{number}: {after or step}"
 
 
+def kept(out: Path) -> dict[str, Path]:
+    """The files that a command made, without its cache, and without parts that a killed process was writing."""
+    files = {file.relative_to(out).as_posix(): file for file in sorted(out.rglob("*")) if file.is_file()}
+    return {name: file for name, file in files.items() if not name.startswith("cache/") and ".part" not in name}
+
+
+def contents(out: Path) -> dict[str, bytes]:
+    return {name: file.read_bytes() for name, file in kept(out).items()}
+
+
 def opened(file: Path) -> bytes | None:
     """A model's descriptors of a picture, None where there is no model."""
     if not file.exists():
@@ -216,13 +226,6 @@ def test_world(tmp_path: Path, killer: Killer) -> None:
     out = tmp_path / "out"
     settings = ["--buildings", "3", "--views", "2", "--pixels", "32", "--tile-pixels", "32"]
 
-    def files() -> dict[str, bytes]:
-        return {str(file.relative_to(out)): file.read_bytes() for file in sorted(out.rglob("*")) if file.is_file()}
-
-    def made() -> object:
-        # The part that a killed process was writing lies beside for an hour.
-        return {name: data for name, data in files().items() if not name.startswith("cache/") and ".part" not in name}
-
     def whole() -> None:
         """Either it says that it is unfinished, or everything is there."""
         if not (out / "world.json").exists():
@@ -236,7 +239,7 @@ def test_world(tmp_path: Path, killer: Killer) -> None:
                 open_dataset(out)
 
     arguments = [WORLD, "--out", str(out), "--seed", "3", *settings]
-    survives(Command(arguments, whole, made), killer, out, FEW)
+    survives(Command(arguments, whole, lambda: contents(out)), killer, out, FEW)
     assert open_dataset(out).kind == "world"
 
 
@@ -245,14 +248,9 @@ def test_a_flight_over_a_world(tmp_path: Path, killer: Killer) -> None:
     rasterio = pytest.importorskip("rasterio")
     out = tmp_path / "out"
 
-    def files() -> dict[str, Path]:
-        # The part that a killed process was writing lies beside for an hour.
-        made = {file.relative_to(out).as_posix(): file for file in sorted(out.rglob("*")) if file.is_file()}
-        return {name: file for name, file in made.items() if not name.startswith("cache/") and ".part" not in name}
-
     def whole() -> None:
         """Either it says that it is unfinished, or everything is there."""
-        made = files()
+        made = kept(out)
         for name, file in made.items():
             if name.endswith(".JPG"):
                 assert load_picture(file).shape == (48, 64, 3)
@@ -261,12 +259,9 @@ def test_a_flight_over_a_world(tmp_path: Path, killer: Killer) -> None:
                     opened.read()
         assert "unfinished.txt" in made or len(made) in (0, 10)
 
-    def result() -> object:
-        return {name: file.read_bytes() for name, file in files().items()}
-
     settings = ["--flight", "--buildings", "2", "--frames", "6", "--width", "64", "--map-pixel", "2"]
     arguments = [WORLD, "--out", str(out), "--seed", "3", *settings]
-    survives(Command(arguments, whole, result), killer, out, FEW)
+    survives(Command(arguments, whole, lambda: contents(out)), killer, out, FEW)
 
 
 @pytest.mark.slow
@@ -276,17 +271,7 @@ def test_a_store_read_while_it_is_written_is_none_or_whole(
     """Every step on the disk of describing a second time, with one picture more, in turn."""
     out = tmp_path / "out"
     pictures = shutil.copytree(places / "test" / "query_drone", tmp_path / "pictures")
-    arguments = [
-        "describe",
-        "--model",
-        str(tiny),
-        "--images",
-        str(pictures),
-        "--view",
-        "drone",
-        "--out",
-        str(out),
-    ]
+    arguments = ["describe", "--model", str(tiny), "--images", str(pictures), "--view", "drone", "--out", str(out)]
     assert killer.run(arguments)[0] == 0
     before = shutil.copytree(out, tmp_path / "before")
     small_worlds.write(pictures / "new.png", small_worlds.place(77))

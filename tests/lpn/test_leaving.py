@@ -9,7 +9,6 @@ import os
 import re
 import shutil
 import sys
-from html.parser import HTMLParser
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -31,6 +30,7 @@ from lpn.flight.locate.tracks import write_track
 from lpn.tasks import notes
 from lpn.tasks.opening import lazy_task
 from tools.fixtures import small_worlds
+from tools.fixtures.html_page import Page
 
 # Names that Linux allows, and notes.
 TEXTS = [
@@ -62,23 +62,6 @@ TEXTS = [
 GPX, KML = "{http://www.topografix.com/GPX/1/1}", "{http://www.opengis.net/kml/2.2}"
 
 
-class _Text(HTMLParser):
-    """The text that HTML shows, and its elements."""
-
-    def __init__(self, page: str) -> None:
-        super().__init__()
-        self.text, self.tags, self.handlers = "", set[str](), set[str]()
-        self.feed(page)
-        self.close()
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self.tags.add(tag)
-        self.handlers |= {name for name, _ in attrs if name.startswith("on")}
-
-    def handle_data(self, data: str) -> None:
-        self.text += data
-
-
 def _table(data: bytes) -> list[list[str]]:
     return list(csv.reader(io.StringIO(data.decode(), newline=""), strict=True))
 
@@ -107,8 +90,8 @@ def test_a_track_is_read_by_a_reader_of_its_format(text: str, tmp_path: Path) ->
     assert mark.findtext(f"{KML}name") == printable(text)
     assert mark.findtext(f".//{KML}coordinates") == "0.00002,-0.00001"
     # Viewers take a description for HTML.
-    shown = _Text(mark.findtext(f"{KML}description") or "")
-    assert shown.text == f"{printable(text)} The position is the middle of the picture on the ground."
+    shown = Page(mark.findtext(f"{KML}description") or "")
+    assert "".join(shown.texts) == f"{printable(text)} The position is the middle of the picture on the ground."
     assert not shown.tags
 
 
@@ -205,7 +188,7 @@ def test_tables_and_reports_of_such_names(places: Path, model_file: Path, tmp_pa
     model = tmp_path / "=1+1 <b>|&.onnx"
     shutil.copy(model_file, model)
     assert main.main(["report", str(places), "--model", str(model), "--out", str(tmp_path / "a.html")]) == 0
-    page = _Text((tmp_path / "a.html").read_text("utf-8"))
+    page = Page((tmp_path / "a.html").read_text("utf-8"))
     assert "script" not in page.tags
     assert not page.handlers
     assert TEXTS[6] in page.text

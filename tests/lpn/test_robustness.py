@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import os
 import socket
 import subprocess
@@ -15,15 +14,12 @@ import numpy as np
 import onnx
 import pytest
 import torch
-from PIL import Image
 
 import lpn
 from lpn import descriptors
 from lpn.cli import main
-from lpn.core import images
-from lpn.core.errors import DataError, LPNError, ModelFileError, PictureError, StoreError
+from lpn.core.errors import LPNError, ModelFileError, PictureError, StoreError
 from lpn.datasets import open_dataset
-from lpn.datasets.geo import read_positions
 from lpn.models.checkpoints import load_torch, save
 from lpn.models.onnx_engine import Engine
 from tools.fixtures import small_disks, small_worlds
@@ -35,57 +31,6 @@ def said(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> str:
     lines = [line for line in capsys.readouterr().err.splitlines() if line.startswith("lpn: ")]
     assert len(lines) == 1
     return lines[0]
-
-
-def test_an_animation_is_its_first_frame() -> None:
-    first, second = (Image.fromarray(picture) for picture in (small_worlds.place(1), 255 - small_worlds.place(1)))
-    for kind in ("PNG", "WEBP"):
-        whole = io.BytesIO()
-        first.save(whole, kind, save_all=True, append_images=[second], lossless=True)
-        np.testing.assert_array_equal(images.decode_picture(whole.getvalue(), kind), small_worlds.place(1))
-
-
-@pytest.mark.parametrize("name", ["png.jpg", "webp.png", "gif.jpeg", "bmp.webp"])
-def test_a_wrong_extension_does_not_matter(name: str, tmp_path: Path) -> None:
-    kind = name.split(".")[0]
-    Image.fromarray(small_worlds.place(1)).save(tmp_path / name, kind.upper())
-    assert images.load_picture(tmp_path / name).shape == (small_worlds.SIZE, small_worlds.SIZE, 3)
-
-
-def test_transparency_is_left_out() -> None:
-    seen = Image.fromarray(small_worlds.place(1))
-    seen.putalpha(0)
-    whole = io.BytesIO()
-    seen.save(whole, "PNG")
-    np.testing.assert_array_equal(images.decode_picture(whole.getvalue(), "alpha"), small_worlds.place(1))
-
-
-def test_kinds_that_people_take_for_pictures_are_named() -> None:
-    for data, word in (
-        (b"\0\0\0\x18ftypheic\0\0\0\0mif1heic" + bytes(100), "HEIC"),
-        (b'<?xml version="1.0"?>\n<svg xmlns="http://www.w3.org/2000/svg"/>', "SVG"),
-    ):
-        with pytest.raises(PictureError, match=word):
-            images.decode_picture(data, "photo.jpg")
-
-
-def test_a_hundred_megapixels_and_more_are_refused_at_once() -> None:
-    for side, word in ((10_000, "10000 x 10000 pixels"), (16_384, "far too many pixels")):
-        bomb = io.BytesIO()
-        Image.new("1", (side, side)).save(bomb, "PNG")
-        started = time.process_time()
-        with pytest.raises(PictureError, match=word):
-            images.decode_picture(bomb.getvalue(), "bomb.png")
-        assert time.process_time() - started < 1
-
-
-def test_the_largest_pictures_of_drones_are_read_and_no_larger_ones() -> None:
-    for size, is_read in (((8192, 6144), True), ((8000, 8000), True), ((8001, 8000), False)):
-        data = io.BytesIO()
-        Image.new("1", size).save(data, "PNG")
-        assert (images.header_error(data) is None) == is_read
-        if size == (8192, 6144):
-            assert images.decode_picture(data.getvalue(), "a.png").shape == (6144, 8192, 3)
 
 
 NAMES = ("ä ö.png", "with space.png", "new\nline.png", "\U0001f6f0.png", "%s & <b>.png", "'quote\".png")
@@ -120,20 +65,6 @@ def test_links_that_lead_nowhere_or_in_a_circle_are_named(model_file: Path, tmp_
     assert main.main(["doctor", "--data", str(root)]) == 1
 
 
-def test_a_picture_that_may_not_be_read_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from lpn.datasets.integrity import check_whole
-
-    file = tmp_path / "a.png"
-    small_worlds.write(file, small_worlds.place(1))
-
-    def refused(*_: object, **__: object) -> None:
-        raise PermissionError(13, "Permission denied")
-
-    monkeypatch.setattr(Path, "open", refused)  # as root, no permission is missing
-    with pytest.raises(PictureError, match=r"a\.png cannot be read \(Permission denied\)"):
-        check_whole([file], "pictures")
-
-
 def test_one_place_is_too_few_to_train_on_and_says_nothing_when_tested(
     model_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -152,24 +83,14 @@ def store(model_file: Path, data: Path, tmp_path: Path) -> Path:
     return tmp_path / "store"
 
 
-@pytest.mark.parametrize("value", [np.nan, np.inf])
 def test_numbers_that_are_none_are_found_in_a_store(
-    value: float, store: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    store: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     array = np.lib.format.open_memmap(next(store.glob("*/vectors.npy")), mode="r+")
-    array[3, 1, 5] = value
+    array[3, 1, 5] = np.nan
     del array
-    assert main.main(["doctor", str(store)]) == 1
-    assert "does not match its checksum" in capsys.readouterr().out
-    assert f"norm {value}; expected 0.5" in said(
-        ["index", "--descriptors", str(store), "--out", str(tmp_path / "index")], capsys
-    )
-    from lpn.core.errors import InputError
-    from lpn.retrieval import metrics
-
-    held, labels = descriptors.open_store(store).float32, np.arange(14)
-    with pytest.raises(InputError, match="not finite; delete their store"):
-        metrics.evaluate(held, labels, held, labels)
+    given = ["index", "--descriptors", str(store), "--out", str(tmp_path / "index")]
+    assert "norm nan; expected 0.5" in said(given, capsys)
 
 
 def test_a_model_that_computes_nan_is_told_before_anything_is_kept(
@@ -315,14 +236,6 @@ def test_a_checkpoint_that_claims_to_be_huge_takes_no_memory(tmp_path: Path) -> 
     assert time.process_time() - started < 20
 
 
-def test_swapped_positions_are_told_where_that_can_be_known() -> None:
-    with pytest.raises(DataError, match="not swapped"):
-        read_positions(b"path,latitude,longitude\na.jpg,120.08,30.3\n")
-    with pytest.raises(DataError, match=r"expected a number from -90 to 90\."):
-        read_positions(b"path,latitude,longitude\na.jpg,1200,30.3\n")
-    assert read_positions(b"path,latitude,longitude\na.jpg,7.1,46.2\n")["a.jpg"].latitude == 7.1
-
-
 def test_a_port_in_use_is_one_sentence(capsys: pytest.CaptureFixture[str], model_file: Path, data: Path) -> None:
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
@@ -346,18 +259,10 @@ def test_a_full_disk_is_one_sentence_and_leaves_nothing_whole(
     small_disk: Path, model_file: Path, data: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """In a process of its own: a mapped file on a full disk would end it without a word."""
-    given = [
-        "describe",
-        "--model",
-        str(model_file),
-        "--images",
-        str(data),
-        "--view",
-        "drone",
-        "--out",
-        str(small_disk / "s"),
-    ]
-    done = subprocess.run([sys.executable, "-m", "lpn", *given], capture_output=True, text=True, check=False)
+    given = ["--model", str(model_file), "--images", str(data), "--view", "drone", "--out", str(small_disk / "s")]
+    done = subprocess.run(
+        [sys.executable, "-m", "lpn", "describe", *given], capture_output=True, text=True, check=False
+    )
     assert done.returncode == 2, done.stderr
     assert "cannot be written (No space left on device); free space or choose another folder." in done.stderr
     assert "Traceback" not in done.stderr

@@ -144,6 +144,7 @@ def stores(folder: Path) -> list[FuzzCase]:
 
 def tables(folder: Path) -> list[FuzzCase]:
     """geo.csv, pairs.csv, metadata.csv, a person's notes, and the lists of the published data sets."""
+    from lpn.core.lists import decoded
     from lpn.datasets import open_dataset
     from lpn.datasets.geo import Positions, read_positions
     from lpn.datasets.metadata import columns
@@ -168,7 +169,7 @@ def tables(folder: Path) -> list[FuzzCase]:
         assert read_notes(notes) == after == before | {"d/4.png": after["d/4.png"]}
 
     def placed(data: bytes) -> None:
-        found = Positions(folder, read_positions(data))
+        found = Positions(folder, read_positions(decoded(data, "geo.csv")))
         _ = found.match(queries), found.below(queries)
 
     def dataset(root: Path, name: str, *seeds: bytes) -> FuzzCase:

@@ -55,14 +55,7 @@ class DataSource(TaskSource):
         reverse = [name for name in tasks if options.task is None and views_of(name) == swapped != views_of(first)]
         calibration = task_calibration(model, dataset, options.calibrate)
         return [
-            lazy_task(
-                model,
-                dataset,
-                name,
-                model_name=options.name,
-                calibration=calibration,
-                neighbours=options.csls,
-            )
+            lazy_task(model, dataset, name, model_name=options.name, calibration=calibration, neighbours=options.csls)
             for name in [first, *reverse]
         ]
 

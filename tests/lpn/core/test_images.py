@@ -4,6 +4,7 @@ import io
 import struct
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import cv2
@@ -69,10 +70,51 @@ def test_further_kinds_are_read(suffix: str) -> None:
     shown = Image.fromarray(small_worlds.place(3)).convert("P")
     whole = io.BytesIO()
     shown.save(whole, {".bmp": "BMP", ".gif": "GIF"}.get(suffix, "TIFF"))
-    np.testing.assert_array_equal(images.decode_picture(whole.getvalue(), suffix), np.asarray(shown.convert("RGB")))
+    np.testing.assert_array_equal(images.decode_picture(whole.getvalue(), "a.jpg"), np.asarray(shown.convert("RGB")))
     assert suffix in images.SUFFIXES
     with pytest.raises(PictureError, match=r"a is (cut short|not a picture)"):
         images.decode_picture(whole.getvalue()[:800], "a")
+
+
+@pytest.mark.parametrize("kind", ["EPS", "TGA", "PPM"])
+def test_other_kinds_are_not_read_whatever_their_names(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Pillow would start Ghostscript for an EPS file."""
+    monkeypatch.setattr(subprocess, "Popen", None)
+    whole = io.BytesIO()
+    Image.fromarray(small_worlds.place(3)).save(whole, kind)
+    assert images.header_error(whole) == "is not a picture that can be read"
+    with pytest.raises(
+        PictureError, match=r"a\.jpg is not a picture that can be read; expected a JPEG, PNG, WebP, BMP, GIF, or TIFF"
+    ):
+        images.decode_picture(whole.getvalue(), "a.jpg")
+
+
+@pytest.mark.parametrize("kind", ["PNG", "WEBP"])
+def test_an_animation_is_its_first_frame_without_transparency(kind: str) -> None:
+    first, second = (Image.fromarray(picture) for picture in (small_worlds.place(1), 255 - small_worlds.place(1)))
+    first.putalpha(0 if kind == "PNG" else 255)  # WebP drops the colours below full transparency
+    whole = io.BytesIO()
+    first.save(whole, kind, save_all=True, append_images=[second], lossless=True)
+    np.testing.assert_array_equal(images.decode_picture(whole.getvalue(), kind), small_worlds.place(1))
+
+
+@pytest.mark.parametrize(
+    ("size", "flaw"),
+    [
+        ((8192, 6144), None),
+        ((8000, 8000), None),
+        ((8001, 8000), "has 8001 x 8000 pixels, too many to be read"),
+        ((16_384, 16_384), "has far too many pixels to be read"),
+    ],
+)
+def test_the_largest_pictures_of_drones_are_read_and_larger_ones_refused_undecoded(
+    size: tuple[int, int], flaw: str | None
+) -> None:
+    data = io.BytesIO()
+    Image.new("1", size).save(data, "PNG")
+    started = time.process_time()
+    assert images.header_error(data) == flaw
+    assert time.process_time() - started < 1
 
 
 @pytest.mark.parametrize("bits", [8, 12, 14, 16])
@@ -168,9 +210,15 @@ def test_damaged_exif_is_no_damage_of_the_picture(tmp_path: Path) -> None:
 
 def test_what_is_not_a_picture_gets_one_sentence(tmp_path: Path) -> None:
     png = cv2.imencode(".png", small_worlds.place(5))[1].tobytes()
-    for name, content in (("empty.png", b""), ("text.jpg", b"hello"), ("svg.png", b"<svg/>"), ("cut.png", png[:60])):
+    for name, content, flaw in (
+        ("empty.png", b"", "is not a picture"),
+        ("svg.png", b"<svg/>", "is a drawing"),
+        ("xml.jpg", b'<?xml version="1.0"?>\n<svg xmlns="http://www.w3.org/2000/svg"/>', "is a drawing"),
+        ("phone.jpg", b"\0\0\0\x18ftypheic\0\0\0\0mif1heic" + bytes(100), "is a HEIC picture"),
+        ("cut.png", png[:60], "is cut short"),
+    ):
         (tmp_path / name).write_bytes(content)
-        with pytest.raises(PictureError, match=name) as caught:
+        with pytest.raises(PictureError, match=f"{name} {flaw}") as caught:
             images.load_picture(tmp_path / name)
         assert "\n" not in str(caught.value)
     with pytest.raises(PictureError, match="check the path"):

@@ -1,8 +1,8 @@
 from __future__ import annotations
 
-import io
 import logging
 import re
+from unittest.mock import Mock
 
 import pytest
 
@@ -78,35 +78,20 @@ def test_no_text_of_others_breaks_a_line(logger: logging.Logger, capsys: pytest.
     assert "\x1b" not in "".join(found)
 
 
-class _Closed(io.StringIO):
-    """A terminal that was closed when the log is written to it."""
-
-    def __init__(self, error: Exception) -> None:
-        super().__init__()
-        self.error: Exception | None = error
-        self.written = ""
-
-    def write(self, text: str) -> int:
-        if self.error is not None and "The line" in text:
-            raise self.error
-        self.written += text
-        return len(text)
-
-
 @pytest.mark.parametrize(
     "error", [BrokenPipeError(), OSError(5, "closed"), BlockingIOError(), ValueError("closed file")]
 )
 def test_a_closed_terminal_costs_the_line_alone(
     error: Exception, logger: logging.Logger, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    terminal = _Closed(error)
+    terminal = Mock(write=Mock(side_effect=[error, None]))
     with log.log_to_stderr("warning"):
         log.conceal("open-sesame")
         monkeypatch.setattr("sys.stderr", terminal)
         logger.warning("The line %s", "open-sesame")
-        terminal.error = None
         logger.warning("The next")
-    assert re.fullmatch(LINE + "WARNING lpn.somewhere: The next\n", terminal.written)
+    assert terminal.write.call_count == 2
+    assert re.fullmatch(LINE + "WARNING lpn.somewhere: The next\n", terminal.write.call_args.args[0])
 
 
 def test_no_token_is_shown(logger: logging.Logger, capsys: pytest.CaptureFixture[str]) -> None:
@@ -142,21 +127,27 @@ def test_no_half_of_a_token_is_shown_where_a_line_is_cut(
     assert "correct" not in shown
 
 
-def test_the_level_comes_from_the_command_line_or_else_from_the_environment() -> None:
-    assert log.parse_level(["explore"], {}) == ("warning", ["explore"])
-    assert log.parse_level(["explore"], {"LPN_LOG": " INFO "}) == ("info", ["explore"])
-    assert log.parse_level(["--log-level", "debug", "explore", "--port", "1"], {"LPN_LOG": "info"}) == (
-        "debug",
-        ["explore", "--port", "1"],
-    )
-    assert log.parse_level(["explore", "--log-level=error"], {}) == ("error", ["explore"])
-    for given, environ in (
-        (["--log-level", "all"], {}),
-        (["x", "--log-level"], {}),
-        ([], {"LPN_LOG": "verbose"}),
-    ):
-        with pytest.raises(InputError, match="expected one of debug, info, warning, error"):
-            log.parse_level(given, environ)
+@pytest.mark.parametrize(
+    ("given", "environ", "level", "rest"),
+    [
+        (["explore"], "", "warning", ["explore"]),
+        (["explore"], " INFO ", "info", ["explore"]),
+        (["--log-level", "debug", "explore", "--port", "1"], "info", "debug", ["explore", "--port", "1"]),
+        (["explore", "--log-level=error"], "", "error", ["explore"]),
+        (["--log-level", "all"], "", None, []),
+        (["x", "--log-level"], "", None, []),
+        ([], "verbose", None, []),
+    ],
+)
+def test_the_level_comes_from_the_command_line_or_else_from_the_environment(
+    given: list[str], environ: str, level: str | None, rest: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(log.VARIABLE, environ)
+    if level is not None:
+        assert log.parse_level(given) == (level, rest)
+        return
+    with pytest.raises(InputError, match="expected one of debug, info, warning, error"):
+        log.parse_level(given)
 
 
 def test_the_command_line_names_it(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:

@@ -102,17 +102,8 @@ def test_a_training_without_a_whole_epoch_says_so(tmp_path: Path) -> None:
 @pytest.mark.parametrize("how", ["interrupt", "terminate"])
 def test_a_description_goes_on_where_it_was_stopped(how: str, model_file: Path, data: Path, tmp_path: Path) -> None:
     out = tmp_path / "store"
-    given: list[object] = [
-        "describe",
-        "--model",
-        model_file,
-        "--images",
-        data / "test",
-        "--view",
-        "drone",
-        "--out",
-        out,
-    ]
+    pictures = data / "test"
+    given: list[object] = ["describe", "--model", model_file, "--images", pictures, "--view", "drone", "--out", out]
     with Process(given, tmp_path / "cache", SLOW_DESCRIBING) as process:
         process.until(lambda: any(out.glob("*/rows.json")))
         getattr(process, how)()

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import io
 import re
-from pathlib import Path
 
-from lpn.cli.main import main
 from lpn.core.consoles import Console
 from lpn.core.text_tables import TextTable, latex_page, latex_text, markdown_page
 
@@ -74,20 +72,3 @@ def test_markdown_html_and_csv_escape_cells_and_keep_their_order() -> None:
     assert TABLE.csv().decode().splitlines() == [
         *("model,kind,R@1", "[red]a[/red]|<b>,LPN,50.00", "'=1+1,SAFA?[1m,-4.00", "mean,,23.00"),
     ]
-
-
-def test_compare_writes_latex(data: Path, model_file: Path, one_part_model_file: Path, tmp_path: Path) -> None:
-    files = [tmp_path / name for name in ("two.tex", "page.tex")]
-    model, more = str(model_file), ["--resamples", "20"]
-    compared = ["compare", str(data), "--model", model, str(one_part_model_file), *more]
-    assert main([*compared, "--table", str(files[0])]) == 0
-    assert main([*compared, "--page", str(files[1])]) == 0
-    counts = [columns(file.read_text("utf-8")) for file in files]
-    assert len(counts[0]) == 2
-    assert len(counts[1]) > 3
-    captions = re.findall(r"\\caption\{(.*)\}", files[0].read_text("utf-8"))
-    assert captions[1] == f"{captions[0]} Paired tests."
-    for tables in counts:
-        for table in tables:
-            assert len(set(table)) == 1
-            assert len(table) > 2

@@ -164,11 +164,8 @@ def test_a_python_may_call_itself_what_it_likes(monkeypatch: pytest.MonkeyPatch)
     assert of("Python", environment_check._python_and_packages).level == "OK"
 
 
-def test_an_installed_package_knows_its_ranges_without_a_checkout(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_required_packages_are_those_of_this_system_and_of_each_extra(monkeypatch: pytest.MonkeyPatch) -> None:
     there = requirements.read_requirements()
-    monkeypatch.setattr(requirements, "_PYPROJECT", tmp_path / "pyproject.toml")
     told = {
         "Requires-Python": ">=3.11",
         "extras": ["train"],

@@ -13,13 +13,12 @@ import numpy as np
 import pytest
 
 import lpn
-from lpn import load, open_dataset, report
+from lpn import report
 from lpn.cli import main
 from lpn.core.errors import LPNError
 from lpn.explain import SideEvidence
 from lpn.library.analyser import OwnPicture, QueryAnalyser, QueryRequest, describe_tile
 from lpn.library.answer import Answer
-from lpn.tasks.opening import describe_task
 from lpn.tasks.task import Task
 from lpn.tasks.verdict import judge
 from tools.fixtures import small_worlds
@@ -144,13 +143,6 @@ def test_a_folder_without_pictures_is_refused(model_file: Path, tmp_path: Path) 
     for folder in (tmp_path, tmp_path / "nowhere"):
         with pytest.raises(LPNError, match="pictures"):
             lpn.Gallery.of_folder(folder, model_file)
-
-
-@pytest.fixture(scope="module")
-def task(data: Path, model_file: Path, tmp_path_factory: pytest.TempPathFactory) -> Task:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("LPN_CACHE", str(tmp_path_factory.mktemp("cache")))
-        return describe_task(load(model_file), "model.onnx", open_dataset(data))
 
 
 def answer(task: Task, query: int | OwnPicture, **changes: object) -> Answer:

@@ -7,8 +7,8 @@ import re
 import shutil
 from dataclasses import replace
 from datetime import UTC, datetime
-from html.parser import HTMLParser
 from pathlib import Path
+from typing import Any
 from unittest.mock import Mock
 
 import cv2
@@ -36,53 +36,11 @@ from lpn.tasks.opening import describe_task
 from lpn.tasks.task import Task
 from lpn.tasks.verdict import judge
 from tools.fixtures import small_worlds
-
-VOID = {"meta", "img", "br", "line", "rect", "circle", "polyline", "use", "image", "path", "fecolormatrix"}
-SVG_VOID = VOID - {"meta", "img", "br"}
+from tools.fixtures.html_page import Page
 
 
-class Page(HTMLParser):
-    """The elements and texts of a page; an element that is not closed fails the test."""
-
-    def __init__(self, data: bytes) -> None:
-        super().__init__()
-        self.elements: list[tuple[str, dict[str, str | None]]] = []
-        self.texts: list[str] = []
-        self._open: list[str] = []
-        self.feed(data.decode())
-        self.close()
-        assert self._open == []
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self.elements.append((tag, dict(attrs)))
-        if tag not in VOID:
-            self._open.append(tag)
-
-    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self.elements.append((tag, dict(attrs)))
-
-    def handle_endtag(self, tag: str) -> None:
-        if tag in SVG_VOID:
-            return
-        assert self._open.pop() == tag
-
-    def handle_data(self, data: str) -> None:
-        self.texts.append(data)
-
-    @property
-    def text(self) -> str:
-        return "\n".join(self.texts)
-
-    def all(self, tag: str) -> list[dict[str, str | None]]:
-        return [attributes for name, attributes in self.elements if name == tag]
-
-
-@pytest.fixture(scope="module")
-def task(data: Path, model_file: Path, tmp_path_factory: pytest.TempPathFactory) -> Task:
-    """A task of the drawn data set under the small model."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("LPN_CACHE", str(tmp_path_factory.mktemp("cache")))
-        return describe_task(lpn.load(model_file), "model.onnx", open_dataset(data))
+def page_of(*arguments: Any, **options: Any) -> Page:
+    return Page(report.build(*arguments, **options).decode())
 
 
 def rank(task: Task, descriptor: Float32Array, query: int) -> Ranking:
@@ -95,11 +53,10 @@ def worst(task: Task) -> int:
 
 
 def test_a_report_is_one_file_that_loads_nothing_else(task: Task) -> None:
-    page = Page(report.build(task, [worst(task), 3], made=datetime(2031, 5, 6, tzinfo=UTC)))
-    names = {tag for tag, _ in page.elements}
-    assert not names & {"script", "link", "iframe", "object", "base", "form"}
+    page = page_of(task, [worst(task), 3], made=datetime(2031, 5, 6, tzinfo=UTC))
+    assert not page.tags & {"script", "link", "iframe", "object", "base", "form"}
+    assert not page.handlers
     for _, attributes in page.elements:
-        assert not any(name.startswith("on") for name in attributes)
         for name in ("src", "href", "xlink:href"):
             assert (attributes.get(name) or "#").startswith(("#", "data:image/jpeg;base64,", "data:image/png;base64,"))
     assert "url(" not in page.text
@@ -126,7 +83,7 @@ def test_a_report_is_one_file_that_loads_nothing_else(task: Task) -> None:
 
 def test_it_begins_with_what_was_found_and_figures_of_the_field_follow(task: Task) -> None:
     queries = range(len(task.queries))
-    several, _, measured = Page(report.build(task, queries)).text.partition("How it was measured")
+    several, _, measured = page_of(task, queries).text.partition("How it was measured")
     right = round(task.metrics["recall@1"] / 100 * len(queries))
     assert "Report on 14 photos" in several
     assert f"{len(task.gallery)} satellite pictures, ring by ring. The nearest is the answer." in several
@@ -134,7 +91,7 @@ def test_it_begins_with_what_was_found_and_figures_of_the_field_follow(task: Tas
     for term in ("R@1", "d²", "squared"):
         assert term not in several
         assert term in measured
-    few, _, _ = Page(report.build(task, [1, 2], Options(selection="the worst of 3"))).text.partition("measured")
+    few, _, _ = page_of(task, [1, 2], Options(selection="the worst of 3")).text.partition("measured")
     assert "That is right for" not in few, "the share of chosen pictures is no accuracy"
     assert "The photos of this report are chosen: the worst of 3." in few
 
@@ -174,7 +131,7 @@ def test_pictures_that_are_described_together_are_described_as_alone(task: Task)
 def test_shares_and_margins_equal_the_outcomes_and_add_up(task: Task) -> None:
     query = worst(task)
     outcomes = task.outcomes
-    text = Page(report.build(task, [query])).text
+    text = page_of(task, [query]).text
     assert outcomes.rank[query] > 0
     shares = [float(value) for value in re.findall(r"part [^:\n]*: ([\d.]{6})", text)]
     listed = min(5, len(task.gallery)) + (outcomes.rank[query] >= 5)
@@ -193,7 +150,7 @@ def test_shares_and_margins_equal_the_outcomes_and_add_up(task: Task) -> None:
 
 
 def test_evidence_bars_add_up_to_the_score(task: Task) -> None:
-    text = Page(report.build(task, [worst(task)])).text
+    text = page_of(task, [worst(task)]).text
     cells = [[float(v) for v in re.findall(rf"{name}: ([+-][\d.]+)", text)] for name in ("cells for", "cells against")]
     constants = [float(value) for value in re.findall(r"constant: ([+-][\d.]+)", text)]
     scores = [float(value) for value in re.findall(r": score (-?[\d.]+)", text)]
@@ -210,7 +167,7 @@ def test_markup_in_names_notes_and_metadata_is_escaped(data: Path, model_file: P
     plain = describe_task(lpn.load(model_file), "<i>m</i>.onnx", open_dataset(root))
     made = replace(plain, notes=read_notes(root / NOTES))
     found = report.build(made, [made.table.paths.index(path)], Options(selection="<u>mine</u>"))
-    page = Page(found)
+    page = Page(found.decode())
     assert b"<script" not in found
     assert not any(attributes.get("src") == "x" for attributes in page.all("img"))
     assert not page.all("i") or "<i>m</i>.onnx" in page.text
@@ -227,7 +184,7 @@ def test_a_page_is_utf_8_whatever_its_markup_holds(monkeypatch: pytest.MonkeyPat
 def test_errors_in_metres_are_shown_where_positions_are_known(data: Path, model_file: Path, tmp_path: Path) -> None:
     root = small_worlds.map_dataset(shutil.copytree(data, tmp_path / "places"))
     made = describe_task(lpn.load(model_file), "model.onnx", open_dataset(root))
-    text = Page(report.build(made, [worst(made)])).text
+    text = page_of(made, [worst(made)]).text
     metres = made.table.column("distance").values[worst(made)]
     assert f"The answer lies {metres:,.0f} m from the place photographed." in text
     assert "off by" in text
@@ -235,17 +192,17 @@ def test_errors_in_metres_are_shown_where_positions_are_known(data: Path, model_
 
 def test_an_own_picture_has_no_verdict_and_a_chosen_tile_is_compared(task: Task) -> None:
     picture = images.load_picture(task.queries[2].path)
-    text = Page(report.build(task, [OwnPicture("mine.jpg", picture)])).text
+    text = page_of(task, [OwnPicture("mine.jpg", picture)]).text
     assert "Its true place is not known here" in text
     assert "Truth" not in text
     assert "Next tile" in text
     analyser = QueryAnalyser(task.model, lambda of, index: describe_tile(of, index, of.model))
     own = analyser.analyse(task, QueryRequest(OwnPicture("mine.jpg", picture), compare=5), 5)
-    text = Page(report.build(task, [own])).text
+    text = page_of(task, [own]).text
     assert "Chosen tile" in text or own.chosen.rank <= 2
     assert task.gallery[5].name in text
     answer = analyser.analyse(task, QueryRequest(2, compare=5), 5)
-    again = Page(report.build(task, [answer], Options(title="A story", captions=[["What it <shows>", "Turned"]]))).text
+    again = page_of(task, [answer], Options(title="A story", captions=[["What it <shows>", "Turned"]])).text
     assert f"{task.gallery[5].name}, rank {answer.chosen.rank}" in again
     assert "A story" in again
     assert "What it <shows>" in again
@@ -254,7 +211,7 @@ def test_an_own_picture_has_no_verdict_and_a_chosen_tile_is_compared(task: Task)
 
 def test_saved_descriptors_are_reported_without_evidence(task: Task) -> None:
     saved = replace(task, model=None, model_name="result.mat")
-    page = Page(report.build(saved, [worst(task)]))
+    page = page_of(saved, [worst(task)])
     assert "Evidence for and against" not in page.text
     assert "Truth" in page.text
     with pytest.raises(InputError, match="no network"):
@@ -273,7 +230,7 @@ def test_progress_counts_the_queries(task: Task) -> None:
 
 def test_changes_of_queries_and_part_weights_are_stated(task: Task) -> None:
     weighted = replace(task, weights=[0, 1, 1, 2])
-    text = Page(report.build(weighted, [1], Options(change=Change(rotate=30)))).text
+    text = page_of(weighted, [1], Options(change=Change(rotate=30))).text
     assert "queries turned 30° first" in text
     assert "part weights 0 : 25 : 25 : 50 %" in text
     picture = images.load_picture(task.queries[1].path)
@@ -297,31 +254,27 @@ def test_the_worst_failures_come_first(
 ) -> None:
     out = tmp_path / "new" / "report.html"
     assert run(data, model_file, "--failures", 2, "--out", out) == 0
-    page = Page(out.read_bytes())
+    page = Page(out.read_text("utf-8"))
     order = [task.queries[i].name for i in np.argsort(task.outcomes.margin, kind="stable")[:2]]
     assert re.findall(r" (?:Found|Missed): (\S+)", page.text) == order
     assert f"the worst of {int(task.outcomes.failed.sum())} failures" in page.text
     assert "2 queries" in capsys.readouterr().out
     assert list(out.parent.iterdir()) == [out]
     assert run(data, model_file, "--where", f"name = {order[1]}", "--out", out) == 0
-    assert re.findall(r" (?:Found|Missed): (\S+)", Page(out.read_bytes()).text) == [order[1]]
+    assert re.findall(r" (?:Found|Missed): (\S+)", Page(out.read_text("utf-8")).text) == [order[1]]
     assert run(data, model_file, "--query", order[1], order[0], order[1], "--matches", 2, "--out", out) == 0
-    assert re.findall(r" (?:Found|Missed): (\S+)", Page(out.read_bytes()).text) == [order[1], order[0]]
+    assert re.findall(r" (?:Found|Missed): (\S+)", Page(out.read_text("utf-8")).text) == [order[1], order[0]]
 
 
 @pytest.mark.parametrize(
     ("given", "expected"),
     [
-        (["--query", "001"], "did you mean 0"),
-        (["--query", "nothing like it"], "did you mean 0007"),
         (["--query", "0008", "--failures", "3"], "leave one of them out"),
         (["--failures", "0"], "expected 1 or more"),
         (["--matches", "0"], "expected 1 or more"),
-        (["--rotate", "nan"], "expected degrees"),
         (["--weights", "1,2"], "expected 4 numbers"),
         (["--where", "rank < 1"], "No query is one with rank < 1"),
         (["--where", "rank = 1", "--failures", "3"], "No query failed of those with rank = 1"),
-        (["--task", "street-to-satellite"], "has the tasks drone-to-satellite"),
     ],
 )
 def test_invalid_arguments_give_one_sentence_and_no_file(
@@ -330,10 +283,8 @@ def test_invalid_arguments_give_one_sentence_and_no_file(
     data: Path,
     model_file: Path,
     tmp_path: Path,
-    task: Task,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    del task
     out = tmp_path / "report.html"
     assert run(data, model_file, *given, "--out", out) == 2
     message = capsys.readouterr().err
