@@ -111,7 +111,7 @@ def _refuse_jumps(frames: Sequence[LocatedFrame], of_camera: bool) -> list[str]:
     return []
 
 
-def top_speeds(times: Float64Array, places: Float64Array, tags: Float64Array | None = None) -> Float64Array | None:
+def top_speeds(times: Float64Array, places: Float64Array, tags: Float64Array) -> Float64Array | None:
     """Return the metres a second that the drone can fly from each position to the next, (N - 1,); None if they are too few.
 
     The speed is a multiple of the 80th percentile of the speeds between neighbours, and of the largest speed of the tags near by.
@@ -126,13 +126,12 @@ def top_speeds(times: Float64Array, places: Float64Array, tags: Float64Array | N
     if len(times) < _FEWEST or (seconds > 0).sum() < _FEWEST - 1:
         return None
     least = np.full(len(seconds), _COMMON)
-    if tags is not None:
-        tag_speeds = np.linalg.norm(np.diff(tags, axis=0), axis=1)
-        tag_speeds[seconds > 0] /= seconds[seconds > 0]
-        if (tag_speeds > 0).sum() > len(tag_speeds) / 2:
-            padded = np.pad(np.where(seconds > 0, tag_speeds, 0), _NEAR, "edge")
-            largest = np.lib.stride_tricks.sliding_window_view(padded, 2 * _NEAR + 1).max(axis=1)
-            least = np.where(np.isnan(largest), _COMMON, np.maximum(_LEAST, _TAGGED * largest))
+    tag_speeds = np.linalg.norm(np.diff(tags, axis=0), axis=1)
+    tag_speeds[seconds > 0] /= seconds[seconds > 0]
+    if (tag_speeds > 0).sum() > len(tag_speeds) / 2:
+        padded = np.pad(np.where(seconds > 0, tag_speeds, 0), _NEAR, "edge")
+        largest = np.lib.stride_tricks.sliding_window_view(padded, 2 * _NEAR + 1).max(axis=1)
+        least = np.where(np.isnan(largest), _COMMON, np.maximum(_LEAST, _TAGGED * largest))
     moved = np.linalg.norm(np.diff(places, axis=0), axis=1)
     usual = float(np.quantile(moved[seconds > 0] / seconds[seconds > 0], 0.8))
     return np.asarray(np.maximum(least, _REGISTERED * usual), np.float64)

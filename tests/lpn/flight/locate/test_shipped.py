@@ -28,9 +28,8 @@ OPTIONS = LocateOptions(overlap=OFFERED_OVERLAP, register=False)
 
 @pytest.mark.parametrize(("place", "accepted"), [(DEMO_PLACE, 30), (DEMO_FLIGHT, 28)])
 def test_nothing_of_the_demo_s_flights_is_computed_again(
-    place: tuple[Path, Path], accepted: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    place: tuple[Path, Path], accepted: int, tmp_path: Path
 ) -> None:
-    monkeypatch.setenv("LPN_CACHE", str(tmp_path))
     model, described = lpn.load(DEMO_MODEL), []
     shipped = place[0].with_name(DEMO_ANSWERS)
     with listening(lambda stage, done, _: described.append((stage, done))):
@@ -59,8 +58,7 @@ def test_answers_of_another_model_map_or_flight_are_not_taken(tmp_path: Path) ->
     assert ShippedAnswers.open(folder, model, basemap, flight) is None
 
 
-def test_damaged_descriptors_are_computed_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("LPN_CACHE", str(tmp_path / "cache"))
+def test_damaged_descriptors_are_computed_again(tmp_path: Path) -> None:
     model, basemap, flight = lpn.load(DEMO_MODEL), open_map(DEMO_PLACE[0]), open_flight(DEMO_PLACE[1])
     folder, described = tmp_path / "answers", []
     shutil.copytree(DEMO_PLACE[0].with_name(DEMO_ANSWERS), folder)
@@ -81,10 +79,7 @@ def test_damaged_descriptors_are_computed_again(tmp_path: Path, monkeypatch: pyt
     assert described == ["Describing windows"]
 
 
-def test_errors_against_tags_without_their_lag_are_told_once_and_with_what_may_be_the_case_instead(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("LPN_CACHE", str(tmp_path))
+def test_errors_against_tags_without_their_lag_are_told_once_and_with_what_may_be_the_case_instead() -> None:
     basemap, flight = open_map(DEMO_PLACE[0]), open_flight(DEMO_PLACE[1])
     answers = ShippedAnswers.open(DEMO_PLACE[0].with_name(DEMO_ANSWERS), lpn.load(DEMO_MODEL), basemap, flight)
     assert answers is not None
