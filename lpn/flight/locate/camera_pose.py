@@ -189,8 +189,7 @@ class PoseMatches:
 
     def explained_by(self, camera: _Camera, parameters: int, clearly: bool) -> bool:
         """Tell by GRIC whether a pose explains the matches as well as the plane's model, or clearly better."""
-        places = apply_homography(inverse(self.plane), self.points[:, :2])
-        flat = np.linalg.norm(places - self.pixels, axis=1)
+        flat = np.linalg.norm(apply_homography(inverse(self.plane), self.points[:, :2]) - self.pixels, axis=1)
         cells = self.cells()
         share, worth = min(cells / len(flat), 1.0), math.log(4 * cells)
 

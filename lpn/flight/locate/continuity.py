@@ -52,10 +52,8 @@ def refuse_contradicted(frames: Sequence[LocatedFrame]) -> list[str]:
 
 
 def _refuse_turned(frames: Sequence[LocatedFrame]) -> list[str]:
-    """Refuse registrations whose turn against a certain heading differs from the others'; return a sentence about them.
-
-    There is no limit on their share: beyond the edge of a map 5 of 21 were false.
-    """
+    """Refuse registrations whose turn against a certain heading differs from the others'; return a sentence about them."""
+    # There is no limit on their share: beyond the edge of a map 5 of 21 were false.
     turned = [
         (located, answer, answer.turn)
         for located in frames
@@ -77,13 +75,7 @@ def _refuse_turned(frames: Sequence[LocatedFrame]) -> list[str]:
 
 
 def _refuse_jumps(frames: Sequence[LocatedFrame], of_camera: bool) -> list[str]:
-    """Refuse registrations that the drone cannot have reached and left, unless they are many; return sentences about it.
-
-    Radii exclude the map's error, which moves neighbours alike.
-
-    Args:
-        of_camera: whether the track is of cameras or of pictures' middles.
-    """
+    """Refuse places of cameras, or of middles, that the drone cannot have reached and left, unless they are many."""
     timed = [
         (located, answer)
         for located in frames
@@ -95,6 +87,7 @@ def _refuse_jumps(frames: Sequence[LocatedFrame], of_camera: bool) -> list[str]:
     times = np.array([located.frame.time for located, _ in timed], np.float64)
     places = np.array([(answer.x, answer.y) for _, answer in timed], np.float64).reshape(-1, 2)
     sway = 0.0 if of_camera else _SWAY
+    # The map's error moves neighbours alike.
     radii = np.array([math.hypot(answer.own_radius, sway * (answer.width or 0.0)) for _, answer in timed])
     speeds = top_speeds(times, places, tag_positions(located for located, _ in timed))
     if speeds is None:

@@ -437,17 +437,7 @@ def turns_of(record: WindowsRecord) -> list[float]:
 def _indexed(
     where: str, record: WindowsRecord, model: Model, basemap: Map, described: Float32Array
 ) -> tuple[list[Window], Float32Array, list[str]]:
-    """Read the windows of an index that are compared with frames.
-
-    Up to 50,000 windows are all compared. Of more, the 500 nearest to each description of a frame are, so that 10^7 windows need
-    one search for each description and bounded memory.
-
-    Args:
-        described: descriptions of frames, (Q, n, D); zeros are ignored.
-
-    Returns:
-        The windows, north up; their descriptors at each of `turns_of`, (T W, n, D) float32; and sentences about the choice.
-    """
+    """Read windows to compare with described frames (Q, n, D): north up, with descriptors (T W, n, D), and sentences."""
     notes, turns, whole = [], turns_of(record), record.count * record.turns
     with open_index(where, model.fingerprint) as index:
         held = index.count()
@@ -455,6 +445,7 @@ def _indexed(
             windows = basemap.pyramid(record.sizes, record.overlap)
             named = NamedWindow.all_of(windows, basemap.frame)
         else:
+            # One search for each description bounds the memory. Unreadable frames are zeros.
             asked = described[np.abs(described).sum(axis=(1, 2)) > 0]
             if not len(asked):
                 raise InputError(

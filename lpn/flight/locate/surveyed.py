@@ -249,11 +249,7 @@ def match_surveyed(
 
 
 def _frame_of(path: str, names: Sequence[str], by_stem: Mapping[str, set[int]]) -> int | None:
-    """Return the index of the frame that a table names; None without one.
-
-    The shorter path's folders must be the end of the longer one's. Of several frames, an equal path precedes an equal name, and
-    that precedes the most folders.
-    """
+    """Return the index of the frame that a table names; None unless the shorter path's folders end the longer one's."""
     wanted = path_parts(path)
     ranked: dict[int, tuple[bool, bool, bool, int]] = {}
     for i in by_stem.get(PurePath(wanted[-1]).stem, set()) | by_stem.get(wanted[-1], set()):
@@ -282,7 +278,7 @@ def compare_surveyed(located: LocatedFlight, matched: MatchedSurvey) -> list[Res
             if best.answer.place is not None:
                 answer = _at_point(frame, best.answer, point)
                 assert answer.place is not None
-                east, north = np.subtract(*located.basemap.frame.utm([answer.place, at])).tolist()
+                east, north = np.subtract(*located.basemap.frame.utm([answer.place.tolist(), at])).tolist()
                 radius = math.nan if answer.radius is None else answer.radius
                 answered: SurveyedPoint = "camera" if answer.camera else "ground"
                 row = replace(row, answered=answered, east=east, north=north, radius=radius)
