@@ -36,6 +36,11 @@ def test_the_camera_is_where_the_footprint_has_it_and_its_radius_holds_the_error
     assert laid.width is not None
     by_tilt = height_of_width(frame, laid.width) * math.tan(math.radians(degrees))
     assert math.hypot(0.2, by_tilt) < found[1] < math.hypot(0.3, by_tilt)
+    straight = replace(frame, pitch=-90.0, roll=0.0)
+    by_tilt = height_of_width(straight, laid.width) * math.tan(math.radians(degrees))
+    middle = camera_place(straight, (80, 60), laid)
+    assert middle is not None
+    assert middle[1] == pytest.approx(math.hypot(0.2, by_tilt))
     assert camera_place(replace(frame, roll=None), (80, 60), laid) is None
     assert camera_place(replace(frame, pitch=-70.0), (80, 60), laid) is None
 
