@@ -86,13 +86,13 @@ def drone(flight: LocatedFlight, located: LocatedFrame) -> str:
     answer = located.stages.get("registration")
     if answer is None or not answer.accepted or (pose := answer.pose) is None:
         return ""
-    text, height, tilt = "The drone: ", pose.altitude if pose.flat else pose.height, pose.tilt
+    text, height, (tilt, error) = "The drone: ", pose.altitude if pose.flat else pose.height, pose.tilt
     if not answer.camera:
         off = math.hypot(pose.radius, answer.map_error)
         text += f"{place(flight, (pose.east, pose.north))[0]} (± {off:.1f} m {on_what(answer)}), "
     if height is not None:
         text += f"{height:.0f} m above the ground (± {pose.sigmas[2]:.0f} m), "
-    return f"{text}its camera {tilt.degrees:.1f}° (± {tilt.error:.1f}°) from straight down."
+    return f"{text}its camera {tilt:.1f}° (± {error:.1f}°) from straight down."
 
 
 def accuracy(seen: FlightSnapshot) -> list[tuple[str, str, str]]:

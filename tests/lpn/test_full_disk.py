@@ -13,8 +13,8 @@ import pytest
 
 from lpn.cli import main
 from lpn.core.errors import OutputError
-from lpn.flight.locate.line_records import LineRecords
 from lpn.flight.locate.located import StageRecord
+from lpn.flight.locate.registered_stage import append_record, read_records
 from lpn.flight.locate.tracks import write_track
 from tools.fixtures import saves
 from tools.fixtures.small_disks import fill, small_disk
@@ -87,13 +87,12 @@ def test_the_commands_that_write_files_for_others_say_so(
 
 def test_answers_of_a_flight_that_cannot_be_kept_are_told_and_those_before_stay(disk: Path) -> None:
     file, answer = disk / "answers.jsonl", StageRecord("accepted", "40 matches agree. " * 400)
-    LineRecords(file).append("a.jpg", answer)
+    append_record(file, "a.jpg", answer)
     filler = fill(disk)
     with pytest.raises(
         OutputError, match=r"jsonl cannot be written \(No space left on device\); free space or set LPN_CACHE"
     ):
-        LineRecords(file).append("b.jpg", answer)
+        append_record(file, "b.jpg", answer)
     filler.unlink()
-    LineRecords(file).append("c.jpg", answer)
-    kept = LineRecords(file)
-    assert [kept.get(name) for name in ("a.jpg", "b.jpg", "c.jpg")] == [answer, None, answer]
+    append_record(file, "c.jpg", answer)
+    assert read_records(file) == {"a.jpg": answer, "c.jpg": answer}

@@ -65,7 +65,7 @@ class PhotoPlaces(msgspec.Struct, frozen=True):
         return cast(Float64Array, np.hypot(*self.offsets.T))
 
 
-def offset_rows(places: Float64Array, offsets: Float64Array, digits: int) -> list[tuple[float, float, float, float]]:
+def _offset_rows(places: Float64Array, offsets: Float64Array, digits: int) -> list[tuple[float, float, float, float]]:
     """Return the rows of `PhotoPlaces` for places (N, 2) and offsets (N, 2), in metres rounded to these digits."""
     rounded = np.hstack([places.round(4), offsets.round(digits)]).tolist()
     return [(across, down, east, north) for across, down, east, north in rounded]
@@ -100,7 +100,7 @@ class MatchedDetails(PhotoPlaces, frozen=True):
         places = (pixels[agree] + 0.5) / view.size
         chosen = _spread(places * view.size)
         chosen = chosen[np.lexsort((places[chosen, 0], np.floor(places[chosen, 1] * _ROWS)))]
-        rows = offset_rows(places[chosen], offsets[agree][chosen], 3)
+        rows = _offset_rows(places[chosen], offsets[agree][chosen], 3)
         return cls(rows, round(float(np.median(metres[agree])), 3), round(best.limit, 3))
 
     def on_map(self, homography: Float64Array, width: int, height: int) -> Float64Array:
@@ -133,11 +133,6 @@ class MapAgreement(PhotoPlaces, frozen=True):
     """
 
     reach: float
-
-    @classmethod
-    def of(cls, places: Float64Array, offsets: Float64Array, reach: float) -> MapAgreement:
-        """Make a record of places (N, 2) and offsets (N, 2), rounded to centimetres."""
-        return cls(offset_rows(places, offsets, 2), round(reach, 2))
 
     @property
     def median(self) -> float | None:
@@ -205,7 +200,8 @@ def map_agreement(basemap: Map, photo: UInt8Array, homography: Float64Array, siz
                 matched.append((x, y))
                 offsets.append(((there[0] - x) / scale, (y - there[1]) / scale))
     pixels = apply_homography(inverse(to_square @ homography), np.array(matched, np.float64).reshape(-1, 2))
-    return MapAgreement.of((pixels + 0.5) / size, np.array(offsets, np.float64).reshape(-1, 2), _REACH / scale)
+    rows = _offset_rows((pixels + 0.5) / size, np.array(offsets, np.float64).reshape(-1, 2), 2)
+    return MapAgreement(rows, round(_REACH / scale, 2))
 
 
 def _edges(picture: UInt8Array) -> Float32Array:

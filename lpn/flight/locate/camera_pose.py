@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import NamedTuple
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import cv2
 import msgspec
@@ -58,14 +58,6 @@ _SIGMAS = 3.0
 _MATCH_ERROR = 1.0
 
 
-class CameraTilt(NamedTuple):
-    """The angle from straight down to a camera's axis, its 1-sigma error, and the axis's azimuth from north; all in degrees."""
-
-    degrees: float
-    error: float
-    azimuth: float
-
-
 class CameraPose(msgspec.Struct, frozen=True):
     """The place and orientation of a photo's camera.
 
@@ -105,8 +97,8 @@ class CameraPose(msgspec.Struct, frozen=True):
         return float(np.sqrt((self.sigmas[:2] ** 2).mean()))
 
     @property
-    def tilt(self) -> CameraTilt:
-        """The angle between optical axis and straight down, with its error by the covariance of pitch and roll."""
+    def tilt(self) -> tuple[float, float]:
+        """The degrees between optical axis and straight down, and their 1-sigma error by the covariance of pitch and roll."""
         north, east, down = rotation(self.heading, self.pitch, self.roll)[:, 2].tolist()
         away = math.hypot(north, east)
         degrees = math.degrees(math.atan2(away, down))
@@ -115,8 +107,7 @@ class CameraPose(msgspec.Struct, frozen=True):
         slopes = np.array([math.sin(pitch) * math.cos(roll), math.cos(pitch) * math.sin(roll)])
         slopes = slopes / away if away > 1e-9 else np.full(2, math.sqrt(0.5))
         covariance = np.array(self.covariance).reshape(6, 6)[4:, 4:]
-        error = math.sqrt(float(slopes @ covariance @ slopes))
-        return CameraTilt(degrees, error, math.degrees(math.atan2(east, north)) % 360)
+        return degrees, math.sqrt(float(slopes @ covariance @ slopes))
 
     @property
     def sentence(self) -> str:
@@ -137,7 +128,7 @@ class CameraPose(msgspec.Struct, frozen=True):
 
 @dataclass(frozen=True, eq=False)
 class PoseMatches:
-    """The observations of a pose.
+    """The observations of a pose, which is solved about a point in their middle.
 
     Attributes:
         pixels: of the photo, (M, 2).
@@ -147,6 +138,7 @@ class PoseMatches:
         plane_parameters: 8 for a homography, 4 for a similarity, or 6 for a similarity as the special case of a pose of known
             tilt.
         noise: expected 1-sigma error of a match in pixels.
+        middle: the point about which trial cameras are, (3,).
     """
 
     pixels: Float64Array
@@ -155,11 +147,152 @@ class PoseMatches:
     plane: Float64Array
     plane_parameters: int
     noise: float
+    middle: Float64Array = field(default_factory=lambda: np.zeros(3))
 
-    @property
+    @cached_property
     def threshold(self) -> float:
         """Pixels within which a match agrees with a pose."""
         return max(3 * self.noise, 0.004 * self.size[0], 1.5)
+
+    @cached_property
+    def centred(self) -> Float64Array:
+        """The points about the middle, (M, 3)."""
+        return self.points - self.middle
+
+    def solved(self, fov: float | None) -> tuple[_Camera, str] | None:
+        """Return the best camera, and whether its field of view is "told", "solved", or "assumed"; None without one."""
+        tried = [camera for angle in (_FOVS if fov is None else (fov,)) if (camera := self._first(angle)) is not None]
+        if not tried:
+            return None
+        best = min(tried, key=lambda one: float(np.minimum((self._residuals(one) / self.threshold) ** 2, 1).sum()))
+        if fov is not None:
+            return best, "told"
+        free = self._refined(best, True)
+        error = self._focal_error(free, self.agreeing(free))
+        if error <= _FOCAL_ERROR and _FOVS[0] - 15 < self.fov(free) < _FOVS[-1] + 15:
+            return free, "solved"
+        assumed = self._first(DEFAULT_FOV)
+        return None if assumed is None else (assumed, "assumed")
+
+    def fov(self, camera: _Camera) -> float:
+        """Return the horizontal field of view of a camera in degrees."""
+        return fov_of_sensor(self.size[0], camera.focal)
+
+    def agreeing(self, camera: _Camera, thresholds: float = 1.0) -> BoolArray:
+        """Tell which matches agree with a camera, (M,)."""
+        return np.asarray(self._residuals(camera) < thresholds * self.threshold)
+
+    def cells(self, which: BoolArray | slice = np.s_[:]) -> int:
+        """Count the cells of a grid over the photo that hold at least one of these matches."""
+        cells = np.floor((self.pixels[which] + 0.5) / self.size * _GRID).astype(np.int64).clip(0, _GRID - 1)
+        return len(np.unique(cells[:, 0] * _GRID + cells[:, 1]))
+
+    def explained_by(self, camera: _Camera, parameters: int, clearly: bool) -> bool:
+        """Tell by GRIC whether a pose explains the matches as well as the plane's model, or clearly better."""
+        flat = np.linalg.norm(apply_homography(inverse(self.plane), self.points[:, :2]) - self.pixels, axis=1)
+        cells = self.cells()
+        share, worth = min(cells / len(flat), 1.0), math.log(4 * cells)
+
+        def gric(values: Float64Array, count: int) -> float:
+            return share * float(np.minimum((values / (self.threshold / 3)) ** 2, _CUT).sum()) + count * worth
+
+        margin = -worth if clearly else worth
+        return gric(self._residuals(camera), parameters) <= gric(flat, self.plane_parameters) + margin
+
+    def covariance(self, camera: _Camera, inliers: BoolArray, free: bool) -> Float64Array:
+        """Return the covariance of place and angles, (6, 6), see `CameraPose`; NaN if the matches do not tell them."""
+        inner = self._inner_covariance(camera, inliers, free)[:6, :6]
+
+        def outer(values: Float64Array) -> Float64Array:
+            moved = _Camera(values[:3], values[3:], camera.focal)
+            return np.array([*moved.place, *angles_of_view(moved.matrix)])
+
+        at = np.concatenate([camera.turn, camera.shift])
+        start = outer(at)
+        slopes = np.empty((6, 6))
+        for i, step in enumerate([1e-5] * 3 + [1e-3] * 3):
+            change = outer(at + step * np.eye(6)[i]) - start
+            change[3] = wrap_degrees(change[3])
+            slopes[:, i] = change / step
+        return np.asarray(slopes @ inner @ slopes.T)
+
+    def _first(self, fov: float) -> _Camera | None:
+        """Return a camera of a field of view by random samples of the matches, refined; None without one."""
+        parameters = cv2.UsacParams()
+        parameters.threshold = self.threshold
+        parameters.confidence = 0.999
+        parameters.maxIterations = 2000
+        parameters.score = cv2.SCORE_METHOD_MAGSAC
+        parameters.loMethod = cv2.LOCAL_OPTIM_SIGMA
+        parameters.randomGeneratorState = 0
+        start = _Camera(np.zeros(3), np.zeros(3), self.size[0] / 2 / math.tan(math.radians(fov) / 2))
+        points, pixels = (np.ascontiguousarray(values) for values in (self.centred, self.pixels))
+        intrinsics = start.intrinsics(self.size)
+        try:
+            found, _, turn, shift, _ = cv2.solvePnPRansac(points, pixels, intrinsics, np.zeros(4), params=parameters)
+        except cv2.error:
+            return None
+        if not found or not (np.isfinite(turn).all() and np.isfinite(shift).all()):
+            return None
+        turn, shift = (np.asarray(values, np.float64).ravel() for values in (turn, shift))
+        return self._refined(_Camera(turn, shift, start.focal), False)
+
+    def _refined(self, camera: _Camera, free: bool) -> _Camera:
+        """Fit a camera to its inliers by Levenberg's method, with the focal length if it is free."""
+        damping = 1e-3
+
+        def judged(candidate: _Camera) -> tuple[float, Float64Array, Float64Array]:
+            off, jacobian = self._linearised(candidate, free)
+            squares = (off.reshape(-1, 2) ** 2).sum(axis=1) / self.threshold**2
+            # Geman and McClure's cost has no step at the threshold.
+            weighted = jacobian * np.repeat(1 / (1 + squares) ** 2, 2)[:, None]
+            return float((squares / (1 + squares)).sum()), weighted.T @ jacobian, weighted.T @ off
+
+        cost, normal, slope = judged(camera)
+        for _ in range(_ITERATIONS):
+            step = np.linalg.lstsq(normal + damping * np.diag(np.diag(normal)), slope, rcond=None)[0]
+            focal = camera.focal * math.exp(float(np.clip(step[6], -0.3, 0.3))) if free else camera.focal
+            moved = _Camera(camera.turn + step[:3], camera.shift + step[3:6], focal)
+            tried = judged(moved)
+            if np.isfinite(tried[0]) and tried[0] < cost:
+                done = cost - tried[0] < 1e-7 * cost
+                camera, (cost, normal, slope), damping = moved, tried, damping / 5
+                if done:
+                    break
+            else:
+                damping *= 10
+                if damping > 1e8:
+                    break
+        return camera
+
+    def _linearised(self, camera: _Camera, free: bool) -> tuple[Float64Array, Float64Array]:
+        """Return pixels minus projections, (2 M,), and the Jacobian by turn, shift, and the focal length's logarithm."""
+        intrinsics = camera.intrinsics(self.size)
+        projected, jacobian = cv2.projectPoints(self.centred, camera.turn, camera.shift, intrinsics, np.zeros(4))
+        off = (self.pixels - projected.reshape(-1, 2)).ravel()
+        of_focal = (jacobian[:, 6:7] + jacobian[:, 7:8]) * camera.focal
+        return off, np.hstack([jacobian[:, :6], of_focal] if free else [jacobian[:, :6]])
+
+    def _residuals(self, camera: _Camera) -> Float64Array:
+        """Return the pixels from each match to its projection, (M,); infinite behind the camera."""
+        off = np.linalg.norm(camera.project(self.centred, self.size) - self.pixels, axis=1)
+        return np.where(np.isnan(off), np.inf, off)
+
+    def _inner_covariance(self, camera: _Camera, inliers: BoolArray, free: bool) -> Float64Array:
+        """Return the covariance of turn, shift, and the focal length's logarithm; NaN if the matches do not tell them."""
+        off, jacobian = (values[np.repeat(inliers, 2)] for values in self._linearised(camera, free))
+        variance = max(float(off @ off) / max(len(off) - jacobian.shape[1], 1), (_FINEST / 2) ** 2)
+        count = int(inliers.sum())
+        try:
+            return np.linalg.inv(jacobian.T @ jacobian / variance * (min(self.cells(inliers), count) / max(count, 1)))
+        except np.linalg.LinAlgError:
+            return np.full((jacobian.shape[1],) * 2, np.nan)
+
+    def _focal_error(self, camera: _Camera, inliers: BoolArray) -> float:
+        if inliers.sum() < _LEAST_MATCHES:
+            return math.inf
+        variance = float(self._inner_covariance(camera, inliers, True)[6, 6])
+        return math.sqrt(max(variance, 0.0)) if math.isfinite(variance) else math.inf
 
 
 @dataclass(frozen=True, eq=False)
@@ -279,14 +412,14 @@ def solve_pose(
         return "Too few matches have a height for a pose of the camera."
     flat = heights is None
     middle = np.array([*matches.points[:, :2].mean(axis=0), np.median(matches.points[:, 2])])
-    first = _Solver(matches, middle)
-    solved = first.solved(fov)
+    matches = replace(matches, middle=middle)
+    solved = matches.solved(fov)
     if solved is None:
         return "The matches agree on no pose of the camera."
-    solver, (camera, source) = first, solved
-    inliers = first.agreeing(camera)
+    camera, source = solved
+    inliers = matches.agreeing(camera)
     # Matches of a second round favour the pose that predicted them, so the first round's are compared.
-    if not first.explained_by(camera, 6 + (source == "solved"), proven):
+    if not matches.explained_by(camera, 6 + (source == "solved"), proven):
         return (
             "On flat ground the matches do not show how far the camera was tilted, so there is no pose."
             if proven
@@ -294,14 +427,15 @@ def solve_pose(
         )
     if rematch is not None:
         predicted = camera
-        again = _Solver(rematch(lambda points: predicted.project(points - middle, matches.size)), middle)
+        size = matches.size
+        again = replace(rematch(lambda points: predicted.project(points - middle, size)), middle=middle)
         if len(again.points) >= len(matches.points) // 2:
-            better = again.solved(first.fov(camera) if fov is None else fov)
+            better = again.solved(matches.fov(camera) if fov is None else fov)
             if better is not None and (agreeing := again.agreeing(better[0])).sum() >= inliers.sum():
-                solver, camera, inliers = again, better[0], agreeing
-    count, cells = int(inliers.sum()), solver.cells(inliers)
+                matches, camera, inliers = again, better[0], agreeing
+    count, cells = int(inliers.sum()), matches.cells(inliers)
     # The ring from one to two thresholds has three times the area inside one threshold.
-    ring = int(solver.agreeing(camera, 2.0).sum()) - count
+    ring = int(matches.agreeing(camera, 2.0).sum()) - count
     if count < _OVER_CHANCE * ring / 3:
         return f"The {count} matches that agree on a pose of the camera are hardly more than would agree by chance."
     if count < _LEAST_MATCHES or cells < _LEAST_CELLS:
@@ -312,7 +446,7 @@ def solve_pose(
     above = place[2] - middle[2]
     if above <= 0 or (height is not None and height <= 0):
         return "The pose that the matches agree on lies below the ground."
-    covariance = solver.covariance(camera, inliers, source == "solved")
+    covariance = matches.covariance(camera, inliers, source == "solved")
     if flat:
         covariance *= _RELIEF**2
         covariance[2, 2] += _RELIEF_METRES**2
@@ -322,148 +456,4 @@ def solve_pose(
         covariance[2, 2] += (_ASSUMED_ERROR * above) ** 2
     east, north, altitude = place.tolist()
     angles, values = angles_of_view(camera.matrix), covariance.ravel().tolist()
-    return CameraPose(east, north, altitude, height, *angles, solver.fov(camera), source, flat, count, values)
-
-
-class _Solver:
-    """The solution of a pose from matches, about a point (3,) in their middle."""
-
-    def __init__(self, matches: PoseMatches, middle: Float64Array) -> None:
-        self._matches, self._pixels, self._size = matches, matches.pixels, matches.size
-        self.points, self._threshold = matches.points - middle, matches.threshold
-
-    def solved(self, fov: float | None) -> tuple[_Camera, str] | None:
-        """Return the best camera, and whether its field of view is "told", "solved", or "assumed"; None without one."""
-        tried = [camera for angle in (_FOVS if fov is None else (fov,)) if (camera := self._first(angle)) is not None]
-        if not tried:
-            return None
-        best = min(tried, key=lambda one: float(np.minimum((self._residuals(one) / self._threshold) ** 2, 1).sum()))
-        if fov is not None:
-            return best, "told"
-        free = self._refined(best, True)
-        error = self._focal_error(free, self.agreeing(free))
-        if error <= _FOCAL_ERROR and _FOVS[0] - 15 < self.fov(free) < _FOVS[-1] + 15:
-            return free, "solved"
-        assumed = self._first(DEFAULT_FOV)
-        return None if assumed is None else (assumed, "assumed")
-
-    def fov(self, camera: _Camera) -> float:
-        """Return the horizontal field of view of a camera in degrees."""
-        return fov_of_sensor(self._size[0], camera.focal)
-
-    def agreeing(self, camera: _Camera, thresholds: float = 1.0) -> BoolArray:
-        """Tell which matches agree with a camera, (M,)."""
-        return np.asarray(self._residuals(camera) < thresholds * self._threshold)
-
-    def cells(self, which: BoolArray | slice = np.s_[:]) -> int:
-        """Count the cells of a grid over the photo that hold at least one of these matches."""
-        cells = np.floor((self._pixels[which] + 0.5) / self._size * _GRID).astype(np.int64).clip(0, _GRID - 1)
-        return len(np.unique(cells[:, 0] * _GRID + cells[:, 1]))
-
-    def explained_by(self, camera: _Camera, parameters: int, clearly: bool) -> bool:
-        """Tell by GRIC whether a pose explains the matches as well as the plane's model, or clearly better."""
-        plane, places = inverse(self._matches.plane), self._matches.points[:, :2]
-        flat = np.linalg.norm(apply_homography(plane, places) - self._pixels, axis=1)
-        cells = self.cells()
-        share, worth = min(cells / len(flat), 1.0), math.log(4 * cells)
-
-        def gric(values: Float64Array, count: int) -> float:
-            return share * float(np.minimum((values / (self._threshold / 3)) ** 2, _CUT).sum()) + count * worth
-
-        margin = -worth if clearly else worth
-        return gric(self._residuals(camera), parameters) <= gric(flat, self._matches.plane_parameters) + margin
-
-    def covariance(self, camera: _Camera, inliers: BoolArray, free: bool) -> Float64Array:
-        """Return the covariance of place and angles, (6, 6), see `CameraPose`; NaN if the matches do not tell them."""
-        inner = self._inner_covariance(camera, inliers, free)[:6, :6]
-
-        def outer(values: Float64Array) -> Float64Array:
-            moved = _Camera(values[:3], values[3:], camera.focal)
-            return np.array([*moved.place, *angles_of_view(moved.matrix)])
-
-        at = np.concatenate([camera.turn, camera.shift])
-        start = outer(at)
-        slopes = np.empty((6, 6))
-        for i, step in enumerate([1e-5] * 3 + [1e-3] * 3):
-            change = outer(at + step * np.eye(6)[i]) - start
-            change[3] = wrap_degrees(change[3])
-            slopes[:, i] = change / step
-        return np.asarray(slopes @ inner @ slopes.T)
-
-    def _first(self, fov: float) -> _Camera | None:
-        """Return a camera of a field of view by random samples of the matches, refined; None without one."""
-        parameters = cv2.UsacParams()
-        parameters.threshold = self._threshold
-        parameters.confidence = 0.999
-        parameters.maxIterations = 2000
-        parameters.score = cv2.SCORE_METHOD_MAGSAC
-        parameters.loMethod = cv2.LOCAL_OPTIM_SIGMA
-        parameters.randomGeneratorState = 0
-        start = _Camera(np.zeros(3), np.zeros(3), self._size[0] / 2 / math.tan(math.radians(fov) / 2))
-        points, pixels = (np.ascontiguousarray(values) for values in (self.points, self._pixels))
-        intrinsics = start.intrinsics(self._size)
-        try:
-            found, _, turn, shift, _ = cv2.solvePnPRansac(points, pixels, intrinsics, np.zeros(4), params=parameters)
-        except cv2.error:
-            return None
-        if not found or not (np.isfinite(turn).all() and np.isfinite(shift).all()):
-            return None
-        turn, shift = (np.asarray(values, np.float64).ravel() for values in (turn, shift))
-        return self._refined(_Camera(turn, shift, start.focal), False)
-
-    def _refined(self, camera: _Camera, free: bool) -> _Camera:
-        """Fit a camera to its inliers by Levenberg's method, with the focal length if it is free."""
-        damping = 1e-3
-
-        def judged(candidate: _Camera) -> tuple[float, Float64Array, Float64Array]:
-            off, jacobian = self._linearised(candidate, free)
-            squares = (off.reshape(-1, 2) ** 2).sum(axis=1) / self._threshold**2
-            # Geman and McClure's cost has no step at the threshold.
-            weighted = jacobian * np.repeat(1 / (1 + squares) ** 2, 2)[:, None]
-            return float((squares / (1 + squares)).sum()), weighted.T @ jacobian, weighted.T @ off
-
-        cost, normal, slope = judged(camera)
-        for _ in range(_ITERATIONS):
-            step = np.linalg.lstsq(normal + damping * np.diag(np.diag(normal)), slope, rcond=None)[0]
-            focal = camera.focal * math.exp(float(np.clip(step[6], -0.3, 0.3))) if free else camera.focal
-            moved = _Camera(camera.turn + step[:3], camera.shift + step[3:6], focal)
-            tried = judged(moved)
-            if np.isfinite(tried[0]) and tried[0] < cost:
-                done = cost - tried[0] < 1e-7 * cost
-                camera, (cost, normal, slope), damping = moved, tried, damping / 5
-                if done:
-                    break
-            else:
-                damping *= 10
-                if damping > 1e8:
-                    break
-        return camera
-
-    def _linearised(self, camera: _Camera, free: bool) -> tuple[Float64Array, Float64Array]:
-        """Return pixels minus projections, (2 M,), and the Jacobian by turn, shift, and the focal length's logarithm."""
-        intrinsics = camera.intrinsics(self._size)
-        projected, jacobian = cv2.projectPoints(self.points, camera.turn, camera.shift, intrinsics, np.zeros(4))
-        off = (self._pixels - projected.reshape(-1, 2)).ravel()
-        of_focal = (jacobian[:, 6:7] + jacobian[:, 7:8]) * camera.focal
-        return off, np.hstack([jacobian[:, :6], of_focal] if free else [jacobian[:, :6]])
-
-    def _residuals(self, camera: _Camera) -> Float64Array:
-        """Return the pixels from each match to its projection, (M,); infinite behind the camera."""
-        off = np.linalg.norm(camera.project(self.points, self._size) - self._pixels, axis=1)
-        return np.where(np.isnan(off), np.inf, off)
-
-    def _inner_covariance(self, camera: _Camera, inliers: BoolArray, free: bool) -> Float64Array:
-        """Return the covariance of turn, shift, and the focal length's logarithm; NaN if the matches do not tell them."""
-        off, jacobian = (values[np.repeat(inliers, 2)] for values in self._linearised(camera, free))
-        variance = max(float(off @ off) / max(len(off) - jacobian.shape[1], 1), (_FINEST / 2) ** 2)
-        count = int(inliers.sum())
-        try:
-            return np.linalg.inv(jacobian.T @ jacobian / variance * (min(self.cells(inliers), count) / max(count, 1)))
-        except np.linalg.LinAlgError:
-            return np.full((jacobian.shape[1],) * 2, np.nan)
-
-    def _focal_error(self, camera: _Camera, inliers: BoolArray) -> float:
-        if inliers.sum() < _LEAST_MATCHES:
-            return math.inf
-        variance = float(self._inner_covariance(camera, inliers, True)[6, 6])
-        return math.sqrt(max(variance, 0.0)) if math.isfinite(variance) else math.inf
+    return CameraPose(east, north, altitude, height, *angles, matches.fov(camera), source, flat, count, values)

@@ -52,10 +52,8 @@ def refuse_contradicted(frames: Sequence[LocatedFrame]) -> list[str]:
 
 
 def _refuse_turned(frames: Sequence[LocatedFrame]) -> list[str]:
-    """Refuse registrations whose turn against a certain heading differs from the others'; return a sentence about them.
-
-    There is no limit on their share: beyond the edge of a map 5 of 21 were false.
-    """
+    """Refuse registrations whose turn against a certain heading differs from the others'; return a sentence about them."""
+    # There is no limit on their share: beyond the edge of a map 5 of 21 were false.
     turned = [
         (located, answer, answer.turn)
         for located in frames
@@ -77,13 +75,7 @@ def _refuse_turned(frames: Sequence[LocatedFrame]) -> list[str]:
 
 
 def _refuse_jumps(frames: Sequence[LocatedFrame], of_camera: bool) -> list[str]:
-    """Refuse registrations that the drone cannot have reached and left, unless they are many; return sentences about it.
-
-    Radii exclude the map's error, which moves neighbours alike.
-
-    Args:
-        of_camera: whether the track is of cameras or of pictures' middles.
-    """
+    """Refuse places of cameras, or of middles, that the drone cannot have reached and left, unless they are many."""
     timed = [
         (located, answer)
         for located in frames
@@ -95,6 +87,7 @@ def _refuse_jumps(frames: Sequence[LocatedFrame], of_camera: bool) -> list[str]:
     times = np.array([located.frame.time for located, _ in timed], np.float64)
     places = np.array([(answer.x, answer.y) for _, answer in timed], np.float64).reshape(-1, 2)
     sway = 0.0 if of_camera else _SWAY
+    # The map's error moves neighbours alike.
     radii = np.array([math.hypot(answer.own_radius, sway * (answer.width or 0.0)) for _, answer in timed])
     speeds = top_speeds(times, places, tag_positions(located for located, _ in timed))
     if speeds is None:
@@ -111,7 +104,7 @@ def _refuse_jumps(frames: Sequence[LocatedFrame], of_camera: bool) -> list[str]:
     return []
 
 
-def top_speeds(times: Float64Array, places: Float64Array, tags: Float64Array | None = None) -> Float64Array | None:
+def top_speeds(times: Float64Array, places: Float64Array, tags: Float64Array) -> Float64Array | None:
     """Return the metres a second that the drone can fly from each position to the next, (N - 1,); None if they are too few.
 
     The speed is a multiple of the 80th percentile of the speeds between neighbours, and of the largest speed of the tags near by.
@@ -126,13 +119,12 @@ def top_speeds(times: Float64Array, places: Float64Array, tags: Float64Array | N
     if len(times) < _FEWEST or (seconds > 0).sum() < _FEWEST - 1:
         return None
     least = np.full(len(seconds), _COMMON)
-    if tags is not None:
-        tag_speeds = np.linalg.norm(np.diff(tags, axis=0), axis=1)
-        tag_speeds[seconds > 0] /= seconds[seconds > 0]
-        if (tag_speeds > 0).sum() > len(tag_speeds) / 2:
-            padded = np.pad(np.where(seconds > 0, tag_speeds, 0), _NEAR, "edge")
-            largest = np.lib.stride_tricks.sliding_window_view(padded, 2 * _NEAR + 1).max(axis=1)
-            least = np.where(np.isnan(largest), _COMMON, np.maximum(_LEAST, _TAGGED * largest))
+    tag_speeds = np.linalg.norm(np.diff(tags, axis=0), axis=1)
+    tag_speeds[seconds > 0] /= seconds[seconds > 0]
+    if (tag_speeds > 0).sum() > len(tag_speeds) / 2:
+        padded = np.pad(np.where(seconds > 0, tag_speeds, 0), _NEAR, "edge")
+        largest = np.lib.stride_tricks.sliding_window_view(padded, 2 * _NEAR + 1).max(axis=1)
+        least = np.where(np.isnan(largest), _COMMON, np.maximum(_LEAST, _TAGGED * largest))
     moved = np.linalg.norm(np.diff(places, axis=0), axis=1)
     usual = float(np.quantile(moved[seconds > 0] / seconds[seconds > 0], 0.8))
     return np.asarray(np.maximum(least, _REGISTERED * usual), np.float64)

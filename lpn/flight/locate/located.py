@@ -19,8 +19,7 @@ from lpn.flight.locate.agreement import MapAgreement, MatchedDetails
 from lpn.flight.locate.audit import UNKNOWN, TagAudit, audit_tags, corrected_tags
 from lpn.flight.locate.camera_pose import CameraPose
 from lpn.flight.locate.errors import CONFIRMED_SHARE, Errors
-from lpn.flight.locate.options import TOP
-from lpn.flight.locate.retrieval import APART, MapRetrieval, WindowRecord
+from lpn.flight.locate.retrieval import MapRetrieval, WindowRecord
 from lpn.flight.locate.words import Code, Reason
 from lpn.flight.maps import Map
 from lpn.retrieval import field_metrics
@@ -164,7 +163,6 @@ class LocatedFrame:
         tag: its tag in metres of the map's frame, (2,); None without one.
         stages: answers by stage.
         windows: best windows of the retrieval.
-        likely: windows of the sequence's greatest posterior, half a side apart; empty unless it ran over the whole flight.
         by_hand: the photo's place by a person's correction; None without one.
     """
 
@@ -172,7 +170,6 @@ class LocatedFrame:
     tag: Float64Array | None
     stages: dict[str, StageRecord] = field(default_factory=dict)
     windows: list[WindowRecord] = field(default_factory=list)
-    likely: list[WindowRecord] = field(default_factory=list)
     by_hand: StageRecord | None = None
 
     def truth(self, camera: bool) -> Float64Array | None:
@@ -357,9 +354,8 @@ class LocatedFlight:
     def field_measures(self) -> dict[str, float]:
         """Return Recall@K, SDM@K of GTA-UAV, Dis@K, and MA@m of the retrieval against `LocatedFrame.truth`.
 
-        A window is a hit if it holds the true place. "recall@5 apart" counts windows with centres at least half a side apart,
-        which the registration searches without a sequence. "sequence recall@5 apart" counts windows of the sequence's greatest
-        posterior. An unreadable frame is a miss, and left out of Dis@K only. Empty without retrieval or truths.
+        A window is a hit if it holds the true place. An unreadable frame is a miss, and left out of Dis@K only. Empty without
+        retrieval or truths.
         """
         if self.retrieval is None:
             return {}
@@ -367,14 +363,9 @@ class LocatedFlight:
         depth = min(10, len(gallery.windows))
         rows: list[Float64Array] = []
         hits: list[BoolArray] = []
-        apart: list[bool] = []
-        likely: list[BoolArray] = []
         for i, located in enumerate(self.frames):
             if (truth := located.truth(False)) is None:
                 continue
-            if located.likely:
-                near = np.array([(one.x, one.y, one.size) for one in located.likely])
-                likely.append(np.all(np.abs(near[:, :2] - truth) <= near[:, 2:] / 2, axis=1))
             off = np.full(gallery.places.shape, np.inf)
             if i not in self.retrieval.broken:
                 off = gallery.places - truth
@@ -382,16 +373,12 @@ class LocatedFlight:
             order = self.retrieval.first(i, depth)
             rows.append(np.linalg.norm(off[order], axis=1))
             hits.append(holds[order])
-            apart.append(bool(holds[self.retrieval.first(i, TOP, APART)].any()))
         if not rows:
             return {}
         distances = np.array(rows)
         read = distances[np.isfinite(distances).all(axis=1)]
         depths = [k for k in (1, 5, 10) if k <= depth]
         figures = {f"recall@{k}": field_metrics.recall_at(hits, k) for k in depths}
-        figures[f"recall@{TOP} apart"] = 100 * float(np.mean(apart))
-        for k in (1, TOP) if likely else ():
-            figures[f"sequence recall@{k} apart"] = 100 * float(np.mean([holds[:k].any() for holds in likely]))
         for k in depths:
             figures[f"sdm@{k}"] = float(field_metrics.sdm(distances, k, field_metrics.GTA_UAV_DECAY).mean())
         for k in depths if len(read) else ():

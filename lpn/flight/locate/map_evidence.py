@@ -144,14 +144,12 @@ class MapEvidence:
     def _chance(
         self, located: LocatedFrame, view: _View, point: Float64Array, distance: float, margin: float | None
     ) -> float:
-        """Return the share, 0 < share <= 1, of the searched ground of a photo's middle within `distance` metres of a point.
-
-        The middle may lie off the searched square's middle by the margin, and by the ground searched beyond the photo's own.
-        """
+        """Return the share, 0 < share <= 1, of the searched ground of a photo's middle within `distance` metres of a point."""
         west, south, east, north = self._bounds
         places = None if margin is None else located.searched_places(around_tag=self._side is None)
         if margin is None or places is None:
             return min(1.0, math.pi * distance**2 / ((east - west) * (north - south)))
+        # The ground is searched beyond the photo's own, too.
         reach = margin + (AROUND - 0.5) * view.width
         steps = reach * (np.arange(_POINTS) * 2 + 1 - _POINTS) / _POINTS
         points = (places[:, None] + np.stack(np.meshgrid(steps, steps), axis=-1).reshape(1, -1, 2)).reshape(-1, 2)

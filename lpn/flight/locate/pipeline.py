@@ -29,7 +29,8 @@ from lpn.models.base import Model
 
 # Seconds from one partial result of a registration to the next.
 _PARTIAL_INTERVAL = 3.0
-# Neighbours of a photo that can confirm it on the map, if details place them within three quarters of a window's side.
+# Neighbours of a photo that can confirm it on the map, if details place them within three quarters of a window's side. A single
+# photo from beyond the edge may fit an equal building.
 _NEIGHBOURS = (-2, -1, 1, 2)
 
 
@@ -162,10 +163,7 @@ def registered(
 
 
 def _know_frames_on_map(located: LocatedFlight, frames: list[LocatedFrame]) -> None:
-    """Repeat the sequence if it refuses frames, with frames that details or a person place on the map.
-
-    A single photo from beyond the edge may fit an equal building, so details need a neighbour near by, see `_NEIGHBOURS`.
-    """
+    """Repeat the sequence if it refuses frames, with frames that details or a person place on the map."""
     if located.retrieval is None:
         return
     near = OVERLAP * located.retrieval.gallery.side

@@ -12,7 +12,6 @@ import numpy as np
 from lpn.core.arrays import Float64Array
 from lpn.flight.files import Flight
 from lpn.flight.locate.located import LocatedFrame, StageRecord
-from lpn.flight.locate.options import TOP
 from lpn.flight.locate.retrieval import MapRetrieval, WindowGallery
 from lpn.flight.locate.sequence import (
     MotionModel,
@@ -75,8 +74,7 @@ def enter_sequence(
 
     Args:
         beyond: places beyond the map in metres, (B, 2), see `places_beyond`.
-        on_map: frames known to lie on the map, which have no place beyond it. With any, the places of the registration's search
-            are kept.
+        on_map: frames known to lie on the map, which have no place beyond it.
     """
     gallery, times = retrieval.gallery, flight.times
     best = np.stack([retrieval.scores(i) for i in range(len(frames))])
@@ -113,9 +111,6 @@ def enter_sequence(
         answer = sequence_answer(point, gallery, evidence >= EVIDENCE)
         if i in retrieval.broken:
             answer = msgspec.structs.replace(answer.refused("unread"), finding=_UNREAD)
-        if not on_map:
-            likely = gallery.best_apart(joint[: len(gallery.places)].sum(axis=1), TOP).tolist()
-            frames[i].likely = [gallery.record(w) for w in likely]
         frames[i].stages["sequence"] = answer
 
 

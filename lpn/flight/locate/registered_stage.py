@@ -10,6 +10,7 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
 from itertools import product
+from pathlib import Path
 from typing import Any
 
 import msgspec
@@ -17,8 +18,8 @@ import numpy as np
 
 from lpn.core import images
 from lpn.core.arrays import Float64Array, UInt8Array
-from lpn.core.errors import DataError, PictureError
-from lpn.core.files import cache_folder
+from lpn.core.errors import DataError, OutputError, PictureError
+from lpn.core.files import cache_folder, space_remedy
 from lpn.core.numbers import SIGMA, error_figure
 from lpn.core.progress import CountProgress, report_progress
 from lpn.flight.files import Flight, Frame, ground_width
@@ -28,7 +29,6 @@ from lpn.flight.locate.camera_pose import DEFAULT_FOV, CameraPose, photo_pose
 from lpn.flight.locate.continuity import refuse_contradicted
 from lpn.flight.locate.ground import MAX_BLOCKS, MapFeatures
 from lpn.flight.locate.levelled import PhotoView, level
-from lpn.flight.locate.line_records import LineRecords
 from lpn.flight.locate.located import LocatedFrame, StageRecord
 from lpn.flight.locate.matchers import Ground, Matcher, open_matchers
 from lpn.flight.locate.options import LocateOptions
@@ -118,7 +118,7 @@ def register_frames(
     heights = None if basemap.elevation is None else basemap.elevation.digest()
     key = [FORMAT, _POSES, basemap.digest(), heights, names, searched, model and model.fingerprint, side]
     file = cache_folder() / "locate" / "registration" / f"{_digest([*key, flight.name])}.jsonl"
-    records = LineRecords(file)
+    records = read_records(file)
     few = len(frames) < FEWEST and all(located.by_hand is None for located in frames)
     prior = FlightPrior()
     trail = _digest(key)
@@ -136,7 +136,7 @@ def register_frames(
             if few and not answer.accepted and located.tag is not None:
                 # With the tag, fewer details may suffice.
                 answer = register_frame(basemap, features, located, options, prior, side)
-            records.append(trail, answer)
+            append_record(file, trail, answer)
         answers.append(answer)
         located.stages["registration"] = with_map_error(answer, map_error, place_error)
         prior.add(located.frame, answer)
@@ -148,6 +148,34 @@ def register_frames(
         smaller = msgspec.structs.replace(answers[i], radius=radius)
         frames[i].stages["registration"] = with_map_error(smaller, map_error, place_error)
     return notes + told
+
+
+def read_records(file: Path) -> dict[str, StageRecord]:
+    """Return the answers of an earlier run by their keys, from a file of JSON lines; a line that a kill cut short is ignored."""
+    records: dict[str, StageRecord] = {}
+    decoder = msgspec.json.Decoder(tuple[str, StageRecord])
+    try:
+        lines = file.read_bytes().splitlines()
+    except OSError:
+        return records
+    for line in lines:
+        with suppress(msgspec.MsgspecError, ValueError):
+            key, records[key] = decoder.decode(line)
+    return records
+
+
+def append_record(file: Path, key: str, record: StageRecord) -> None:
+    """Append an answer to a file of `read_records`; OutputError if it cannot be written."""
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        with file.open("ab") as lines:
+            # The first line break ends a line that was cut short.
+            lines.write(b"\n" + msgspec.json.encode((key, record)) + b"\n")
+    except OSError as error:
+        raise OutputError(
+            f"{file} cannot be written ({error.strerror or error}); {space_remedy(error)}set LPN_CACHE to a folder that can be "
+            "written."
+        ) from error
 
 
 def with_map_error(answer: StageRecord, map_error: float, place_error: float) -> StageRecord:

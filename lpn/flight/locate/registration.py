@@ -479,10 +479,7 @@ def _plausible(homography: Float64Array, width: float, aspect: float) -> bool:
 def _covariance(
     homography: Float64Array, model: str, best: PhotoPlace, inliers: BoolArray, centre: complex
 ) -> Float64Array:
-    """Return the covariance of the centre in square metres, (2, 2), from residuals and geometry of the inliers.
-
-    Relief and tilt make residuals of neighbours alike, so each cell of the grid counts as one observation.
-    """
+    """Return the covariance of the centre in square metres, (2, 2), from residuals and geometry of the inliers."""
     u, m = best.u[inliers], best.m[inliers]
     if len(u) < 3:
         return np.full((2, 2), np.nan)
@@ -494,6 +491,7 @@ def _covariance(
     # Both models are linearised as polynomials of u about the centre; a homography adds two terms of second order.
     columns = [np.ones_like(x), x, y] + ([x * x, x * y] if model == "homography" else [])
     design = np.stack(columns, axis=1)
+    # Relief and tilt make residuals of neighbours alike, so each cell of the grid counts as one observation.
     gram = design.T @ design * (min(_cells(u), len(u)) / len(u)) + 1e-9 * np.eye(len(columns))
     spread = float(np.linalg.inv(gram)[0, 0])
     moved = centre - best.b

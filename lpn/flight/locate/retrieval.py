@@ -25,7 +25,7 @@ from lpn.core.files import cache_folder, printable
 from lpn.core.filled_cache import FilledCache
 from lpn.core.views import View
 from lpn.descriptors.cache import in_cache
-from lpn.descriptors.store import DescriptorKind, Row, Store, WindowsRecord
+from lpn.descriptors.store import DescriptorKind, Row, WindowsRecord
 from lpn.descriptors.writer import PartialStore, fill_store, write_store
 from lpn.flight.files import Flight, Frame
 from lpn.flight.files.cut import CUT, FrameReader, cut_size
@@ -177,24 +177,17 @@ class WindowGallery:
             scores[~self.compared(views)] = scores.max(axis=1).min()
         return scores
 
-    def best_apart(self, values: Float64Array, k: int, apart: float = APART) -> Int64Array:
-        """Return the k windows of the greatest values (W,), best first, whose centres lie `apart` sides from better ones."""
-        order = np.argsort(-values, kind="stable")
-        kept: list[int] = []
-        for i in order.tolist():
-            near = np.abs(self.places[kept] - self.places[i]).max(axis=1, initial=0)
-            if (near >= apart * np.maximum(self.sizes[kept], self.sizes[i])).all():
-                kept.append(i)
-            if len(kept) == k:
-                break
-        return np.array(kept, np.int64)
-
     def best(self, views: FrameViews, described: Float32Array, scores: Float64Array, k: int) -> list[WindowRecord]:
         """Return the k best windows of a frame by its `scores` whose centres lie half a side apart, best first."""
         values, headings = scores.max(axis=1), scores.argmax(axis=1)
-        found = []
-        for i in self.best_apart(values, k).tolist():
-            turn = int(headings[i])
+        kept: list[int] = []
+        found: list[WindowRecord] = []
+        for i in np.argsort(-values, kind="stable").tolist():
+            off = np.abs(self.places[kept] - self.places[i]).max(axis=1, initial=0)
+            if (off < APART * np.maximum(self.sizes[kept], self.sizes[i])).any():
+                continue
+            kept.append(i)
+            turn, place = int(headings[i]), self.windows[i]
             if turn < len(described):
                 cosines = scoring.part_cosines(described[turn], self.described[i : i + 1])[0]
             else:
@@ -202,13 +195,10 @@ class WindowGallery:
                 cosines = scoring.part_cosines(described[0], self.turned[turn - len(described), i : i + 1])[0]
             parts = scoring.contributions(cosines[None], scoring.part_weights(len(cosines)))[0]
             told = float(values[i]), views.headings[turn], cosines.tolist(), parts.tolist()
-            found.append(self.record(i, *told))
+            found.append(WindowRecord(place.x, place.y, place.size, *told))
+            if len(found) == k:
+                break
         return found
-
-    def record(self, window: int, *told: Any) -> WindowRecord:
-        """Return the record of a window; `told` are its fields from the score on."""
-        place = self.windows[window]
-        return WindowRecord(place.x, place.y, place.size, *told)
 
 
 @dataclass(frozen=True, eq=False)
@@ -258,9 +248,10 @@ class MapRetrieval:
         scores = self.scores_by_heading(frame)
         return int(scores[scores.max(axis=1).argmax()].argmax())
 
-    def first(self, frame: int, k: int, apart: float = 0.0) -> Int64Array:
-        """Return the k best windows of a frame, see `WindowGallery.best_apart`."""
-        return self.gallery.best_apart(self.scores(frame), k, apart)
+    def first(self, frame: int, k: int) -> Int64Array:
+        """Return the k best windows of a frame, best first."""
+        order: Int64Array = np.argsort(-self.scores(frame), kind="stable")[:k]
+        return order
 
     def best(self, frame: int, k: int) -> list[WindowRecord]:
         """Return the k best windows of a readable frame, see `WindowGallery.best`."""
@@ -302,18 +293,17 @@ def retrieve(
     flight: Flight,
     sizes: Sequence[float] | None = None,
     overlap: float = 0.75,
-    centre: bool = True,
     index: str | None = None,
     shipped: ShippedAnswers | None = None,
 ) -> MapRetrieval:
     """Describe windows and frames, or read earlier descriptions from the user's cache.
 
+    The mean descriptors of windows and of frames are subtracted part by part, against differences of the views that are new to
+    the model, and the parts are whitened, see `whitening_of`. With fewer than 20 distinct frames neither is done, with a note.
+
     Args:
         sizes: sides of windows in metres; by default those of `pyramid_sizes`.
         overlap: share of a window's side that its neighbour also covers.
-        centre: whether to subtract the mean descriptors of windows and of frames, part by part, against differences of the views
-            that are new to the model, and to whiten the parts, see `whitening_of`. With fewer than 20 distinct frames neither is
-            done, with a note.
         index: an index of described windows, a folder or milvus://host:port/collection, which replaces `sizes` and `overlap`.
         shipped: descriptors that ship with the flight, used if they fit the windows and frames.
 
@@ -349,20 +339,16 @@ def retrieve(
     good = ~np.isin(owner, list(bad))
     means: dict[View, Float32Array] = {}
     whitening = None
-    if centre:
-        first = np.unique(owner[good], return_index=True)[1]
-        if (distinct := _distinct(queries[good][first])) >= MIN_DISTINCT:
-            of_tiles, of_queries = tiles.mean(axis=0), queries[good].mean(axis=0)
-            means = {"satellite": of_tiles} | ({} if query == "satellite" else {query: of_queries})
-            whitening = whitening_of(tiles - of_tiles, queries[good] - of_queries)
-            tiles, queries = (
-                normalise(whitened(a - b, whitening)) for a, b in ((tiles, of_tiles), (queries, of_queries))
-            )
-        else:
-            notes.append(
-                f"Descriptors were not centred by view: that needs {MIN_DISTINCT} distinct photos, and the flight has "
-                f"{distinct}."
-            )
+    first = np.unique(owner[good], return_index=True)[1]
+    if (distinct := _distinct(queries[good][first])) >= MIN_DISTINCT:
+        of_tiles, of_queries = tiles.mean(axis=0), queries[good].mean(axis=0)
+        means = {"satellite": of_tiles} | ({} if query == "satellite" else {query: of_queries})
+        whitening = whitening_of(tiles - of_tiles, queries[good] - of_queries)
+        tiles, queries = (normalise(whitened(a - b, whitening)) for a, b in ((tiles, of_tiles), (queries, of_queries)))
+    else:
+        notes.append(
+            f"Descriptors were not centred by view: that needs {MIN_DISTINCT} distinct photos, and the flight has {distinct}."
+        )
     upright, turned = tiles[: len(windows)], tiles[len(windows) :]
     gallery = WindowGallery(
         windows, overlap, upright, turned.reshape(len(turns) - 1, *upright.shape) if len(turns) > 1 else None
@@ -407,33 +393,13 @@ def describe_frames(
 
 
 def described_windows(model: Model, basemap: Map, windows: list[Window]) -> Float32Array:
-    """Return the descriptors of windows, (W, n, D), using the user's cache."""
-    ground = _cached(basemap.digest(), model.fingerprint, max(model.input_size), windows)
-    with in_cache():
-        return np.array(describe_windows(model, basemap, windows, ground).float32)
+    """Describe windows of a map, mirror included, (W, n, D), or read earlier descriptions from the user's cache.
 
-
-def describe_windows(
-    model: Model,
-    basemap: Map,
-    windows: Sequence[Window],
-    out: str | Path,
-) -> Store:
-    """Describe windows of a map, mirror included, into a store.
-
-    A window is cut when it is described, so memory holds only the batches in progress. After a kill, the next call resumes. Rows
-    of an existing store are reused while the map's files are unchanged.
-
-    Args:
-        windows: the windows, in the order of the rows.
-        out: the store's folder.
+    A window is cut when it is described, so memory holds only the batches in progress. After a kill, the next call resumes.
 
     Raises:
         PictureError: if a file of the map is damaged where a window lies.
-        InputError: if the model has no satellite view.
-        StoreError: if `out` cannot be written, or holds other descriptors.
     """
-    model.check_view("satellite")
     side = max(model.input_size)
     # A row identifies its picture by name, size, and time: here the side in pixels stands for the size, and a digest of the map
     # for the time.
@@ -446,7 +412,9 @@ def describe_windows(
     def fill(partial: PartialStore) -> None:
         fill_store(model, partial, prepare, "satellite", "Describing windows")
 
-    return write_store(Path(out), DescriptorKind.of_model(model, "satellite"), rows, fill)
+    folder = _cached(basemap.digest(), model.fingerprint, side, windows)
+    with in_cache():
+        return np.array(write_store(folder, DescriptorKind.of_model(model, "satellite"), rows, fill).float32)
 
 
 def recorded_windows(index: Index, basemap: Map) -> WindowsRecord:
@@ -469,17 +437,7 @@ def turns_of(record: WindowsRecord) -> list[float]:
 def _indexed(
     where: str, record: WindowsRecord, model: Model, basemap: Map, described: Float32Array
 ) -> tuple[list[Window], Float32Array, list[str]]:
-    """Read the windows of an index that are compared with frames.
-
-    Up to 50,000 windows are all compared. Of more, the 500 nearest to each description of a frame are, so that 10^7 windows need
-    one search for each description and bounded memory.
-
-    Args:
-        described: descriptions of frames, (Q, n, D); zeros are ignored.
-
-    Returns:
-        The windows, north up; their descriptors at each of `turns_of`, (T W, n, D) float32; and sentences about the choice.
-    """
+    """Read windows to compare with described frames (Q, n, D): north up, with descriptors (T W, n, D), and sentences."""
     notes, turns, whole = [], turns_of(record), record.count * record.turns
     with open_index(where, model.fingerprint) as index:
         held = index.count()
@@ -487,6 +445,7 @@ def _indexed(
             windows = basemap.pyramid(record.sizes, record.overlap)
             named = NamedWindow.all_of(windows, basemap.frame)
         else:
+            # One search for each description bounds the memory. Unreadable frames are zeros.
             asked = described[np.abs(described).sum(axis=(1, 2)) > 0]
             if not len(asked):
                 raise InputError(

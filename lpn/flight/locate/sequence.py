@@ -499,10 +499,7 @@ class _Step:
 
 
 def _legs(before: Float64Array, after: Float64Array) -> Float64Array:
-    """Return steps of unit speed and time, (K, legs, 2), along headings before and after in degrees, (K,) and (M,).
-
-    With M above 1, or NaN after the step, all steps go along the headings before them.
-    """
+    """Return steps of unit speed and time, (K, legs, 2), along headings before and, if unique, after, (K,) and (M,)."""
     shares = np.array(_LEGS if len(after) == 1 and not np.isnan(after[0]) else (1.0,))[:, None]
     first, last = (
         np.stack([np.sin(angles), np.cos(angles)], axis=-1) for angles in map(np.radians, (before, after[:1]))

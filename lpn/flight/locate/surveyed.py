@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path, PurePath
 from typing import Literal, NamedTuple
 
+import msgspec
 import numpy as np
 
 from lpn.core.csv_cells import csv_bytes, unescape
@@ -248,11 +249,7 @@ def match_surveyed(
 
 
 def _frame_of(path: str, names: Sequence[str], by_stem: Mapping[str, set[int]]) -> int | None:
-    """Return the index of the frame that a table names; None without one.
-
-    The shorter path's folders must be the end of the longer one's. Of several frames, an equal path precedes an equal name, and
-    that precedes the most folders.
-    """
+    """Return the index of the frame that a table names; None unless the shorter path's folders end the longer one's."""
     wanted = path_parts(path)
     ranked: dict[int, tuple[bool, bool, bool, int]] = {}
     for i in by_stem.get(PurePath(wanted[-1]).stem, set()) | by_stem.get(wanted[-1], set()):
@@ -279,26 +276,27 @@ def compare_surveyed(located: LocatedFlight, matched: MatchedSurvey) -> list[Res
                 frame.frame.name, point, None, best.columns["stage"], best.state, best.columns["doubt"], (at[0], at[1])
             )
             if best.answer.place is not None:
-                place, radius, answered = _place(frame, best.answer, point)
-                east, north = np.subtract(*located.basemap.frame.utm([place, at])).tolist()
-                radius = math.nan if radius is None else radius
+                answer = _at_point(frame, best.answer, point)
+                assert answer.place is not None
+                east, north = np.subtract(*located.basemap.frame.utm([answer.place.tolist(), at])).tolist()
+                radius = math.nan if answer.radius is None else answer.radius
+                answered: SurveyedPoint = "camera" if answer.camera else "ground"
                 row = replace(row, answered=answered, east=east, north=north, radius=radius)
             rows.append(row)
     return rows
 
 
-def _place(
-    located: LocatedFrame, answer: StageRecord, point: SurveyedPoint
-) -> tuple[Sequence[float], float | None, SurveyedPoint]:
-    """Return an answer's place, radius, and point: the wanted point if the answer has it."""
+def _at_point(located: LocatedFrame, answer: StageRecord, point: SurveyedPoint) -> StageRecord:
+    """Return an answer moved to the wanted point if it has it."""
     if point == "ground" and answer.camera and answer.homography is not None:
-        return located.middle(answer).tolist(), answer.middle_radius, "ground"
+        x, y = located.middle(answer).tolist()
+        return msgspec.structs.replace(answer, x=x, y=y, radius=answer.middle_radius, camera=False)
     if point == "camera" and not answer.camera:
-        if (pose := answer.pose) is not None:
-            return (pose.east, pose.north), math.hypot(pose.radius, answer.map_error), "camera"
-        answer = below_camera(located.frame, answer)
-    assert answer.place is not None
-    return answer.place.tolist(), answer.radius, "camera" if answer.camera else "ground"
+        if (pose := answer.pose) is None:
+            return below_camera(located.frame, answer)
+        radius = math.hypot(pose.radius, answer.map_error)
+        return msgspec.structs.replace(answer, x=pose.east, y=pose.north, radius=radius, camera=True)
+    return answer
 
 
 def summarise_surveyed(rows: Sequence[Residual]) -> dict[str, dict[SurveyedPoint, Errors]]:

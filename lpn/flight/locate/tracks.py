@@ -173,11 +173,7 @@ def _cell(column: str, value: Any) -> str | float | None:
 
 
 def _kml(name: str, rows: Sequence[TrackRow]) -> bytes:
-    """Return KML 2.2: a folder per stage with its lines, and a placemark per frame, refused frames included.
-
-    Unverified positions have a separate, named line. Viewers render descriptions as HTML, so their text is also escaped as HTML.
-    Names are plain text.
-    """
+    """Return KML 2.2: a folder per stage with a line per state, and a placemark per frame, refused frames included."""
 
     def add(parent: ElementTree.Element, tag: str, text: str | None = None) -> ElementTree.Element:
         element = ElementTree.SubElement(parent, f"{{{_KML}}}{tag}")
@@ -209,6 +205,7 @@ def _kml(name: str, rows: Sequence[TrackRow]) -> bytes:
                 add(add(line, "LineString"), "coordinates", " ".join(places))
         for row in of_stage:
             mark = placemark(folder, printable(row["frame"]), row["state"])
+            # Viewers render descriptions as HTML, and names as plain text.
             add(mark, "description", html.escape(printable(_described(row)), quote=False))
             if row.get("time_utc"):
                 add(add(mark, "TimeStamp"), "when", row["time_utc"])

@@ -224,10 +224,7 @@ def on_what(answer: StageRecord) -> str:
 
 
 def _shift(located: LocatedFrame) -> float:
-    """Return the metres between the picture's middle and the place below the camera, by the frame's tilt, else 15 degrees.
-
-    The height is the flight's, else half of the picture's width on the ground.
-    """
+    """Return the metres between the picture's middle and the place below the camera, by the frame's tilt, else 15 degrees."""
     answer = located.stages.get("registration")
     width = 0.0 if answer is None or answer.width is None else answer.width
     height = located.frame.flying_height or width / 2

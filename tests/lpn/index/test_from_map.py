@@ -12,7 +12,7 @@ import lpn
 from lpn.cli.main import main
 from lpn.core.arrays import Float32Array
 from lpn.core.progress import listening
-from lpn.flight.locate.retrieval import describe_windows
+from lpn.flight.locate.retrieval import described_windows
 from lpn.flight.maps import Map, NamedWindow, Window, open_map
 from lpn.index import DescriptorKind, WindowsRecord, create_index, open_index
 from lpn.index.from_map import index_windows, windows_kind
@@ -36,14 +36,13 @@ def test_windows_are_those_of_a_described_store(town: Map, model_file: Path, tmp
     assert windows_kind(model, town, [40.0]).windows == windows_of(town).windows
     named = NamedWindow.all_of(town.pyramid([40.0, 60.0], 0.5), town.frame)
     rounded, names = NamedWindow.all_on(named, town.frame), [one.name for one in named]
-    store = describe_windows(model, town, rounded, tmp_path / "store")
     out = tmp_path / "index"
     command = ["index", "--map", str(tmp_path / "town.tif"), "--model", str(model_file), "--size", "40", "60"]
     assert main([*command, "--out", str(out)]) == 0
     with open_index(out, model.fingerprint) as index:
         assert index.count() == len(names) > 20
         vectors, degrees = index.read(names)
-    np.testing.assert_allclose(vectors, store.float32, atol=1e-5)
+    np.testing.assert_allclose(vectors, described_windows(model, town, rounded), atol=1e-5)
     np.testing.assert_array_equal(degrees, [(one.latitude, one.longitude) for one in named])
 
 

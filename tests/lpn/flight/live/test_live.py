@@ -197,7 +197,7 @@ def test_a_line_doubts_a_place_as_the_track_of_a_whole_flight_does(
 def test_places_away_from_the_middle_that_do_not_fit_the_map_are_a_doubt(
     town: Map, flight: Flight, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    off = MapAgreement.of(np.full((4, 2), 0.5), np.full((4, 2), 9.0), 20.0)
+    off = MapAgreement([(0.5, 0.5, 9.0, 9.0)] * 4, 20.0)
     monkeypatch.setattr(lpn.flight.locate.registered_stage, "map_agreement", lambda *_: off)
     (line,), _ = lines_of(town, [flight.frames[0]])
     assert (line["state"], line["doubt"], line["checked_beside_middle"]) == ("contradicted", "map", "contradicted")
@@ -205,7 +205,7 @@ def test_places_away_from_the_middle_that_do_not_fit_the_map_are_a_doubt(
 
 def contradict(monkeypatch: pytest.MonkeyPatch, *places: tuple[float, float]) -> None:
     """Let the map contradict the registrations at these places, or all."""
-    off = MapAgreement.of(np.full((4, 2), 0.5), np.full((4, 2), 9.0), 20.0)
+    off = MapAgreement([(0.5, 0.5, 9.0, 9.0)] * 4, 20.0)
     plain = lpn.flight.live.locator.register_photo
 
     def register(search: PhotoSearch) -> StageRecord:

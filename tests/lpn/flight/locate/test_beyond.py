@@ -11,7 +11,7 @@ import pytest
 
 from lpn.flight.locate.ranked_stages import places_beyond
 from lpn.flight.locate.retrieval import WindowGallery
-from lpn.flight.locate.sequence import _Grid
+from lpn.flight.locate.sequence import merged_coordinates
 from lpn.flight.maps import Window, open_map
 from tests.lpn.flight.maps.small_maps import smooth, write_geotiff
 
@@ -55,7 +55,7 @@ def test_places_beyond_lie_on_the_grid_of_windows_whose_coordinates_are_rounded(
     beyond = places_beyond(town, _gallery(windows, 100.0, 0.75))
     steps = (beyond - 50) / 25
     np.testing.assert_allclose(steps, np.rint(steps), atol=0.001)
-    assert [len(axis) for axis in _Grid(np.concatenate([windows, beyond]), len(beyond)).axes] == [125, 125]
+    assert [len(merged_coordinates(axis)[0]) for axis in np.concatenate([windows, beyond]).T] == [125, 125]
 
 
 @pytest.mark.parametrize(("overlap", "steps"), [(0.5, 2), (0.6, 2), (0.75, 4), (0.8, 5), (0.9, 10)])

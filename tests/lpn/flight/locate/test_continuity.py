@@ -10,8 +10,10 @@ import numpy as np
 import pytest
 
 from lpn.core.arrays import Float64Array
-from lpn.flight.files import open_flight
-from lpn.flight.locate.continuity import jumps, other_turns, top_speeds
+from lpn.flight.files import Frame, open_flight
+from lpn.flight.files.base import HeadingSource
+from lpn.flight.locate.continuity import jumps, other_turns, refuse_contradicted, top_speeds
+from lpn.flight.locate.located import LocatedFrame, StageRecord
 from lpn.flight.maps import LocalFrame
 
 EAST = np.array([1.0, 0.0])
@@ -27,7 +29,7 @@ def flown(speeds: list[float], step: float, seed: int = 0) -> tuple[Float64Array
 def found(
     times: Float64Array, places: Float64Array, radii: Float64Array, tags: Float64Array | None = None
 ) -> list[int]:
-    speeds = top_speeds(times, places, tags)
+    speeds = top_speeds(times, places, np.full_like(places, np.nan) if tags is None else tags)
     assert speeds is not None
     return np.flatnonzero(jumps(times, places, radii, speeds)).tolist()
 
@@ -94,8 +96,8 @@ def test_long_runs_stay_and_whole_seconds_may_be_wrong_by_one() -> None:
 
 def test_a_few_positions_or_equal_times_tell_no_speed() -> None:
     times, places, _ = flown([8.0] * 7, 1.0)
-    assert top_speeds(times, places) is None
-    assert top_speeds(np.zeros(20), np.zeros((20, 2))) is None
+    assert top_speeds(times, places, places) is None
+    assert top_speeds(np.zeros(20), np.zeros((20, 2)), np.zeros((20, 2))) is None
     assert jumps(np.zeros(0), np.zeros((0, 2)), np.zeros(0), np.zeros(0)).tolist() == []
     assert jumps(np.zeros(2), np.zeros((2, 2)), np.zeros(2), np.zeros(1)).tolist() == [False, False]
 
@@ -150,3 +152,37 @@ def test_a_half_turn_is_no_ground_for_a_refusal_but_is_named_in_one() -> None:
     assert other_turns(TURNS)[18] == pytest.approx(9.5, abs=0.3)
     assert other_turns(np.append(TURNS, 188.0))[21] == pytest.approx(170, abs=0.3), "most others stand upright"
     assert other_turns(np.append(TURNS + 180.0, 188.0))[21] == pytest.approx(10, abs=0.3)
+
+
+def registered(answers: list[StageRecord], source: HeadingSource = "gimbal") -> list[LocatedFrame]:
+    """Return frames, a second each, with these registrations."""
+    frames = [
+        Frame(f"{i}", Path("a"), 80, 60, float(i), heading=0.0, heading_source=source) for i in range(len(answers))
+    ]
+    return [LocatedFrame(frame, None, {"registration": one}) for frame, one in zip(frames, answers, strict=True)]
+
+
+@pytest.mark.parametrize("false", [{5}, {5, 6, 15, 16}])
+def test_a_registration_that_no_drone_can_have_flown_to_is_refused_unless_they_are_many(false: set[int]) -> None:
+    frames = registered([StageRecord("accepted", "", 8.0 * i, 60.0 * (i in false), radius=0.5) for i in range(30)])
+    notes = refuse_contradicted(frames)
+    refused = {i for i, one in enumerate(frames) if not one.stages["registration"].accepted}
+    assert refused == (false if len(false) == 1 else set())
+    assert ["4 of 30 registrations lie where" in note for note in notes] == [True] * (len(false) > 1)
+    for i in refused:
+        answer = frames[i].stages["registration"]
+        assert (answer.code, answer.numbers, answer.x, answer.y) == ("jump", {"speed": 20.0}, 40.0, 60.0)
+
+
+@pytest.mark.parametrize("source", ["gimbal", "aircraft", "course"])
+def test_registrations_turned_unlike_the_others_are_refused_where_headings_are_certain(source: HeadingSource) -> None:
+    turns = [-2.0] * 16 + [7.0] * 4  # the map ends at 16, and the photos beyond it fit a hall there
+    answers = [
+        StageRecord("accepted", "", 8.0 * min(i, 16), 0.0, radius=0.5, turn=turn) for i, turn in enumerate(turns)
+    ]
+    frames = registered(answers, source)
+    notes = refuse_contradicted(frames)
+    found = {i: one.stages["registration"].numbers for i, one in enumerate(frames) if one.stages["registration"].code}
+    assert found == ({i: {"degrees": 9.0} for i in range(16, 20)} if source == "gimbal" else {})
+    assert len(notes) == bool(found)
+    assert not notes or "4 of 20 registrations, turned by 9.0° against their headings, unlike the others" in notes[0]

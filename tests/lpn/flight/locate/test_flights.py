@@ -18,13 +18,10 @@ PHOTOS = ("DJI_0024", "DJI_0028", "DJI_0031", "DJI_0034")
 
 
 @pytest.mark.slow
-def test_photos_of_brighton_are_registered_and_turned_ones_are_named(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_photos_of_brighton_are_registered_and_turned_ones_are_named() -> None:
     if "LPN_FLIGHTS" not in os.environ:
         pytest.skip("LPN_FLIGHTS names no folder of real flights")
     pytest.importorskip("rasterio")
-    monkeypatch.setenv("LPN_CACHE", str(tmp_path))
     folder = Path(os.environ["LPN_FLIGHTS"]) / "brighton"
     flight = open_flight(folder / "photos")
     chosen = tuple(frame for frame in flight.frames if frame.file.stem in PHOTOS)

@@ -28,7 +28,6 @@ class _CountingMatcher(SiftMatcher):
 
 @pytest.fixture
 def town(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Map:
-    monkeypatch.setenv("LPN_CACHE", str(tmp_path / "cache"))
     monkeypatch.setattr(_CountingMatcher, "described", 0)
     ground.in_memory.clear()
     return write_map(tmp_path / "town.tif", cv2.resize(land(), (200, 200), interpolation=cv2.INTER_AREA))
@@ -87,3 +86,12 @@ def test_the_blocks_that_were_used_last_stay_in_memory(town: Map, monkeypatch: p
     levels = [level for _, level, *_ in ground.in_memory]
     assert len(levels) == 2
     assert levels[0] < 0 < levels[1], "the first was used again before the third came"
+
+
+def test_blocks_follow_the_ground_width_and_too_many_are_refused(town: Map, monkeypatch: pytest.MonkeyPatch) -> None:
+    features = MapFeatures(town, SiftMatcher())
+    assert [features.resolution(width) / town.resolution for width in (60.0, 1000.0)] == [0.5, 2.0]
+    middle = np.zeros((1, 2))
+    monkeypatch.setattr(ground, "MAX_BLOCKS", 0)
+    assert features.around(None, 0.0, 60.0) is None
+    assert features.around(middle, 20.0, 60.0) is None

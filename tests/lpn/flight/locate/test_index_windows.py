@@ -31,11 +31,6 @@ KIND = DescriptorKind("grid", 2, 16)
 FRAME = np.ones((1, 2, 16), np.float32)
 
 
-@pytest.fixture(autouse=True)
-def _cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("LPN_CACHE", str(tmp_path / "cache"))
-
-
 @pytest.fixture
 def town(tmp_path: Path) -> Map:
     return write_map(tmp_path / "town.tif", cv2.resize(land(), (400, 400), interpolation=cv2.INTER_AREA))
@@ -72,11 +67,12 @@ def filled(
 
 @pytest.mark.parametrize("centre", [False, True])
 def test_windows_of_an_index_are_those_that_would_be_described(
-    town: Map, flight: Flight, tmp_path: Path, centre: bool
+    town: Map, flight: Flight, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, centre: bool
 ) -> None:
-    plain = retrieve(model(), town, flight, [51.234567, 60.0], 0.6, centre)
+    monkeypatch.setattr(retrieval, "MIN_DISTINCT", 20 if centre else 100)
+    plain = retrieve(model(), town, flight, [51.234567, 60.0], 0.6)
     where, counting = filled(tmp_path / "index", town, [60.0, 51.234567], 0.6), GridModel()
-    found = retrieve(counting, town, flight, None, 0.9, centre, where)  # type: ignore[arg-type]
+    found = retrieve(counting, town, flight, None, 0.9, where)  # type: ignore[arg-type]
     assert not counting.described, "frames are in the cache, and no window is described"
     assert found.gallery.overlap == 0.6
     assert found.notes == plain.notes
@@ -91,7 +87,7 @@ def test_windows_of_an_index_are_those_that_would_be_described(
 def test_an_index_that_is_still_being_filled_is_told(town: Map, flight: Flight, tmp_path: Path, turns: int) -> None:
     whole = turns * town.count_pyramid([40.0, 51.0])
     where = filled(tmp_path / "index", town, [40.0, 51.0], turns=turns, stop=16)
-    found = retrieve(model(), town, flight, centre=False, index=where)
+    found = retrieve(model(), town, flight, index=where)
     assert len(found.gallery.windows) == 16 // turns
     assert (None if found.gallery.turned is None else len(found.gallery.turned)) == (turns - 1 or None)
     assert found.notes[-1:] == [
@@ -125,18 +121,19 @@ def test_an_index_holds_the_windows_that_it_was_made_for(town: Map, flight: Flig
 def test_of_an_index_too_large_to_return_all_the_nearest_windows_are_compared(
     town: Map, flight: Flight, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    plain = retrieve(model(), town, flight, [51.0], 0.6, centre=False)
+    monkeypatch.setattr(retrieval, "MIN_DISTINCT", 100)  # the means are of other windows
+    plain = retrieve(model(), town, flight, [51.0], 0.6)
     where = filled(tmp_path / "index", town, [51.0], 0.6)
     monkeypatch.setattr(retrieval, "MOST", 3)
     monkeypatch.setattr(FolderIndex, "most", 3)
-    found, count = retrieve(model(), town, flight, centre=False, index=where), len(plain.gallery.windows)
+    found, count = retrieve(model(), town, flight, index=where), len(plain.gallery.windows)
     assert 3 < len(found.gallery.windows) < count
     assert any(f"were compared with the {len(found.gallery.windows)} of them" in note for note in found.notes)
     for i in range(len(flight.frames)):
         # The three nearest of each are among them, and windows that resemble nothing score alike.
         np.testing.assert_allclose(np.sort(found.scores(i))[-3:], np.sort(plain.scores(i))[-3:], atol=5e-3)
     with pytest.raises(InputError, match="No photo of the flight can be read"):
-        retrieve(model(), town, replace(flight, frames=flight.frames[2:3]), centre=False, index=where)
+        retrieve(model(), town, replace(flight, frames=flight.frames[2:3]), index=where)
 
 
 def test_an_index_needs_a_model_and_takes_no_sizes(tmp_path: Path) -> None:
@@ -161,7 +158,7 @@ def test_of_turned_windows_a_photo_of_unknown_heading_is_described_once(
     where = filled(tmp_path / "index", town, [51.0], 0.6, turns=turns)
     if most is not None:
         monkeypatch.setattr(retrieval, "MOST", most)
-    found = retrieve(counting, town, flight, centre=False, index=where)  # type: ignore[arg-type]
+    found = retrieve(counting, town, flight, index=where)  # type: ignore[arg-type]
     assert counting.described == 1
     assert len(found.views[0].headings) == turns
     (best,) = found.best(0, 1)
@@ -169,6 +166,6 @@ def test_of_turned_windows_a_photo_of_unknown_heading_is_described_once(
     assert np.linalg.norm(np.array([best.x, best.y]) - place) < 1
     assert np.mean(best.cosines) == pytest.approx(best.score, abs=1e-5)
     if turns == 8:
-        turned = retrieve(model(), town, flight, [51.0], 0.6, centre=False)
+        turned = retrieve(model(), town, flight, [51.0], 0.6)
         assert turned.views[0].headings == found.views[0].headings
         assert turned.scores(0).max() == pytest.approx(found.scores(0).max(), abs=0.1)

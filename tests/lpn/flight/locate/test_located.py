@@ -89,9 +89,18 @@ def test_a_track_says_if_the_tags_of_the_flight_confirm_its_radii(
         assert [point.get("radius_confirmed_by_tags", "") for point in track] == told
 
 
-def test_the_radius_of_the_middle_has_the_error_of_the_map() -> None:
-    answer = photo("a.jpg", None, camera=True, middle_radius=0.3).stages["registration"]
-    assert with_map_error(answer, 0.4, 0.0).middle_radius == pytest.approx(0.5)
+@pytest.mark.parametrize(
+    ("place_error", "told"),
+    [
+        (0.0, "on the map is ± 1.2 m (1 sigma along each axis), of which ± 0.8 m are assumed for the map."),
+        (0.75, "on earth is ± 1.2 m (1 sigma along each axis), of which ± 0.8 m are the error of the map's place."),
+    ],
+)
+def test_the_radii_of_camera_and_middle_have_the_error_of_the_map(place_error: float, told: str) -> None:
+    answer = photo("a.jpg", None, camera=True, middle_radius=1.0).stages["registration"]
+    found = with_map_error(answer, 0.75, place_error)
+    assert (found.radius, found.middle_radius, found.map_error) == (1.25, 1.25, 0.75)
+    assert found.sentence.endswith(f"The error of the camera's place {told}")
 
 
 def test_the_percentiles_of_errors_are_bounds_and_so_rounded_up() -> None:

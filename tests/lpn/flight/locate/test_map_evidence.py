@@ -132,7 +132,7 @@ def test_a_view_is_known_by_its_middle_and_not_by_the_camera() -> None:
 
 def test_places_that_the_map_contradicts_away_from_their_middle_prove_nothing() -> None:
     frames = flight(TRACK)
-    misfit = MapAgreement.of(np.full((4, 2), 0.5), np.full((4, 2), 9.0), 20.0)
+    misfit = MapAgreement([(0.5, 0.5, 9.0, 9.0)] * 4, 20.0)
     for i in TRACK:
         answer = frames[i].stages["registration"]
         frames[i].stages["registration"] = msgspec.structs.replace(answer, agreement=misfit)

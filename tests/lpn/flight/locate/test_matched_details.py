@@ -25,11 +25,6 @@ WIDTH, HEADING = 90.0, 130.0
 FRAME = Frame("own.jpg", Path("own.jpg"), *SIZE, height_above_ground=45.0, fov=90.0, heading=HEADING)
 
 
-@pytest.fixture(autouse=True)
-def _cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("LPN_CACHE", str(tmp_path / "cache"))
-
-
 @pytest.fixture(scope="module")
 def town(tmp_path_factory: pytest.TempPathFactory) -> Map:
     return write_map(tmp_path_factory.mktemp("details") / "town.tif", land())

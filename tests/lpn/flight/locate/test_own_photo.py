@@ -31,8 +31,7 @@ def town(tmp_path_factory: pytest.TempPathFactory) -> Map:
 
 
 @pytest.fixture
-def features(town: Map, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[MapFeatures]:
-    monkeypatch.setenv("LPN_CACHE", str(tmp_path))
+def features(town: Map) -> list[MapFeatures]:
     return [MapFeatures(town, SiftMatcher())]
 
 

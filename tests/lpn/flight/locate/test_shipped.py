@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
-import io
 import shutil
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from rich.console import Console
 
 import lpn
 from explorer.opening import OFFERED_OVERLAP
 from lpn.core.demo import DEMO_ANSWERS, DEMO_BASELINE, DEMO_FLIGHT, DEMO_MODEL, DEMO_PLACE
 from lpn.core.progress import listening
-from lpn.flight.commands.locate import print_summary
 from lpn.flight.files import open_flight
-from lpn.flight.locate.located import LocatedFlight, LocatedFrame
 from lpn.flight.locate.options import LocateOptions
 from lpn.flight.locate.pipeline import locate, registered
 from lpn.flight.locate.shipped import ShippedAnswers
@@ -28,15 +24,19 @@ OPTIONS = LocateOptions(overlap=OFFERED_OVERLAP, register=False)
 
 @pytest.mark.parametrize(("place", "accepted"), [(DEMO_PLACE, 30), (DEMO_FLIGHT, 28)])
 def test_nothing_of_the_demo_s_flights_is_computed_again(
-    place: tuple[Path, Path], accepted: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    place: tuple[Path, Path], accepted: int, tmp_path: Path
 ) -> None:
-    monkeypatch.setenv("LPN_CACHE", str(tmp_path))
     model, described = lpn.load(DEMO_MODEL), []
     shipped = place[0].with_name(DEMO_ANSWERS)
     with listening(lambda stage, done, _: described.append((stage, done))):
         located = locate(open_map(place[0]), open_flight(place[1]), model, OPTIONS, shipped=shipped)
     whole = registered(located, model, OPTIONS)
     assert described == []
+    lags = place is DEMO_PLACE
+    assert (located.late_tags is not None, located.judge_of(0)) == (lags, "its details" if lags else "its GPS tag")
+    assert whole.audit is not None
+    assert whole.audit.has_lag == lags
+    assert not lags or "or the camera looks 8.6 m ahead" in whole.audit.sentence
     assert whole.stages == ["retrieval", "sequence", "registration"]
     assert sum(frame.stages["registration"].accepted for frame in whole.frames) >= accepted
     assert list(tmp_path.rglob("*.npy")) == list(tmp_path.rglob("*.jsonl")) == []
@@ -59,8 +59,7 @@ def test_answers_of_another_model_map_or_flight_are_not_taken(tmp_path: Path) ->
     assert ShippedAnswers.open(folder, model, basemap, flight) is None
 
 
-def test_damaged_descriptors_are_computed_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("LPN_CACHE", str(tmp_path / "cache"))
+def test_damaged_descriptors_are_computed_again(tmp_path: Path) -> None:
     model, basemap, flight = lpn.load(DEMO_MODEL), open_map(DEMO_PLACE[0]), open_flight(DEMO_PLACE[1])
     folder, described = tmp_path / "answers", []
     shutil.copytree(DEMO_PLACE[0].with_name(DEMO_ANSWERS), folder)
@@ -79,22 +78,3 @@ def test_damaged_descriptors_are_computed_again(tmp_path: Path, monkeypatch: pyt
     with pytest.raises(StopError), listening(stop):
         locate(basemap, flight, model, OPTIONS, shipped=folder)
     assert described == ["Describing windows"]
-
-
-def test_errors_against_tags_without_their_lag_are_told_once_and_with_what_may_be_the_case_instead(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("LPN_CACHE", str(tmp_path))
-    basemap, flight = open_map(DEMO_PLACE[0]), open_flight(DEMO_PLACE[1])
-    answers = ShippedAnswers.open(DEMO_PLACE[0].with_name(DEMO_ANSWERS), lpn.load(DEMO_MODEL), basemap, flight)
-    assert answers is not None
-    frames = [
-        LocatedFrame(frame, tag) for frame, tag in zip(flight.frames, basemap.frame.xy(*flight.degrees.T), strict=True)
-    ]
-    bare = LocatedFlight(flight, basemap, frames, None, [], None, answers.record.registration)
-    assert bare.late_tags is not None
-    located = registered(bare, None, LocateOptions(matcher="sift"))
-    print_summary(located, Console(file=(written := io.StringIO()), width=140))
-    printed = written.getvalue()
-    assert printed.index("tags without their lag") < printed.index("tags as told")
-    assert "or the camera looks 8.6 m ahead" in printed
