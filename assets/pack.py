@@ -9,7 +9,6 @@ shows its page.
 from __future__ import annotations
 
 import csv
-import gzip
 import io
 import json
 import shutil
@@ -28,21 +27,15 @@ from lpn.core.arrays import Float32Array
 from lpn.core.files import write_atomic
 from lpn.core.views import View
 from lpn.datasets import Picture, open_dataset
-from lpn.datasets.city_model import PACKED
 from lpn.descriptors import STORES, DescriptorKind, PartialStore, Precision, descriptor_reader, row_of, write_store
 from lpn.models.base import Model
 from lpn.models.checkpoints import load_torch, save
 from lpn.models.export import export
 from lpn.retrieval.calibration import Calibration
 from lpn.tasks.opening import FOLDER, NAME, calibrated
-from tools.world.atlas import Settings, make_atlas
-from tools.world.model3d import city_model, test_window
 
 QUALITY = {"drone": 62, "satellite": 72}
 """Quality of WebP; sensor noise does not survive it, and is most of what a better one would cost."""
-
-LARGEST_CITY = 2_800_000
-"""Bytes of city.glb, uncompressed."""
 
 SAME = {"query_drone": "gallery_drone", "gallery_satellite": "query_satellite"}
 """The other role of each folder's pictures, so that satellite-to-drone is offered too, see `linked_folder`."""
@@ -75,9 +68,6 @@ def main() -> None:
     plan["buildings"] = [building for building in plan["buildings"] if building["split"] == "test"]
     plan["pictures"] = [{**shot, "path": kept[shot["path"]]} for shot in plan["pictures"] if shot["path"] in kept]
     write_atomic(out / "world.json", json.dumps(plan, separators=(",", ":")).encode())
-    atlas = make_atlas(Settings(**plan["settings"]))
-    model_3d = city_model(atlas.city, atlas.site, test_window(atlas), LARGEST_CITY)
-    write_atomic(out / PACKED, gzip.compress(model_3d, 9, mtime=0))
     pack_model(model, "lpn", out, out / STORES)
     pack_model(baseline, "baseline", out, out / STORES / "baseline")
     pack_calibration(out)

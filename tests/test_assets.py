@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import io
 import json
 import sys
 from collections import Counter
@@ -14,7 +13,6 @@ from types import ModuleType
 
 import numpy as np
 import pytest
-import trimesh
 
 import lpn
 from lpn import descriptors
@@ -24,8 +22,7 @@ from lpn.core.errors import ModelFileError
 from lpn.core.files import cache_folder
 from lpn.core.views import View
 from lpn.datasets import open_dataset
-from lpn.datasets.city_model import city_model
-from lpn.datasets.geo import Positions, on_plane
+from lpn.datasets.geo import Positions
 from lpn.datasets.rendered import is_rendered_flight
 from lpn.flight.files import open_flight
 from lpn.flight.files.sources import make_flight
@@ -136,17 +133,6 @@ def test_the_demo_is_all_there() -> None:
     files = {file.relative_to(DEMO).as_posix() for file in (DEMO / "test").rglob("*.*")}
     assert {picture["path"] for picture in plan["pictures"]} == files
     assert DEMO_QUERY in [picture.name for picture in dataset.queries("drone")]
-
-
-def test_the_demo_s_city_stands_where_its_tiles_are() -> None:
-    city = city_model(DEMO)
-    assert city is not None
-    places = Positions(DEMO).of(open_dataset(DEMO).gallery("satellite"))
-    model = trimesh.load(io.BytesIO(city.data), file_type="glb", force="scene")
-    (west, _, south), (east, _, north) = model.bounds  # -z is north
-    ground = on_plane(places, city.origin)
-    assert (ground.min(axis=0) > (west, -north)).all()
-    assert (ground.max(axis=0) < (east, -south)).all()
 
 
 def test_the_demo_s_flight_lies_on_its_map_and_near_the_truth() -> None:

@@ -7,7 +7,6 @@ are packed into a whole file after the damage; otherwise the checksums would cat
 from __future__ import annotations
 
 import argparse
-import gzip
 import io
 import json
 import os
@@ -375,27 +374,6 @@ def links(folder: Path) -> list[FuzzCase]:
     return [FuzzCase(addresses, read_address), FuzzCase(messages, read_message)]
 
 
-def cities(folder: Path) -> list[FuzzCase]:
-    """The 3-D model that a browser gets, plain and packed."""
-    from lpn.datasets.city_model import city_model
-    from tools.fixtures import small_worlds
-
-    whole, packed = small_worlds.city(), folder / "packed"
-    size = int.from_bytes(whole[12:16], "little")
-    packed.mkdir()
-
-    def with_sizes(data: bytes) -> bytes:
-        text, rest = data + b" " * (-len(data) % 4), whole[20 + size :]
-        total, length = ((20 + len(text) + len(rest)).to_bytes(4, "little"), len(text).to_bytes(4, "little"))
-        return whole[:8] + total + length + whole[16:20] + text + rest
-
-    return [
-        in_file(folder / "city.glb", lambda: city_model(folder), whole),
-        in_file(folder / "city.glb", lambda: city_model(folder), whole[20 : 20 + size], pack=with_sizes),
-        in_file(packed / "city.glb.gz", lambda: city_model(packed), gzip.compress(whole, mtime=0)),
-    ]
-
-
 TARGETS: dict[str, Callable[[Path], list[FuzzCase]]] = {
-    made.__name__: made for made in (pictures, stores, tables, results, onnx, checkpoints, rankings, links, cities)
+    made.__name__: made for made in (pictures, stores, tables, results, onnx, checkpoints, rankings, links)
 }

@@ -13,16 +13,13 @@ import numpy as np
 
 from lpn.core import images
 from lpn.core.arrays import Float32Array
-from lpn.core.errors import InputError
 from lpn.core.files import check_writable, write_atomic
 from lpn.core.formats import WORLD
-from lpn.datasets.city_model import NAME as CITY_NAME
 from lpn.datasets.rendered import PLAN, UNFINISHED
 from tools.world import photo
 from tools.world.atlas import SIGHT, SPARE, Atlas, PlannedPicture, Sector, Settings, make_atlas
 from tools.world.cameras import TILE, Pose, SatelliteImage, Tile
 from tools.world.jobs import check_folder, check_limits, progress
-from tools.world.model3d import city_model, test_window
 from tools.world.textures import hash_of
 
 if TYPE_CHECKING:
@@ -54,8 +51,6 @@ def build_world(settings: Settings, out: Path, threads: int = 0) -> int:
         write_atomic(out / UNFINISHED, b"Pictures are missing here; the same command goes on.\n")
     write_atomic(out / PLAN, atlas.world_json())
     write_atomic(out / "geo.csv", atlas.geo_csv())
-    if not (out / CITY_NAME).is_file():
-        _write_city(atlas, out)
     with progress(len(missing)) as (folder, advance):
         renderer = _SectorRenderer(render.BlenderScene, atlas, out, folder, threads, advance)
         for sector in atlas.sectors:
@@ -65,14 +60,6 @@ def build_world(settings: Settings, out: Path, threads: int = 0) -> int:
                 renderer.frames(sector, frames)
     (out / UNFINISHED).unlink(missing_ok=True)
     return len(missing)
-
-
-def _write_city(atlas: Atlas, out: Path) -> None:
-    """Write the 3-D model; a city too large for it is rendered without one."""
-    try:
-        write_atomic(out / CITY_NAME, city_model(atlas.city, atlas.site, test_window(atlas)))
-    except InputError as error:
-        log.warning("The world gets no %s: %s", CITY_NAME, error)
 
 
 @dataclass(frozen=True)
