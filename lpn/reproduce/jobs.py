@@ -30,7 +30,6 @@ from lpn.reproduce.sources import Source
 from lpn.reproduce.tables import Training
 from lpn.training.loader import Loader
 from lpn.training.recipe import Recipe
-from lpn.training.run_folder import Provenance, read_run
 from lpn.training.trainer import Trainer
 from lpn.training.training_set import Fold
 
@@ -79,12 +78,6 @@ class TrainingJob:
     def done(self) -> bool:
         """True if the training is finished."""
         return self.ended == "finished"
-
-    @property
-    def made(self) -> Provenance | None:
-        """The provenance of the training; None before its start."""
-        run = read_run(self.folder)
-        return run.made if run is not None else None
 
     @property
     def model(self) -> Path:

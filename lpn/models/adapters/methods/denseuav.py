@@ -10,7 +10,6 @@ from lpn.models.adapters.network import FirstToken, MeanVector, PartBranch, Toke
 from lpn.models.adapters.published import PublishedParts, by_view, size_of
 from lpn.models.adapters.registry import Adapter
 from lpn.models.adapters.trunks import Tokens, Trunk, trained_side
-from lpn.models.contract import AccountLevel
 from lpn.models.entries import Entries
 
 _HEAD = "classifier.add_block.0.weight"
@@ -62,8 +61,7 @@ def build(entries: Entries) -> PublishedParts:
         branch: PartBranch = FirstToken(tokens, heads)
     else:
         branch = MeanVector(mapped, None, grid, None, heads)
-    level: AccountLevel = "exact" if isinstance(branch, MeanVector) else "one vector"
-    return by_view(entries, lambda _: branch, "DenseUAV", name, size, names=["whole"], level=level)
+    return by_view(entries, lambda _: branch, "DenseUAV", name, size, ["whole"])
 
 
 ADAPTERS = (
