@@ -17,13 +17,7 @@ _POOLS = ("avg", "global")
 
 
 def build(entries: Entries) -> PublishedParts:
-    """Build the head SingleBranch on the mean of a network's cells (`head_pool: avg`), or on its class token (`global`).
-
-    Raises:
-        ModelFileError: if entries are missing, have wrong shapes, contradict the options, or belong to an unsupported backbone
-            or head.
-        InputError: if timm is needed and cannot be imported.
-    """
+    """Build the head SingleBranch on the mean of a network's cells (`head_pool: avg`), or on its class token (`global`)."""
     head, own = entries.under("head.head."), entries.under("backbone.backbone.")
     others = [f"{head.prefix}{key}" for key in head.state if not key.startswith("classifier.")]
     if _HEAD not in head.state or others:

@@ -167,11 +167,7 @@ def _mean(values: Tensor) -> Tensor:
 
 
 def build(entries: Entries) -> PublishedParts:
-    """Build SDPL: `model_1` describes queries, and `model_2` the gallery.
-
-    Raises:
-        ModelFileError: if entries are missing or have wrong shapes, or the size does not fit SDPL.
-    """
+    """Build SDPL: `model_1` describes queries, and `model_2` the gallery."""
     check_option(entries, "views", 2)
     size = size_of(entries, (512, 512))
     if size[0] != size[1] or size[0] % _SIDE_STEP or size[0] < _SMALLEST:

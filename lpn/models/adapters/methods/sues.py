@@ -64,12 +64,7 @@ def network_in(entries: Entries) -> str | None:
 
 
 def build(entries: Entries) -> PublishedParts:
-    """Build a baseline of SUES-200: `model_1` describes the satellite and `model_2` the drone.
-
-    Raises:
-        ModelFileError: if entries are missing or have wrong shapes, or the network is none of timm's baselines.
-        InputError: if timm is needed and cannot be imported.
-    """
+    """Build a baseline of SUES-200: `model_1` describes the satellite and `model_2` the drone."""
     own = entries.under("model_1.")
     name = network_in(own)
     if name is None or "classifier.add_block.0.weight" not in entries.state:
