@@ -35,7 +35,7 @@ from lpn.models.spec import SLOPES
 from lpn.models.token_pooling import TokenPooling
 
 # The submodules that compute a model's map or tokens, or a vector by the network's own pooling.
-_TRUNK_MODULES = ("branch", *(f"network.{vector}{own}" for vector in ("", "vector.") for own in ("trunk", "network")))
+_TRUNK_MODULES = ("branch", "network.trunk", "network.vector.trunk")
 
 
 class _AccountGraph(nn.Module):

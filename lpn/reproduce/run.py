@@ -255,14 +255,14 @@ class Reproduction:
     def _print_plan(self, left: Sequence[TrainingJob], drawn: Sequence[str]) -> None:
         """Print the remaining trainings, and the figures to draw."""
         if left:
-            epochs = sum(job.recipe.epochs - len(job.seconds()) for job in left)
+            epochs = sum(job.recipe.epochs - job.epochs_done for job in left)
             self._say(
                 f"Plan: {len(left)} of {len(self._jobs)} trainings are left: {epochs} epochs. A second process with the same "
                 "command shares them."
             )
             for job in left:
-                done, steps, epochs = len(job.seconds()), job.steps, job.recipe.epochs
-                begun = f", {done} epochs done" if done else ""
+                steps, epochs = job.steps, job.recipe.epochs
+                begun = f", {job.epochs_done} epochs done" if job.epochs_done else ""
                 self._say(f"  {job.name}: {epochs} epochs of {steps} updates, {epochs * steps:,} in all{begun}")
             if self.scale.changes:
                 self._say(report.changes_note(self.scale, [job.training for job in left]))

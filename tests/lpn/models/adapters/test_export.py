@@ -85,9 +85,8 @@ def test_a_branch_of_all_views(state: State, options: str, tmp_path: Path) -> No
         (small_fsra(2), ""),
         (small_mccg(2), "h: 64\nw: 64\n"),
         (small_vector("camp"), "h: 64\nw: 64\n"),
-        (small_denseuav(), ""),
     ],
-    ids=["regions", "gates", "vector", "tokens"],
+    ids=["regions", "gates", "vector"],
 )
 def test_in_8_bits_its_evidence_stays_exact(state: State, options: str, data: Path, tmp_path: Path) -> None:
     model, _ = exported(state, options, tmp_path, ["model.onnx"])
