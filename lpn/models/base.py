@@ -16,7 +16,7 @@ from lpn.core import images as pictures
 from lpn.core.arrays import AnyArray, Float32Array, Float64Array, UInt8Array
 from lpn.core.errors import InputError, ModelFileError
 from lpn.core.views import View
-from lpn.models.contract import Contract, ForwardPass, Heads, Role, check_parts
+from lpn.models.contract import Contract, ForwardPass, Heads, Role, check_shapes
 from lpn.models.spec import ModelSpec
 
 _CHUNK = 16
@@ -252,7 +252,7 @@ class Model(ABC):
     def _parts(self, images: Float32Array, view: View) -> Float32Array:
         """Return the part embeddings of one chunk; a model may override it to skip the feature map."""
         outputs = self.run(images, view)
-        check_parts(self.contract, outputs.parts, len(images))
+        check_shapes(self.contract, {"pictures": (len(images),), "parts": outputs.parts.shape})
         return outputs.parts
 
     def _batch(self, images: Any, view: View) -> Float32Array:

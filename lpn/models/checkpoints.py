@@ -41,7 +41,7 @@ from lpn.models.published_checkpoints import (
     with_named_branch,
 )
 from lpn.models.spec import SLOPES, ModelSpec, is_timm
-from lpn.models.timm_networks import TimmMap
+from lpn.models.timm_networks import TimmMap, renamed
 
 log = logging.getLogger(__name__)
 
@@ -210,13 +210,14 @@ def save(network: LPN, path: str | Path, extra: dict[str, str] | None = None, st
     Raises:
         InputError: if a weight exceeds the range of float16.
     """
-    own = _own_keys(network)
-    tensors = {k: v.detach().cpu().contiguous() for k, v in network.state_dict().items() if k in own}
+    spec = network.spec
+    shared = tuple(f"{BRANCH[view]}." for view in spec.views if spec.owner(view) != view)
+    tensors = {k: v.detach().cpu().contiguous() for k, v in network.state_dict().items() if not k.startswith(shared)}
     if storage != "float32":
         tensors = {
             k: v for key, value in tensors.items() if ".classifier." not in key for k, v in _narrow(key, value, storage)
         }
-    metadata = {**(extra or {}), "format": FORMAT, "spec": network.spec.to_json(), SEAL: UNSEALED}
+    metadata = {**(extra or {}), "format": FORMAT, "spec": spec.to_json(), SEAL: UNSEALED}
     write_atomic(Path(path), with_seal(_with_sorted_header(save_tensors(tensors, metadata))))
 
 
@@ -268,8 +269,6 @@ def _backbone_of(state: StateDict, path: Path) -> str:
 
 
 def _read_weights(path: Path) -> StateDict:
-    if not path.is_file():
-        raise ModelFileError(f"There is no file of weights at {path}; check the path given to --init.")
     if path.suffix == ".onnx":
         raise ModelFileError(
             f"{path.name} is an exported graph; give --init the .safetensors or .pth it was made from."
@@ -293,7 +292,8 @@ def load_backbone(network: LPN, path: str | Path) -> tuple[int, int, list[str]]:
         with suppress(ModelFileError):
             held = _backbone_of(state, path)
     elif not any(key.startswith("model_1.model.") for key in state):
-        state = cast(TimmMap, network.branch(network.spec.views[0]).model).with_own_names(state)
+        built = cast(TimmMap, network.branch(network.spec.views[0]).model).network
+        state = {f"network.{key}": value for key, value in renamed(built, state).items()}
     # Some layers of another backbone would fit.
     if held != own:
         raise ModelFileError(
@@ -344,13 +344,6 @@ def load_heads(network: LPN, path: str | Path) -> str:
         for key, tensor in head.add_block.state_dict().items():
             tensor.copy_(state[f"{name}.add_block.{key}"])
     return f"{path.name} fills the heads of all {spec.n_parts} parts."
-
-
-def _own_keys(network: LPN) -> set[str]:
-    """Return the keys of the state dict, without duplicates of shared branches."""
-    spec = network.spec
-    aliases = tuple(BRANCH[view] + "." for view in spec.views if spec.owner(view) != view)
-    return {key for key in network.state_dict() if not key.startswith(aliases or ("\0",))}
 
 
 def check_opens(path: Path) -> None:

@@ -214,12 +214,6 @@ class ForwardPass(NamedTuple):
     slopes: Float32Array | None = None
 
 
-def check_parts(contract: Contract, parts: Float32Array, count: int) -> None:
-    """Raise ModelFileError if raw parts of `count` pictures contradict the contract by their shape."""
-    if parts.shape != (count, contract.n_parts, contract.embedding):
-        check_shapes(contract, {"pictures": (count,), "parts": parts.shape})
-
-
 def check_pass(contract: Contract, outputs: ForwardPass, heads: Heads) -> None:
     """Refuse a forward pass with cells whose shapes contradict its contract, or whose numbers are not finite.
 

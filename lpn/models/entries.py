@@ -56,15 +56,10 @@ class Entries:
         """Return the entries under other names: the first pattern that matches a name's beginning replaces it."""
         state, names = {}, {}
         for key, value in self.state.items():
-            found = ((pattern, to) for pattern, to in patterns.items() if re.match(pattern, key))
-            pattern, replacement = next(found, (r"\Z", ""))
-            changed = re.sub(f"^{pattern}", replacement, key) if pattern != r"\Z" else key
+            found = (pattern for pattern in patterns if re.match(pattern, key))
+            changed = next((re.sub(f"^{pattern}", patterns[pattern], key) for pattern in found), key)
             state[changed], names[changed] = value, self.file_name(key)
         return replace(self, state=state, names=names)
-
-    def with_tensor(self, key: str, tensor: Tensor) -> Entries:
-        """Return the entries with another tensor under one name."""
-        return replace(self, state={**self.state, key: tensor})
 
     def count(self, pattern: str, first: int = 0) -> int:
         """Count the consecutive numbers from `first` that complete a pattern such as `blocks.{}.norm1.weight`.

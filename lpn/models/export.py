@@ -18,7 +18,7 @@ from torch import Tensor, nn
 from lpn.core.arrays import Int8Array
 from lpn.core.checksums import SEAL, UNSEALED, with_seal
 from lpn.core.errors import InputError
-from lpn.core.files import check_writable, write_atomic
+from lpn.core.files import check_writable, write_together
 from lpn.core.views import View
 from lpn.models import safa
 from lpn.models.adapters import Kind
@@ -35,7 +35,7 @@ from lpn.models.spec import SLOPES
 from lpn.models.token_pooling import TokenPooling
 
 # The submodules that compute a model's map or tokens, or a vector by the network's own pooling.
-_TRUNK_MODULES = ("branch", *(f"network.{vector}{own}" for vector in ("", "vector.") for own in ("trunk", "network")))
+_TRUNK_MODULES = ("branch", "network.trunk", "network.vector.trunk")
 
 
 class _AccountGraph(nn.Module):
@@ -122,8 +122,7 @@ def export(
         path: _graph(loaded, group[0], metadata | {"group": "+".join(group)}, storage)
         for path, group in zip(graph_files(out, groups), groups, strict=True)
     }
-    for path, graph in reversed(graphs.items()):
-        write_atomic(path, graph)
+    write_together(graphs)
     return list(graphs)
 
 

@@ -38,7 +38,11 @@ class LPN(nn.Module):
         self.head_names = ["classifier"] if spec.n_parts == 1 else [f"classifier{i}" for i in range(spec.n_parts)]
         if spec.pooling == "safa":
             self.head_names = []
-            safa.check_embedding(spec, channels)
+            if spec.embedding != spec.maps * channels:
+                raise InputError(
+                    f"The model's embedding is {spec.embedding}; SAFA with {spec.maps} maps of {channels} channels has "
+                    f"{spec.maps * channels}."
+                )
         for name in self.head_names:
             self.add_module(name, PartHead(channels, spec))
 

@@ -6,6 +6,7 @@ ONNX Runtime alone suffices for evidence.
 
 from __future__ import annotations
 
+import copy
 import logging
 import re
 from collections.abc import Mapping, Sequence
@@ -59,24 +60,25 @@ class Engine(Model):
         InputError: if the named provider is missing or does not work.
     """
 
+    # What the file does not say about the model, for its fingerprint.
+    _pooled = ""
+
     def __init__(self, path: str | Path, threads: int | None = None, provider: ProviderName = "cpu") -> None:
         self._path = Path(path)
-        options = ort.SessionOptions()
-        options.intra_op_num_threads = threads or usable_cores()
-        options.inter_op_num_threads = 1
-        self.parallel = options.intra_op_num_threads == 1
+        threads = threads or usable_cores()
+        self.parallel = threads == 1
         self._heads: dict[ort.InferenceSession, Heads] = {}
-        session = open_session(self._path, options)
+        session = open_session(self._path, threads)
         self._fixed_batch = _check_batch(_declared(session), self._path.name)
         self.batch = self._fixed_batch or self.batch
         self._files = [self._path]
-        self._sessions: dict[View, ort.InferenceSession] = {}
-        self._read(session, options)
-        self.fingerprint = self._fingerprint()
+        self._read(session, threads)
+        files = [one for file in self._files for one in (file, *external_files(file, _AGAIN))]
+        self.fingerprint = fingerprint(*files, also=self._pooled)
         if (provider := resolve_provider(provider)) != "cpu":
             self._move_to_provider(provider)
 
-    def _read(self, session: ort.InferenceSession, options: ort.SessionOptions) -> None:
+    def _read(self, session: ort.InferenceSession, threads: int) -> None:
         """Set contract, precision, outputs, and the graphs of all views from the first graph."""
         path, metadata = self._path, _metadata(session, self._path)
         shapes = _known_shapes(session, path.name)
@@ -92,15 +94,19 @@ class Engine(Model):
             )
         groups = list(self.contract.groups)
         self._files = graph_files(path, groups)
-        for group, file in zip(groups, self._files, strict=True):
-            if file != path:
-                session = open_session(file, options)
-                _check_outputs(session, [*self._constants, *self._pass_outputs], file.name)
-            _check_group(_metadata(session, file), metadata, group, file)
-            self._sessions.update(dict.fromkeys(group, session))
+        opened = [session, *(open_session(file, threads) for file in self._files[1:])]
+        for group, file, one in zip(groups, self._files, opened, strict=True):
+            if lacking := [name for name in (*self._constants, *self._pass_outputs) if name not in _declared(one)]:
+                raise ModelFileError(
+                    f"{file.name} lacks the output {lacking[0]} of the file beside it; export the model again."
+                )
+            _check_group(_metadata(one, file), metadata, group, file)
+        self._use(opened)
 
-    def _fingerprint(self) -> str:
-        return fingerprint(*(one for file in self._files for one in (file, *external_files(file, _AGAIN))))
+    def _use(self, sessions: Sequence[ort.InferenceSession]) -> None:
+        """Compute with one session for each group of views."""
+        of_groups = zip(self.contract.groups, sessions, strict=True)
+        self._sessions = {view: session for group, session in of_groups for view in group}
 
     def _move_to_provider(self, provider: ProviderName) -> None:
         """Replace the sessions by those of another provider; with "auto", the CPU stays if CUDA does not work."""
@@ -115,33 +121,27 @@ class Engine(Model):
                 raise
             log.warning("%s computes on the CPU: %s", self._path.name, error)
             return
-        for group, session in zip(self.contract.groups, opened, strict=False):
-            self._sessions.update(dict.fromkeys(group, session))
+        self._use(opened)
         self.device, self.parallel, self.batch = wanted, False, providers.GPU_BATCH
 
     def run(self, images: Float32Array, view: View) -> ForwardPass:
         """Run one forward pass of images (B, 3, H, W) of the model's input size."""
-        self._check_size(images, view)
-        outputs = self._outputs(self._pass_outputs, images, view)
-        parts = outputs[0].reshape(len(outputs[0]), self.n_parts, -1)
-        return ForwardPass(parts, **dict(zip(self._pass_outputs[1:], outputs[1:], strict=True)))
+        parts, *further = self._outputs(self._pass_outputs, images, view)
+        named = dict(zip(self._pass_outputs[1:], further, strict=True))
+        return ForwardPass(parts.reshape(len(parts), self.n_parts, -1), **named)
 
     def _parts(self, images: Float32Array, view: View) -> Float32Array:
-        self._check_size(images, view)
-        parts = self._outputs(["parts"], images, view)[0]
+        (parts,) = self._outputs(["parts"], images, view)
         return parts.reshape(len(parts), self.n_parts, -1)
 
     def for_parallel_inference(self) -> Model:
         """Return this model with one thread per forward pass; on a GPU, itself."""
         if self.parallel or self.device != "cpu":
             return self
-        twin = self._with_one_thread()
-        twin.means, twin.whitening = self.means, self.whitening
-        twin.branches, twin.fingerprint = self.branches, self.fingerprint
+        twin = copy.copy(self)
+        twin._use([open_session(file) for file in self._files])
+        twin.parallel, twin._heads = True, {}
         return twin
-
-    def _with_one_thread(self) -> Engine:
-        return Engine(self._path, threads=1)
 
     def map_size(self, view: View) -> tuple[int, int]:
         """Return (h, w) of the feature map, from the graph's declaration if possible."""
@@ -168,6 +168,12 @@ class Engine(Model):
 
     def _outputs(self, names: list[str], images: Float32Array, view: View) -> list[Float32Array]:
         """Run the graph of a view, in batches of its fixed size if it has one; see `_compute`."""
+        self.check_view(view)
+        if images.shape[2:] != self.input_size:
+            raise InputError(
+                f"The images are {images.shape[2]} x {images.shape[3]}; this exported model takes "
+                f"{self.input_size[0]} x {self.input_size[1]}, so resize them or export the model for that size."
+            )
         session, size, count = self._session(view), self._fixed_batch, len(images)
         if size is None or size == count:
             return self._compute(names, images, session)
@@ -193,24 +199,15 @@ class Engine(Model):
             raise ModelFileError(f"{self._path.name} yields other shapes than it says, so it is damaged; {_AGAIN}.")
         return outputs
 
-    def _check_size(self, images: Float32Array, view: View) -> None:
-        self.check_view(view)
-        if images.shape[2:] != self.input_size:
-            raise InputError(
-                f"The images are {images.shape[2]} x {images.shape[3]}; this exported model takes "
-                f"{self.input_size[0]} x {self.input_size[1]}, so resize them or export the model for that size."
-            )
 
-
-def open_session(path: Path, options: ort.SessionOptions | None = None) -> ort.InferenceSession:
-    """Open any ONNX file on the CPU, by default for one thread.
+def open_session(path: Path, threads: int = 1) -> ort.InferenceSession:
+    """Open any ONNX file on the CPU for some threads.
 
     Raises:
         ModelFileError: if it is missing, damaged, no ONNX file, or too new for the installed ONNX Runtime.
     """
-    if options is None:
-        options = ort.SessionOptions()
-        options.intra_op_num_threads = 1
+    options = ort.SessionOptions()
+    options.intra_op_num_threads, options.inter_op_num_threads = threads, 1
     options.log_severity_level = 4
     check_contents(path, "onnx")
     try:
@@ -258,11 +255,6 @@ def _metadata(session: ort.InferenceSession, path: Path) -> dict[str, str]:
 def _declared(session: ort.InferenceSession) -> dict[str, Sequence[Any]]:
     """Return the shapes of the input and of the outputs by name; open sides are names or None."""
     return {value.name: value.shape for value in (*session.get_inputs(), *session.get_outputs())}
-
-
-def _check_outputs(session: ort.InferenceSession, needed: Sequence[str], name: str) -> None:
-    if lacking := [one for one in needed if one not in _declared(session)]:
-        raise ModelFileError(f"{name} lacks the output {lacking[0]} of the file beside it; export the model again.")
 
 
 def _known_shapes(session: ort.InferenceSession, name: str) -> dict[str, Sequence[int]]:

@@ -11,10 +11,10 @@ import onnxruntime as ort
 
 from lpn.core.arrays import Float32Array
 from lpn.core.errors import InputError, ModelFileError
-from lpn.core.files import fingerprint, first_few, printable
+from lpn.core.files import first_few, printable
 from lpn.core.images import MEAN, STD
 from lpn.core.resources import ProviderName
-from lpn.core.views import VIEWS, View
+from lpn.core.views import View
 from lpn.models.contract import ForwardPass, Heads
 from lpn.models.onnx_engine import Engine
 from lpn.models.options import (
@@ -58,7 +58,7 @@ class PooledEngine(Engine):
         self._pooling = pooling
         super().__init__(path, threads, provider)
 
-    def _read(self, session: ort.InferenceSession, _: ort.SessionOptions) -> None:
+    def _read(self, session: ort.InferenceSession, _: int) -> None:
         path, pooling = self._path, self._pooling
         metadata = session.get_modelmeta().custom_metadata_map
         if str(metadata.get("format", "")).startswith("lpn-explorer-onnx"):
@@ -80,17 +80,11 @@ class PooledEngine(Engine):
         self.contract = pooling.contract(printable(path.stem)[:60], size, channels, normalisation)
         self._shares = None if pooling.partition is None else pooling.partition.weights(*self._grid)
         self._constants, self._pass_outputs = [], [self._output]
-        self._sessions = dict.fromkeys(VIEWS, session)
-
-    def _fingerprint(self) -> str:
-        return fingerprint(self._path, also=repr(self.contract))
-
-    def _with_one_thread(self) -> Engine:
-        return PooledEngine(self._path, self._pooling, threads=1)
+        self._pooled = repr(self.contract)
+        self._use([session])
 
     def run(self, images: Float32Array, view: View) -> ForwardPass:
         """Run one forward pass of images (B, 3, H, W) of the model's input size."""
-        self._check_size(images, view)
         (values,) = self._outputs([self._output], images, view)
         if self._shares is None:
             return ForwardPass(values[:, :1])

@@ -100,7 +100,7 @@ def find_state(loaded: Any, path: Path) -> dict[str, Tensor]:
         ModelFileError: if there are none, or several are equally likely.
     """
     state = _inner(loaded) if isinstance(loaded, dict) else {}
-    items = {key: value for key, value in state.items() if isinstance(value, Tensor)}
+    items = _tensors(state)
     if not items or not all(isinstance(key, str) for key in items):
         keys = (
             [printable(str(key))[:40] for key in loaded] if isinstance(loaded, dict) else [f"a {type(loaded).__name__}"]
@@ -124,28 +124,24 @@ def _inner(loaded: dict[Any, Any], depth: int = _MAX_DEPTH) -> dict[Any, Any]:
     """Return the state dict of a checkpoint; `loaded` itself without one."""
     states = _states(loaded, depth)
     named = next(iter(states), None)
-    if named is not None and (named in _WEIGHTS or (len(states) == 1 and not _has_tensors(loaded))):
+    if named is not None and (named in _WEIGHTS or (len(states) == 1 and not _tensors(loaded))):
         return states[named]
     return loaded
 
 
 def _states(loaded: dict[Any, Any], depth: int = _MAX_DEPTH) -> dict[Any, dict[Any, Any]]:
     """Return the state dicts among the values of a dictionary, those with usual names first."""
-    if not depth:
-        return {}
     states = {}
-    for key in (*_WEIGHTS, *(key for key in loaded if key not in _WEIGHTS)):
+    for key in (*_WEIGHTS, *(key for key in loaded if key not in _WEIGHTS)) if depth else ():
         value = loaded.get(key)
-        if not isinstance(value, dict) or "param_groups" in value:
-            continue
-        if key in _WEIGHTS:
-            inner = _inner(value, depth - 1)
-            if _has_tensors(inner):
+        if isinstance(value, dict) and "param_groups" not in value:
+            usual = key in _WEIGHTS
+            inner = _inner(value, depth - 1) if usual else value
+            tensors = _tensors(inner)
+            if tensors and (usual or len(tensors) == len(inner)):
                 states[key] = inner
-        elif value and all(isinstance(tensor, Tensor) for tensor in value.values()):
-            states[key] = value
     return states
 
 
-def _has_tensors(values: dict[Any, Any]) -> bool:
-    return any(isinstance(value, Tensor) for value in values.values())
+def _tensors(values: dict[Any, Any]) -> dict[Any, Tensor]:
+    return {key: value for key, value in values.items() if isinstance(value, Tensor)}

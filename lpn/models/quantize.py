@@ -21,7 +21,7 @@ from onnxruntime.quantization import CalibrationDataReader, QuantFormat, QuantTy
 from lpn.core.arrays import Float32Array
 from lpn.core.checksums import SEAL, UNSEALED, with_seal
 from lpn.core.errors import DataError, InputError
-from lpn.core.files import check_writable, printable, write_atomic
+from lpn.core.files import check_writable, printable, write_together
 from lpn.core.views import View
 from lpn.datasets import Dataset, Picture
 from lpn.datasets.integrity import check_whole
@@ -114,8 +114,7 @@ def quantize(
             "smaller by lpn export --storage int8, or lower --least-cosine."
         )
     targets = graph_files(out, groups)
-    for path, graph in reversed(list(zip(targets, graphs, strict=True))):
-        write_atomic(path, graph)
+    write_together(dict(zip(targets, graphs, strict=True)))
     return targets, agreement
 
 

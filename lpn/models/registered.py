@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import entry_points
 from pathlib import Path
-from typing import Any
 
 from lpn.core.errors import LPNError, ModelFileError
 from lpn.core.files import printable
@@ -29,25 +27,20 @@ def open_registered(model: str) -> Model | None:
         return None
     if colon and not Path(file).is_file():
         raise ModelFileError(f"There is no file {printable(file)} for the model {name}; check the path.")
-    opened = _call(point, [Path(file)] if colon else [])
-    if not isinstance(opened, Model):
-        raise ModelFileError(
-            f"The entry point {name} of {GROUP} returns a {type(opened).__name__}; it must return an lpn.Model."
-        )
-    return opened
-
-
-def _call(point: EntryPoint, arguments: list[Path]) -> Any:
     try:
-        make: Callable[..., Any] = point.load()
-        return make(*arguments)
+        opened = point.load()(*([Path(file)] if colon else []))
     except LPNError:
         raise
     except Exception as error:  # another package's code may raise anything
         reason = printable(str(error).strip().partition("\n")[0]) or type(error).__name__
         raise ModelFileError(
-            f"The model {point.name} cannot be opened ({type(error).__name__}: {reason}); it is registered as {point.value}."
+            f"The model {name} cannot be opened ({type(error).__name__}: {reason}); it is registered as {point.value}."
         ) from error
+    if not isinstance(opened, Model):
+        raise ModelFileError(
+            f"The entry point {name} of {GROUP} returns a {type(opened).__name__}; it must return an lpn.Model."
+        )
+    return opened
 
 
 def timm_file(model: str | Path) -> tuple[str, Path] | None:

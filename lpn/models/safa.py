@@ -52,15 +52,6 @@ def spatial_aware_layers(spec: ModelSpec, partition: Partition, backbone: nn.Mod
     return nn.ModuleList([SpatialAware(height * (end - begin), spec.maps) for _ in range(spec.n_parts)])
 
 
-def check_embedding(spec: ModelSpec, channels: int) -> None:
-    """Raise InputError unless a spec's embedding fits its maps."""
-    if spec.embedding != spec.maps * channels:
-        raise InputError(
-            f"The model's embedding is {spec.embedding}; SAFA with {spec.maps} maps of {channels} channels has "
-            f"{spec.maps * channels}."
-        )
-
-
 def attention(features: Tensor, partition: Partition, layers: Iterable[nn.Module]) -> Tensor:
     """Return the weight of each cell in each map of each part, 0 outside of the part: (B, C, h, w) -> (B, n, M, h, w)."""
     height, width = features.shape[2:]

@@ -167,10 +167,6 @@ class TimmMap(nn.Module):
         cells = features[:, self.prefix :].transpose(1, 2)
         return cells.reshape(*cells.shape[:2], images.shape[2] // self.patch[0], images.shape[3] // self.patch[1])
 
-    def with_own_names(self, state: Mapping[str, Tensor]) -> dict[str, Tensor]:
-        """Return timm's weights under this network's names, with positions resampled to its size; see `renamed`."""
-        return {f"network.{key}": value for key, value in renamed(self.network, state).items()}
-
 
 def renamed(network: nn.Module, state: Mapping[str, Tensor]) -> dict[str, Tensor]:
     """Return a network's weights under timm's names, with positions resampled to its size.

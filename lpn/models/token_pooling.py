@@ -30,6 +30,8 @@ FORMS = "mean, gem, gem:POWER, cls, cls+mean, or rings:N"
 # Lower bound of a token's number in GeM, whose power needs positive numbers.
 EPSILON = 1e-6
 _MOST_RINGS, _POWERS = 64, (0.5, 100.0)
+# What the account of a pooling holds for each picture.
+_HELD = {"gem": "the power means of GeM (Euler's split of its power)", "cls+mean": "the class token"}
 _WRITTEN = re.compile(r"(mean|cls|cls\+mean)|(gem)(?::([0-9]+(?:\.[0-9]+)?))?|(rings):([0-9]{1,4})")
 
 
@@ -82,25 +84,6 @@ class TokenPooling:
         """Return True if the descriptor contains the class token."""
         return self.name.startswith("cls")
 
-    @property
-    def part_names(self) -> list[str]:
-        """A short name for each part."""
-        return ["1 class token"] if self.partition is None else part_names(self.partition)
-
-    @property
-    def level(self) -> AccountLevel:
-        """The exactness of evidence, see `Contract`."""
-        if self.name == "cls":
-            return "one vector"
-        return "exact" if self.name in ("mean", "rings") else "exact, with held"
-
-    @property
-    def held(self) -> str:
-        """Return the quantities that the account holds at their values for each picture."""
-        if self.name == "gem":
-            return "the power means of GeM (Euler's split of its power)"
-        return "the class token" if self.name == "cls+mean" else ""
-
     def contract(
         self, title: str, size: tuple[int, int], channels: int, normalisation: tuple[Triple, Triple], norm: str = ""
     ) -> Contract:
@@ -113,20 +96,23 @@ class TokenPooling:
             normalisation: mean and standard deviation.
             norm: what a LayerNorm behind the mean holds; empty without one.
         """
+        held = norm or _HELD.get(self.name, "")
+        level: AccountLevel = "exact, with held" if held else "exact"
+        names = ("1 class token",) if self.partition is None else tuple(part_names(self.partition))
         return Contract(
             f"{title}, {self}",
             f"{title}, {self}, {size[0]} x {size[1]}",
             VIEWS,
             size,
-            len(self.part_names),
+            len(names),
             2 * channels if self.name == "cls+mean" else channels,
-            "exact, with held" if norm else self.level,
-            norm or self.held,
+            "one vector" if self.partition is None else level,
+            held,
             mean=normalisation[0],
             std=normalisation[1],
             mirror="none",
             partitions={} if self.partition is None else dict.fromkeys(VIEWS, self.partition),
-            part_names=dict.fromkeys(VIEWS, tuple(self.part_names)),
+            part_names=dict.fromkeys(VIEWS, names),
         )
 
 

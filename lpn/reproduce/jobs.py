@@ -6,7 +6,6 @@ Several processes may share the trainings: each takes one that no other process 
 from __future__ import annotations
 
 import copy
-import csv
 import json
 import shutil
 import time
@@ -30,7 +29,6 @@ from lpn.reproduce.sources import Source
 from lpn.reproduce.tables import Training
 from lpn.training.loader import Loader
 from lpn.training.recipe import Recipe
-from lpn.training.run_folder import Provenance, read_run
 from lpn.training.trainer import Trainer
 from lpn.training.training_set import Fold
 
@@ -81,22 +79,15 @@ class TrainingJob:
         return self.ended == "finished"
 
     @property
-    def made(self) -> Provenance | None:
-        """The provenance of the training; None before its start."""
-        run = read_run(self.folder)
-        return run.made if run is not None else None
-
-    @property
     def model(self) -> Path:
         """Path of the trained network."""
         return self.folder / "last.safetensors"
 
-    def seconds(self) -> list[float]:
-        """Return the seconds of each epoch on disk."""
-        if not (self.folder / "log.csv").is_file():
-            return []
-        with (self.folder / "log.csv").open(encoding="utf-8", newline="") as file:
-            return [float(row["seconds"]) for row in csv.DictReader(file)]
+    @property
+    def epochs_done(self) -> int:
+        """The number of epochs on disk."""
+        log = self.folder / "log.csv"
+        return len(log.read_text("utf-8").splitlines()) - 1 if log.is_file() else 0
 
     @cached_property
     def steps(self) -> int:

@@ -229,14 +229,10 @@ def network_notes(own: Sequence[TrainingJob], scale: Scale, seeds: Sequence[int]
 
 def changes_note(scale: Scale, trainings: Sequence[Training]) -> str:
     """Name the user's changes, each with the networks that keep their own setting."""
-    kept: dict[str, dict[str, None]] = {}
-    for training in trainings:
-        for name in scale.kept(training):
-            kept.setdefault(name, {})[training.name] = None
-    changes = [
-        f"{name} = {value}" + (f" (not for {', '.join(kept[name])})" if name in kept else "")
-        for name, value in scale.changes.items()
-    ]
+    changes = []
+    for name, value in scale.changes.items():
+        kept = dict.fromkeys(training.name for training in trainings if name in scale.kept(training))
+        changes.append(f"{name} = {value}" + (f" (not for {', '.join(kept)})" if kept else ""))
     return f"Changed: {', '.join(changes)}."
 
 

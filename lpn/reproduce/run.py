@@ -14,7 +14,7 @@ from lpn.core.files import check_writable, exclusive_lock, write_atomic
 from lpn.core.views import View, views_of
 from lpn.drawing import network_figures
 from lpn.models.base import Model
-from lpn.models.spec import METHODS, ModelSpec
+from lpn.models.spec import METHODS
 from lpn.reproduce import figures, jobs, report
 from lpn.reproduce.jobs import TrainingJob
 from lpn.reproduce.measure import MeasurementStore, features_alone
@@ -22,6 +22,8 @@ from lpn.reproduce.record import RowRecord, TableRecord
 from lpn.reproduce.sources import LAYOUTS, MEASURED_ON, TASKS, Source, open_sources
 from lpn.reproduce.tables import DRAWN, SHOWN, DataRole, PaperTable, Scale, TableRow, Training, find, tables
 from lpn.retrieval import transfer
+from lpn.training.learner import network_spec
+from lpn.training.run_folder import read_run
 from lpn.training.trainer import check_single_process
 
 
@@ -125,7 +127,7 @@ class Reproduction:
                 f"{self._starts[backbone].name} of --init is left aside: no requested row starts from a {backbone}."
             )
         for table in wanted:
-            self._say(plan(table, {row.label: self._reason(table, row) for row in table.rows}))
+            self._say(self._planned_rows(table))
         left = self._check_jobs(uses)
         self._print_plan(left, drawn)
         return wanted, drawn
@@ -183,21 +185,14 @@ class Reproduction:
     def _check_fits(self, model: Model, file: Path, use: NetworkUse) -> None:
         """Raise InputError if a given network is of another kind than the training; backbone and weights are free."""
         contract, name, recipe = model.contract, use.training.name, self.scale.recipe(use.training, 0)
-        spec = ModelSpec(
-            views=contract.views,
-            n_parts=recipe.n_parts,
-            layout=recipe.layout,
-            pooling=recipe.pooling,
-            polar=recipe.polar,
-            input_size=recipe.input_size,
-        )
+        expected = network_spec(recipe, contract.views, 1).contract()
         if contract.method not in METHODS:
             raise InputError(f"{file.name} is {contract.method}, and {name} needs an LPN; give one, or leave it out.")
         compared = ["n_parts", "method", "input_size", "polar"]
         if recipe.n_parts > 1 and recipe.pooling == "average":
             compared.append("partitions")
         for what in compared:
-            found, needed = (_shown(getattr(one, what)) for one in (contract, spec.contract()))
+            found, needed = (_shown(getattr(one, what)) for one in (contract, expected))
             if found != needed:
                 raise InputError(
                     f"{file.name} has {what} {found}, and {name} needs {what} {needed} in {use.used_by}; give it under the name "
@@ -260,14 +255,14 @@ class Reproduction:
     def _print_plan(self, left: Sequence[TrainingJob], drawn: Sequence[str]) -> None:
         """Print the remaining trainings, and the figures to draw."""
         if left:
-            epochs = sum(job.recipe.epochs - len(job.seconds()) for job in left)
+            epochs = sum(job.recipe.epochs - job.epochs_done for job in left)
             self._say(
                 f"Plan: {len(left)} of {len(self._jobs)} trainings are left: {epochs} epochs. A second process with the same "
                 "command shares them."
             )
             for job in left:
-                done, steps, epochs = len(job.seconds()), job.steps, job.recipe.epochs
-                begun = f", {done} epochs done" if done else ""
+                steps, epochs = job.steps, job.recipe.epochs
+                begun = f", {job.epochs_done} epochs done" if job.epochs_done else ""
                 self._say(f"  {job.name}: {epochs} epochs of {steps} updates, {epochs * steps:,} in all{begun}")
             if self.scale.changes:
                 self._say(report.changes_note(self.scale, [job.training for job in left]))
@@ -311,6 +306,20 @@ class Reproduction:
             return "its training diverged"
         return "" if self.train else f"no --model gives {name}, and --no-train trains none"
 
+    def _planned_rows(self, table: PaperTable) -> str:
+        """Count the rows of a table that can run, and give the reasons of the others."""
+        own = [row for row in table.rows if not row.quoted]
+        quoted = len(table.rows) - len(own)
+        lacking: dict[str, list[str]] = {}
+        for row in own:
+            lacking.setdefault(self._reason(table, row), []).append(row.label)
+        text = f"{table.key}: {len(lacking.pop('', []))} of {len(own)} rows" + (
+            f", and {quoted} quoted" if quoted else ""
+        )
+        for reason, labels in lacking.items():
+            text += f"; {reason}" + (f" ({', '.join(labels)})" if len(labels) < len(own) else "")
+        return text
+
     def _is_copy(self, training: Training) -> bool:
         """Return whether a network would repeat the LPN for lack of google pictures."""
         return training.name == "lpn-without-google" and not self._sources["places"][0].has_google
@@ -343,7 +352,7 @@ class Reproduction:
             if measured:
                 protocols[row.label] = next(iter(measured.values())).protocol
             own = self._own(row.training.name) if row.training is not None else []
-            trained = {f"seed {job.seed}": job.made for job in own if job.made}
+            trained = {f"seed {job.seed}": run.made for job in own if (run := read_run(job.folder)) is not None}
             values = {name: of.values for name, of in measured.items()}
             made = {name: of.made for name, of in measured.items()}
             reason = "" if measured else self._reason(table, row)
@@ -382,17 +391,17 @@ class Reproduction:
         role = SHOWN[name][0].role
         dataset, places = self._sources[role][0].dataset, role == "places"
         drawn = [(network, next(iter(networks.values()))) for network, networks in of.items()]
-        queries = self.queries if places else ()
+        first, queries = drawn[0][1], self.queries if places else ()
         if name.startswith("figure8"):
             views: tuple[View, ...] = ("drone", "satellite") if places else ("street",)
-            data = figures.retrievals(drawn[0][1], dataset, views, queries, 5 if places else 3)
+            data = figures.retrievals(first, dataset, views, queries, 5 if places else 3)
         elif name in ("figure3", "figure4"):
             draw = network_figures.network if name == "figure3" else network_figures.partitions
-            data = draw(drawn[0][1], figures.described(drawn[0][1], dataset, queries))
-        elif name == "figure1":
-            data = figures.heatmaps(drawn, dataset, "drone", queries[:1], count=1)
+            data = draw(first, figures.described(first, dataset, queries))
         else:
-            data = figures.heatmaps(drawn, dataset, "drone" if places else "street", queries)
+            one = name == "figure1"
+            shown = queries[:1] if one else queries
+            data = figures.heatmaps(drawn, dataset, "drone" if places else "street", shown, 1 if one else 4)
         write_atomic(self.out / f"{name}.png", data)
         return self.out / f"{name}.png"
 
@@ -401,20 +410,6 @@ def _shown(value: object) -> str:
     if isinstance(value, Mapping):
         return ", ".join(f"{view} {partition.kind}" for view, partition in value.items())
     return " x ".join(map(str, value)) if isinstance(value, tuple) else str(value)
-
-
-def plan(table: PaperTable, reasons: Mapping[str, str]) -> str:
-    """Count the rows of a table that can run; `reasons` has the others by their labels."""
-    own = [row.label for row in table.rows if not row.quoted]
-    quoted = len(table.rows) - len(own)
-    lacking: dict[str, list[str]] = {}
-    for label in own:
-        lacking.setdefault(reasons[label], []).append(label)
-    made = len(lacking.pop("", []))
-    text = f"{table.key}: {made} of {len(own)} rows" + (f", and {quoted} quoted" if quoted else "")
-    for reason, labels in lacking.items():
-        text += f"; {reason}" + (f" ({', '.join(labels)})" if len(labels) < len(own) else "")
-    return text
 
 
 def _columns(

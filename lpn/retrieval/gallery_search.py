@@ -14,7 +14,7 @@ from lpn.core.views import View
 from lpn.datasets import Truth
 from lpn.descriptors.transforms import UNCHANGED, Change
 from lpn.models.base import Model, normalise, whitened
-from lpn.models.contract import ForwardPass, check_parts
+from lpn.models.contract import ForwardPass, check_shapes
 from lpn.models.trace import Trace
 from lpn.retrieval import scoring
 from lpn.retrieval.csls import CslsTerms
@@ -195,7 +195,7 @@ def describe_pictures(
             activation = scoring.activation(trace.activation)
             described.append(DescribedPicture(picture, normalise(trace.embedding), activation, trace))
             continue
-        check_parts(model.contract, one.parts, passes)
+        check_shapes(model.contract, {"pictures": (passes,), "parts": one.parts.shape})
         raw = cast(Float32Array, one.parts.sum(axis=0))
         centred = whitened(raw + model.centring(raw, view), model.whitening)
         described.append(DescribedPicture(picture, normalise(centred), None, None))

@@ -6,6 +6,7 @@ import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
+from dataclasses import fields
 from pathlib import Path
 from typing import Any, cast
 
@@ -231,37 +232,22 @@ def average_weights(network: LPN, decay: float) -> AveragedModel:
     return average
 
 
+def network_spec(recipe: Recipe, views: Sequence[View], classes: int) -> ModelSpec:
+    """Return the architecture of a recipe's network for some views, with a class for each place."""
+    settings = {field.name: getattr(recipe, field.name) for field in fields(ModelSpec) if hasattr(recipe, field.name)}
+    if is_timm(recipe.backbone):
+        settings["last_layer"] = "layer4"  # it is defined for our own backbones only
+    elif recipe.pooling == "safa" or not recipe.linear:
+        maps = recipe.maps if recipe.pooling == "safa" else 1
+        settings["embedding"] = maps * CHANNELS[recipe.backbone, recipe.last_layer]
+    # A map has no classes, but a network needs at least one.
+    settings |= {"views": tuple(views), "classes": 1 if recipe.windows else classes}
+    return ModelSpec(**settings | {"shared": recipe.shared and "drone" in views})
+
+
 def build_network(recipe: Recipe, views: Sequence[View], classes: int) -> LPN:
-    """Build a recipe's network for some views, with a class for each place; torch's seed decides its weights."""
-    # `last_layer` is defined for our own backbones only.
-    last_layer = "layer4" if is_timm(recipe.backbone) else recipe.last_layer
-    embedding = ModelSpec.embedding
-    if recipe.pooling == "safa":
-        embedding = recipe.maps * CHANNELS[recipe.backbone, last_layer]
-    elif not recipe.linear:
-        embedding = CHANNELS[recipe.backbone, last_layer]
-    network = LPN(
-        ModelSpec(
-            backbone=recipe.backbone,
-            last_layer=last_layer,
-            last_stride=recipe.last_stride,
-            views=tuple(views),
-            shared=recipe.shared and "drone" in views,
-            n_parts=recipe.n_parts,
-            layout=recipe.layout,
-            weighting=recipe.weighting,
-            activation=recipe.activation,
-            # A map has no classes, but a network needs at least one.
-            classes=1 if recipe.windows else classes,
-            dropout=recipe.dropout,
-            input_size=recipe.input_size,
-            pooling=recipe.pooling,
-            maps=recipe.maps,
-            polar=recipe.polar,
-            backbone_dropout=recipe.backbone_dropout,
-            embedding=embedding,
-        )
-    )
+    """Build the network of `network_spec`; torch's seed decides its weights."""
+    network = LPN(network_spec(recipe, views, classes))
     initialise_heads(network, recipe)
     return network
 

@@ -149,7 +149,12 @@ class Loader:
                     name: self._labels_of(name, number, places, epoch) for number, name in enumerate(self._files, 1)
                 }
                 rows = [
-                    partial(self._draw_place, sets, place, epoch, {name: int(of[row]) for name, of in labels.items()})
+                    partial(
+                        self._draw,
+                        sets,
+                        [*seed, place],
+                        {name: self._files[name][of[row]] for name, of in labels.items()},
+                    )
                     for row, place in enumerate(places.tolist())
                 ]
                 yield {name: np.repeat(of, self._per_place(name)) for name, of in labels.items()}, None, rows
@@ -163,8 +168,9 @@ class Loader:
                 labels = {
                     name: np.array([self._pictures[name][i][1] for i in chunk], np.int64) for name, chunk in of_sets
                 }
+                # A zero in the last place would repeat the random numbers of the set's order.
                 rows = [
-                    partial(self._draw_picture, sets, name, number, index, epoch)
+                    partial(self._draw, sets, [*seed, number, index + 1], {name: [self._pictures[name][index][0]]})
                     for number, (name, chunk) in enumerate(of_sets)
                     for index in chunk.tolist()
                 ]
@@ -184,7 +190,7 @@ class Loader:
         """Return the place shown by each row of a set: its own, or another one if that has no picture in the set.
 
         Args:
-            number: the set's number, from 1; a zero would repeat the random numbers of `_draw_place`.
+            number: the set's number, from 1; a zero would repeat the random numbers of `_draw`.
         """
         labels = places.copy()
         for row, place in enumerate(places):
@@ -193,29 +199,18 @@ class Loader:
                 labels[row] = rng.choice(self._there[name])
         return labels
 
-    def _draw_picture(self, places: TrainingSet, name: str, number: int, index: int, epoch: int) -> _Drawn:
-        """Augment one picture of a set, (H, W, 3) uint8, in a worker."""
-        # A zero in the last place would repeat the random numbers of the set's order.
-        rng = np.random.default_rng([self.recipe.seed, epoch, number, index + 1])
-        return {name: [self._augmented(places, self._pictures[name][index][0], name, rng, 0.0, False)]}
-
-    def _draw_place(self, places: TrainingSet, place: int, epoch: int, labels: Mapping[str, int]) -> _Drawn:
-        """Draw and augment the pictures of each set, (H, W, 3) uint8 each, in a worker."""
-        rng = np.random.default_rng([self.recipe.seed, epoch, place])
-        angle, mirror = draw_place_pose(self.recipe, rng)
+    def _draw(self, places: TrainingSet, seed: list[int], files: Mapping[str, Sequence[Path]]) -> _Drawn:
+        """Draw and augment pictures of each set, (H, W, 3) uint8 each, in a worker."""
+        recipe, rng = self.recipe, np.random.default_rng(seed)
+        angle, mirror = draw_place_pose(recipe, rng) if recipe.sampling == "places" else (0.0, False)
         drawn = {}
-        for name, of in labels.items():
-            files, count = self._files[name][of], self._per_place(name)
+        for name, of in files.items():
+            count, panorama = self._per_place(name), places.panoramas and name == "street"
             # Too few files are repeated in turn, as released.
-            chosen = [rng.integers(len(files))] if count == 1 else np.resize(rng.permutation(len(files)), count)
-            drawn[name] = [self._augmented(places, files[int(i)], name, rng, angle, mirror) for i in chosen]
+            chosen = [rng.integers(len(of))] if count == 1 else np.resize(rng.permutation(len(of)), count)
+            pictures = (places.picture(of[int(i)]) for i in chosen)
+            drawn[name] = [augment(one, recipe, rng, angle, mirror, branch_of(name), panorama) for one in pictures]
         return drawn
-
-    def _augmented(
-        self, places: TrainingSet, path: Path, name: str, rng: np.random.Generator, angle: float, mirror: bool
-    ) -> UInt8Array:
-        panorama = places.panoramas and name == "street"
-        return augment(places.picture(path), self.recipe, rng, angle, mirror, branch_of(name), panorama)
 
     def _batch(self, labels: _Labels, overlaps: BoolArray | None, tasks: Sequence[Future[_Drawn]]) -> TrainingBatch:
         rows = [task.result() for task in tasks]

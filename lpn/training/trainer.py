@@ -88,8 +88,13 @@ class Trainer:
         self.out, self.recipe, self.evaluate_every = out, recipe, evaluate_every
         held = self._open_places(source, window_sizes, validate)
         there = [name for name in ("state.pt", "last.safetensors", "log.csv") if (out / name).exists()]
-        if not resume or from_scratch:
-            check_start(init, from_scratch)
+        if init is not None and from_scratch:
+            raise InputError("--init and --from-scratch exclude each other; give one of them.")
+        if init is None and not from_scratch and not resume:
+            raise InputError(
+                "Every recipe starts from a backbone trained on ImageNet; give its weights with --init FILE, let --init auto "
+                "find them, or say --from-scratch to start from random weights."
+            )
         if not resume and there:
             raise InputError(
                 f"{out} holds {there[0]} of a training run already; add --resume to continue it, or choose another --out."
@@ -238,13 +243,11 @@ class Trainer:
 
     def _select(self) -> None:
         """Test the last epoch if a test is due, and save its model if it is the best so far."""
-        epoch, validator = len(self.history), self.validator
-        due = self.evaluate_every and epoch and (epoch % self.evaluate_every == 0 or epoch == self.recipe.epochs)
+        epoch, last, validator = len(self.history), len(self.history) == self.recipe.epochs, self.validator
+        due = self.evaluate_every and epoch and (epoch % self.evaluate_every == 0 or last)
         if not due or validator is None or validator.column in self.history[-1]:
             return
-        # Print all metrics of the last epoch on the test split.
-        console = self.console if epoch == self.recipe.epochs else None
-        self.history[-1] |= validator.measure(self._load("last"), console)
+        self.history[-1] |= validator.measure(self._load("last"), self.console if last else None)
         best = best_epoch(self.history, validator.column)
         if best is not None and best[0] == epoch:
             more = {"epoch": str(epoch), "score": f"{best[1]:.4f}", "chosen by": validator.description}
@@ -354,17 +357,6 @@ def check_single_process(command: str) -> None:
     processes = os.environ.get("WORLD_SIZE", "1")
     if processes != "1":
         raise InputError(f"{command} is one process, and WORLD_SIZE is {processes}; start it without torchrun.")
-
-
-def check_start(init: Path | None, from_scratch: bool) -> None:
-    """Raise InputError unless a training has weights to start from, or starts from random ones."""
-    if init is not None and from_scratch:
-        raise InputError("--init and --from-scratch exclude each other; give one of them.")
-    if init is None and not from_scratch:
-        raise InputError(
-            "Every recipe starts from a backbone trained on ImageNet; give its weights with --init FILE, let --init auto find "
-            "them, or say --from-scratch to start from random weights."
-        )
 
 
 def _counted(number: int, noun: str) -> str:

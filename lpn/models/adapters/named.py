@@ -3,29 +3,17 @@
 from __future__ import annotations
 
 import torch
-from torch import Tensor, nn
+from torch import nn
 
 from lpn.core.errors import InputError, ModelFileError
 from lpn.models import timm_networks
-from lpn.models.adapters.network import Account, HeldNorm, MeanVector, PartBranch
+from lpn.models.adapters.network import FirstToken, HeldNorm, MeanVector, PartBranch
 from lpn.models.entries import Entries
 from lpn.models.timm_networks import TimmMap
 
 # The largest difference, relative to the largest value, between a network's vector and the mean of its cells.
 _SAME = 1e-4
 _SEED = 21
-
-
-class Whole(PartBranch):
-    """One vector by the network's own pooling, without cells."""
-
-    def __init__(self, network: nn.Module) -> None:
-        super().__init__((1, 1))
-        self.network = network
-
-    def account(self, images: Tensor) -> Account:
-        """Return the vector; it has no account."""
-        return Account(self.network(images).unsqueeze(1))
 
 
 def filled_map(name: str, entries: Entries, size: tuple[int, int]) -> TimmMap:
@@ -58,7 +46,7 @@ def named_vector(name: str, entries: Entries, size: tuple[int, int]) -> tuple[Pa
         try:
             mapped = TimmMap(name, size, network=whole)
         except InputError:
-            return Whole(whole), vector.shape[1]
+            return FirstToken(whole), vector.shape[1]
         pooled = mapped(noise).mean((2, 3))
         behind = timm_networks.norm_behind(whole)
         for norm in (None, *([] if behind is None else [HeldNorm.of(behind)])):
@@ -68,7 +56,7 @@ def named_vector(name: str, entries: Entries, size: tuple[int, int]) -> tuple[Pa
                 uneven = size[0] % mapped.grid[0] or step * mapped.grid[1] != size[1]
                 fixed = mapped.patch is not None or bool(uneven) or timm_networks.has_fixed_size(name)
                 return MeanVector(mapped.without_head(), norm, mapped.grid, None if fixed else step), vector.shape[1]
-    return Whole(whole), vector.shape[1]
+    return FirstToken(whole), vector.shape[1]
 
 
 def _fill(network: nn.Module, name: str, entries: Entries) -> None:

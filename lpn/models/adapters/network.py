@@ -9,6 +9,8 @@ from torch import Tensor, nn
 
 from lpn.core.errors import InputError
 
+NORM_HELD = "the LayerNorm's mean and variance"
+
 
 class Account(NamedTuple):
     """The parts of B pictures as sums over cells, see `lpn.models.contract`.
@@ -33,6 +35,7 @@ class PartBranch(nn.Module):
         grid: (h, w) of the map of a picture of the model's input size; 1 x 1 without cells.
         heads: A (n, D, C) and c (n, D) of static heads; None if features include them, or there are none.
         step: sides of pictures may be any multiple of it; None for the training size alone.
+        held: the quantities that the account holds for each picture, "" for none; None without cells.
 
     Attributes:
         weight, bias: of the heads, or None.
@@ -42,10 +45,14 @@ class PartBranch(nn.Module):
     bias: Tensor | None
 
     def __init__(
-        self, grid: tuple[int, int], heads: tuple[Tensor, Tensor] | None = None, step: int | None = None
+        self,
+        grid: tuple[int, int],
+        heads: tuple[Tensor, Tensor] | None = None,
+        step: int | None = None,
+        held: str | None = None,
     ) -> None:
         super().__init__()
-        self.grid, self.step = grid, step
+        self.grid, self.step, self.held = grid, step, held
         weight, bias = heads or (None, None)
         self.register_buffer("weight", weight)
         self.register_buffer("bias", bias)
@@ -115,7 +122,7 @@ class MeanVector(PartBranch):
         step: int | None,
         heads: tuple[Tensor, Tensor] | None = None,
     ) -> None:
-        super().__init__(grid, heads, step)
+        super().__init__(grid, heads, step, "" if norm is None else NORM_HELD)
         self.trunk, self.norm = trunk, norm
 
     def account(self, images: Tensor) -> Account:
@@ -130,10 +137,10 @@ class MeanVector(PartBranch):
 
 
 class FirstToken(PartBranch):
-    """One vector without cells: the first token, a ViT's class token, plain or under a head.
+    """One vector without cells, plain or under a head: the first token, or what a network pools itself.
 
     Args:
-        trunk: gives tokens (B, T, C).
+        trunk: gives tokens (B, T, C), of which the first is a ViT's class token, or the pooled vector (B, C).
         heads: see `PartBranch`.
     """
 
@@ -143,7 +150,8 @@ class FirstToken(PartBranch):
 
     def account(self, images: Tensor) -> Account:
         """Return the vector; it has no account."""
-        return Account(self.headed(self.trunk(images)[:, :1]))
+        values = self.trunk(images)
+        return Account(self.headed(values[:, :1] if values.ndim == 3 else values.unsqueeze(1)))
 
 
 class TokenMap(nn.Module):

@@ -26,7 +26,6 @@ PAIR: tuple[View, ...] = ("satellite", "drone")
 _UNUSED = re.compile(
     r".*(\bclassifier\.\d+\.|num_batches_tracked$)|(bn|gem\d+|model\.fc|transformer\.fc|convnext\.(head|model\.fc))\."
 )
-NORM_HELD = "the LayerNorm's mean and variance"
 
 
 @dataclass(frozen=True)
@@ -109,8 +108,6 @@ def published(
     method: str,
     backbone: str,
     size: tuple[int, int],
-    level: AccountLevel,
-    held: str = "",
     parts: Sequence[str] = (),
     embedding: int = 0,
     **further: Any,
@@ -125,16 +122,17 @@ def published(
     roles = "query" in branches
     views = PAIR if roles else cast("tuple[View, ...]", tuple(branches))
     by_branch = [tuple(view for view in views if branches.get(view) is one) for one in dict.fromkeys(branches.values())]
-    names = tuple(parts) or ("1 whole",)
+    names, first = tuple(parts) or ("1 whole",), next(iter(branches.values()))
+    level: AccountLevel = "exact, with held" if first.held else "exact"
     contract = Contract(
         method=method,
         title=f"{method} {backbone}, {f'n = {len(names)}, ' if parts else ''}{size[0]} x {size[1]}",
         views=views,
         input_size=size,
         n_parts=len(names),
-        embedding=embedding or cast(Tensor, next(iter(branches.values())).bias).shape[1],
-        level=level,
-        held=held,
+        embedding=embedding or cast(Tensor, first.bias).shape[1],
+        level="one vector" if first.held is None else level,
+        held=first.held or "",
         groups=() if roles else tuple(by_branch),
         roles="role" if roles else "view",
         part_names=dict.fromkeys(views, names),
@@ -150,8 +148,6 @@ def by_view(
     backbone: str,
     size: tuple[int, int],
     names: list[str],
-    level: AccountLevel,
-    held: str = "",
 ) -> PublishedParts:
     """Build a model whose satellite and drone share `model_1`; `model_2`, if it exists, describes the street."""
     three = entries.has("model_2.")
@@ -161,7 +157,7 @@ def by_view(
     if three:
         branches = {"satellite": made[0], "street": made[-1], "drone": made[0]}
     parts = [f"{number + 1} {name}" for number, name in enumerate(names)]
-    return published(branches, method, backbone, size, level, held, parts)
+    return published(branches, method, backbone, size, parts)
 
 
 def distinct(entries: Entries, *prefixes: str) -> list[Entries]:

@@ -32,7 +32,8 @@ class Adapter:
         kind: its name for `--kind`; several adapters may have one.
         needs: patterns that must each match the beginning of some entry's name. An option of opts.yaml is an entry
             `opts.yaml:NAME`.
-        build: builds the model from all entries.
+        build: builds the model from all entries. It raises ModelFileError for entries that are missing, have wrong shapes,
+            contradict the options, or belong to another form of the method, and InputError if timm is needed and missing.
         unused: a pattern of entries for training alone.
     """
 

@@ -15,8 +15,8 @@ from lpn.core.files import printable
 from lpn.core.images import MEAN, STD, Triple
 from lpn.core.views import VIEWS
 from lpn.models import timm_networks
-from lpn.models.adapters.network import Account, HeldNorm, PartBranch, on_grid
-from lpn.models.adapters.published import NORM_HELD, PublishedParts, size_of
+from lpn.models.adapters.network import NORM_HELD, Account, HeldNorm, PartBranch, on_grid
+from lpn.models.adapters.published import PublishedParts, size_of
 from lpn.models.entries import Entries
 from lpn.models.options import NETWORK, PICTURES, read_configuration, stated_normalisation, stated_size
 from lpn.models.timm_networks import TimmMap

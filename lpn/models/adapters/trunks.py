@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any, cast
 
 import torch
@@ -147,7 +148,7 @@ def dinov2(entries: Entries, size: tuple[int, int]) -> Tokens:
         scale = [(length + _LONGER) / side for length in grid]
         mapped = F.interpolate(square, scale_factor=scale, mode="bicubic", align_corners=False)
         positions = torch.cat([positions[:, :1], mapped.flatten(2).transpose(1, 2)], 1)
-    return Tokens(entries.with_tensor("pos_embed", positions), size)
+    return Tokens(replace(entries, state={**entries.state, "pos_embed": positions}), size)
 
 
 class ConvNeXt(Trunk):

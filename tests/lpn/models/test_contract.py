@@ -17,7 +17,7 @@ from lpn.drawing import overlays, verdicts
 from lpn.drawing.part_areas import PartAreas
 from lpn.drawing.theme import part_colour
 from lpn.models.base import Model
-from lpn.models.contract import Contract, ForwardPass, check_pass
+from lpn.models.contract import Contract, check_pass
 from lpn.models.spec import ModelSpec
 from lpn.models.trace import Trace
 from lpn.retrieval import DescribedPicture, scoring
@@ -59,13 +59,8 @@ def test_names_of_parts_hold_no_control_characters() -> None:
 
 
 def test_an_account_that_does_not_add_up_has_no_closure() -> None:
-    class Wrong(RegionModel):
-        def run(self, images: Any, view: View) -> ForwardPass:
-            found = super().run(images, view)
-            assert found.constants is not None
-            return found._replace(constants=found.constants + np.float32(0.01))
-
-    assert trace_of(Wrong()).errors().max() > 1e-3
+    trace = trace_of(RegionModel())
+    assert replace(trace, constants=trace.constants + 0.01).errors().max() > 1e-3
 
 
 @pytest.mark.parametrize("model", MODELS, ids=NAMES)
@@ -194,22 +189,14 @@ def test_the_fingerprint_of_a_model_without_a_file_is_that_of_its_answers() -> N
 )  # fmt: skip
 def test_shapes_that_contradict_the_contract_are_refused_with_the_shapes(change: dict[str, Any], message: str) -> None:
     model = RegionModel()
-    image = np.zeros((1, 3, 64, 64), np.float32)
-    outputs = model.run(image, "drone")._replace(**change)
+    whole = model.run(np.zeros((1, 3, 64, 64), np.float32), "drone")
     with pytest.raises(ModelFileError, match=message):
-        Trace.from_pass(model, outputs, "drone")
-    check_pass(model.contract, model.run(image, "drone"), model.heads("drone"))
-
-
-def test_cells_of_the_heads_that_do_not_fit_the_map_are_refused_with_the_shapes(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    model = RegionModel()
-    outputs = model.run(np.zeros((1, 3, 64, 64), np.float32), "drone")._replace(cells=None)
+        Trace.from_pass(model, whole._replace(**change), "drone")
+    check_pass(model.contract, whole, model.heads("drone"))
     heads = replace(model.heads("drone"), cells=np.zeros((3, 8, 7), np.float32))
-    monkeypatch.setattr(model, "heads", lambda _: heads)
+    model.heads = lambda _: heads  # type: ignore[method-assign]
     with pytest.raises(ModelFileError, match=r"the heads' cells of shape 3 x 8 x 7; .* 4 x 8 x 8"):
-        Trace.from_pass(model, outputs, "drone")
+        Trace.from_pass(model, whole._replace(cells=None), "drone")
 
 
 @pytest.mark.parametrize(
@@ -221,8 +208,7 @@ def test_cells_of_the_heads_that_do_not_fit_the_map_are_refused_with_the_shapes(
         ({"level": "one vector", "held": ""}, "with 4 parts; one of both is wrong"),
         ({"part_names": {"drone": ["1"]}}, "The drone has 1 names of parts; expected 4"),
         ({"groups": (("drone",),)}, "do not hold each of the views"),
-        ({"n_parts": 0}, "parts is 0; expected a whole number"),
-        ({"n_parts": 1 << 30, "part_names": {}}, "expected a whole number from 1 to 256"),
+        ({"n_parts": 0}, "parts is 0; expected a whole number from 1 to 256"),
         ({"std": (1.0, 0.0, 1.0)}, "std above 0"),
         ({"roles": "role"}, "groups 'satellite drone'; one branch .* two groups of one view each"),
         ({"roles": "role", "views": ("drone",), "groups": (), "part_names": {}}, "its groups 'drone'; one branch"),

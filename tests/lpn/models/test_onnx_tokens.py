@@ -127,6 +127,9 @@ def test_weights_in_a_file_beside_open_and_are_named_where_they_are_missing(tmp_
     pictures = seeded.pictures(54, 1, *SIZE)
     found, expected = (lpn.load(file, pooling="mean").part_embeddings(pictures, "drone") for file in (apart, whole))
     np.testing.assert_array_equal(found, expected)
-    (apart.parent / "model.onnx.data").unlink()
+    weights, before = apart.parent / "model.onnx.data", lpn.load(apart, pooling="mean").fingerprint
+    weights.write_bytes(bytes(weights.stat().st_size))
+    assert lpn.load(apart, pooling="mean").fingerprint != before
+    weights.unlink()
     with pytest.raises(ModelFileError, match=r"takes weights from model\.onnx\.data, which is missing; copy that file"):
         lpn.load(apart, pooling="mean")

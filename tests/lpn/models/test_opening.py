@@ -3,13 +3,9 @@
 from __future__ import annotations
 
 import argparse
-import collections
 import io
 import os
-import pathlib
 import pickle
-import sys
-import types
 import zipfile
 from collections import OrderedDict
 from collections.abc import Callable
@@ -21,7 +17,6 @@ import pytest
 import torch
 from safetensors.torch import save as save_tensors
 from torch import Tensor, nn
-from torch.distributed._shard.sharded_tensor import ShardedTensor
 
 import lpn
 from lpn.models import file_contents
@@ -63,20 +58,6 @@ def of_dtype(dtype: torch.dtype) -> Callable[[State], State]:
     return lambda state: {key: of.to(dtype) if of.is_floating_point() else of for key, of in state.items()}
 
 
-def deepspeed(state: State) -> object:
-    shapes = OrderedDict((key, value.shape) for key, value in state.items())
-    return {"module": state, "buffer_names": [], "optimizer": None, "param_shapes": [shapes], "ds_version": "0.14.0"}
-
-
-def lightning(prefix: str) -> Callable[[State], object]:
-    return lambda state: {
-        "pytorch-lightning_version": "2.1.0",
-        "state_dict": prefixed(prefix, state),
-        "optimizer_states": [{"state": {0: {"exp_avg": torch.zeros(3)}}, "param_groups": []}],
-        "hyper_parameters": {"lr": 0.1},
-    }
-
-
 # Forms in which training programs save weights: the further entries, and the wrappers.
 OPENS: dict[str, Callable[[State], object]] = {
     "numbers of NumPy": lambda state: {
@@ -94,8 +75,12 @@ OPENS: dict[str, Callable[[State], object]] = {
         "dtype": torch.bfloat16,
     },
     "DataParallel": lambda state: {"model": prefixed("module.", state)},
-    "Lightning": lightning("model."),
-    "compiled by Lightning": lightning("model._orig_mod."),
+    "Lightning": lambda state: {
+        "pytorch-lightning_version": "2.1.0",
+        "state_dict": prefixed("model.", state),
+        "optimizer_states": [{"state": {0: {"exp_avg": torch.zeros(3)}}, "param_groups": []}],
+        "hyper_parameters": {"lr": 0.1},
+    },
     "an optimizer": lambda state: {
         "net": state,
         "optimizer": {"state": {0: {"momentum_buffer": torch.zeros(3)}}, "param_groups": [{"lr": 0.1}]},
@@ -116,7 +101,12 @@ OPENS: dict[str, Callable[[State], object]] = {
         "opt": {"param_groups": []},
         "epoch": 1,
     },
-    "DeepSpeed": deepspeed,
+    "DeepSpeed": lambda state: {
+        "module": state,
+        "buffer_names": [],
+        "optimizer": None,
+        "param_shapes": [OrderedDict((key, value.shape) for key, value in state.items())],
+    },
     "half precision": of_dtype(torch.bfloat16),
     "double precision": of_dtype(torch.float64),
 }
@@ -183,10 +173,6 @@ class _Net(nn.Module):
         self.act = getattr  # as a network that keeps a function
 
 
-class _Config:
-    """A class of a package of somebody else."""
-
-
 class _Calls:
     """Pickles as a call that its own process need not be able to make."""
 
@@ -200,12 +186,8 @@ class _Calls:
 # Values other than tensors in a file, and the first name in it that may run code.
 MORE: dict[str, tuple[Any, str]] = {
     "namespace": (argparse.Namespace(lr=0.01), "argparse.Namespace"),
-    "defaultdict": (collections.defaultdict(list), "collections.defaultdict"),
-    "a path": (pathlib.PosixPath("runs"), f"{pathlib.PosixPath.__module__}.PosixPath"),
-    "a class": (_Config(), f"{__name__}._Config"),
     "a network": (_Net(), f"{__name__}._Net"),
     "an activation": (nn.functional.relu, "torch.nn.functional.relu"),
-    "sharded": (_Calls(ShardedTensor), "torch.distributed._shard.sharded_tensor.api.ShardedTensor"),
     "a program": (_Calls(os.system, "touch ran"), f"{os.name}.system"),
 }
 
@@ -225,16 +207,6 @@ def test_a_file_of_more_than_tensors_is_refused_with_what_it_names(
     assert not Path("ran").exists()
 
 
-def test_a_class_of_a_package_that_is_not_installed_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    home = types.ModuleType("omegaconf")
-    found: type = type("DictConfig", (), {"__module__": "omegaconf", "__qualname__": "DictConfig"})
-    home.DictConfig = found  # type: ignore[attr-defined]
-    with monkeypatch.context() as patch:
-        patch.setitem(sys.modules, "omegaconf", home)
-        torch.save({"state_dict": {"a": torch.ones(2)}, "config": found()}, tmp_path / "net.pth")
-    assert "it names omegaconf.DictConfig, which may run code" in refusal_of(tmp_path / "net.pth")
-
-
 NO_PLAIN = (
     f"In net.pth, {KERNELS} is no plain tensor but quantised, sparse, complex, or without values; give the weights"
 )
@@ -246,14 +218,6 @@ EMPTY: dict[str, tuple[Callable[[State], object], str]] = {
         lambda _: {"state": {}, "param_groups": [{"lr": 0.1}]},
         "net.pth holds state, param_groups; expected",
     ),
-    "numbers": (
-        lambda _: {"epoch": 3, "loss": 0.5},
-        "net.pth holds epoch, loss; expected one state_dict of named tensors, so save the network's state_dict by torch.save",
-    ),
-    "arrays": (
-        lambda _: {"a": np.ones((2, 2), np.float32)},
-        "net.pth holds a; expected one state_dict of named tensors",
-    ),
     "two": (
         lambda _: {"generator": {"a": torch.ones(2)}, "critic": {"a": torch.ones(2)}},
         "net.pth holds generator, critic; expected one",
@@ -261,7 +225,6 @@ EMPTY: dict[str, tuple[Callable[[State], object], str]] = {
     "nothing": (lambda _: {}, "net.pth holds nothing; expected"),
     "a tensor": (lambda _: torch.zeros(3), "net.pth holds a Tensor; expected one state_dict of named tensors"),
     "numbers as names": (lambda state: dict(enumerate(state.values())), "net.pth holds 0, 1, 2, 3, and "),
-    "a list": (lambda _: [1, 2], "net.pth holds a list; expected one state_dict"),
     "itself": (lambda _: LOOPED, "net.pth holds model; expected"),
     "sparse": (lambda _: {KERNELS: torch.zeros(3).to_sparse()}, NO_PLAIN),
     "complex": (lambda state: {**state, KERNELS: state[KERNELS].to(torch.complex64)}, NO_PLAIN),
@@ -329,10 +292,7 @@ FOREIGN: dict[str, tuple[bytes, str]] = {
         "is a web page ('Log in to OneDrive'); download the file itself, not its page, and log in where the site "
         "asks for it.",
     ),
-    "page without a title": (
-        b"\n\n<html lang='en'><body>302 Found</body></html>",
-        "is a web page; download the file itself",
-    ),
+    "page without a title": (b"\n\n<html lang='en'><body>Found</body></html>", "is a web page; download the file"),
     "XHTML": (b'<?xml version="1.0"?><html xmlns="x"><title>a</title></html>', "is a web page ('a')"),
     "empty": (b"", "is empty; its download or copy broke off, so download or copy the file again."),
     "zeros": (b"\0" * 70_000, "is full of zeros; its download or copy broke off"),
@@ -351,11 +311,6 @@ BYTES: dict[str, tuple[str, Callable[[State], bytes], str]] = {
     "a pickle that calls": ("net.pth", lambda _: pickle.dumps(_Calls(os.system, "touch ran")), ALONE),
     "TorchScript": ("net.pth", script, ALONE),
     "arrays": ("model.pkl", lambda state: pickle.dumps({key: of.numpy() for key, of in state.items()}), ALONE),
-    "picture": (
-        "mosaic.jpg",
-        lambda _: b"\xff\xd8\xff\xe0\0\x10JFIF\0",
-        "is not a PyTorch file: it begins with '\\xff\\xd8",
-    ),
     "one part": ("a-00002.safetensors", second_half, "The backbone in a-00002.safetensors is not one of"),
     "without a tensor": (
         "model.safetensors",

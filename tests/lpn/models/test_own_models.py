@@ -129,15 +129,15 @@ def test_a_graph_of_a_fixed_batch_describes_any_number_of_pictures(tmp_path: Pat
     np.testing.assert_array_equal(trace_of(fixed).cells, trace_of(free).cells)
 
 
-def test_parts_alone_and_one_vector(tmp_path: Path) -> None:
-    parts = lpn.load(graph(tmp_path / "parts.onnx", change={"held": ""}, outputs=["parts"]))
-    assert parts.contract.level == "parts only"
-    described = retrieval.describe_picture(parts, picture(), "drone")
-    assert described.trace is None
-    whole = lpn.load(graph(tmp_path / "whole.onnx"))
-    np.testing.assert_array_equal(
-        described.descriptor, retrieval.describe_picture(whole, picture(), "drone").descriptor
+def test_a_graph_of_parts_alone_has_no_trace(tmp_path: Path) -> None:
+    parts, whole = (
+        lpn.load(graph(tmp_path / "parts.onnx", change={"held": ""}, outputs=["parts"])),
+        lpn.load(graph(tmp_path / "whole.onnx")),
     )
+    assert parts.contract.level == "parts only"
+    described, expected = (retrieval.describe_picture(one, picture(), "drone") for one in (parts, whole))
+    assert described.trace is None
+    np.testing.assert_array_equal(described.descriptor, expected.descriptor)
 
 
 def test_groups_have_files_of_their_own_and_roles_choose_among_them(tmp_path: Path) -> None:
@@ -158,41 +158,30 @@ def test_groups_have_files_of_their_own_and_roles_choose_among_them(tmp_path: Pa
 
 @pytest.mark.parametrize("groups", ["street, drone", "drone, street"])
 def test_roles_choose_between_graphs_without_a_satellite(groups: str, tmp_path: Path) -> None:
-    first, second = groups.split(", ")
     change = {"groups": groups, "views": "street drone", "roles": "role", "source": "1"}
     graph(tmp_path / "both.onnx", change=change)
-    graph(tmp_path / f"both.{second}.onnx", change=change, cells="fixed")
-    model, graphs = Engine(tmp_path / "both.onnx"), {first: Engine(graph(tmp_path / "one.onnx"))}
-    graphs[second] = Engine(graph(tmp_path / "two.onnx", cells="fixed"))
+    graph(tmp_path / f"both.{groups.split(', ')[1]}.onnx", change=change, cells="fixed")
+    model = Engine(tmp_path / "both.onnx")
     images = model.prepare(picture(), "drone")[None]
-    parts = {view: one.run(images, "drone").parts for view, one in graphs.items()}
+    drone, street = (model.run(images, view).parts for view in ("drone", "street"))
+    assert not np.allclose(drone, street)
     forth, back = model.for_task("drone", "street"), model.for_task("street", "drone")
     assert forth.fingerprint == model.fingerprint != back.fingerprint
-    for bound, view, own in ((forth, "drone", "drone"), (forth, "street", "street"), (back, "drone", "street"),
-                             (back, "street", "drone")):  # fmt: skip
-        np.testing.assert_array_equal(bound.run(images, view).parts, parts[own])  # type: ignore[arg-type]
+    np.testing.assert_array_equal(forth.run(images, "drone").parts, drone)
+    np.testing.assert_array_equal(back.run(images, "drone").parts, street)
+    np.testing.assert_array_equal(back.run(images, "street").parts, drone)
 
 
 @pytest.mark.parametrize(
     ("kinds", "message"),
     [
         ({"change": {"resize": ""}}, "no entry 'resize' in its metadata"),
-        ({"change": {"mirror": "twice"}}, "mirror is 'twice'; expected one of sum, none"),
         ({"change": {"mean": "0.5 0.5"}}, "says mean: 0.5 0.5; expected three numbers"),
-        ({"change": {"mean": "1e39 0 0"}}, "the mean from -1000 to 1000"),
-        ({"change": {"std": "1e-300 1 1"}}, "std above 0"),
+        ({"change": {"mean": "1e39 0 0"}}, "contradict each other: The mean .* from -1000 to 1000"),
         ({"change": {"compute": "\x1b[31mint4"}}, r"say compute: [^\x1b]*int4; expected int8"),
-        ({"change": {"parts": "one, two, three"}}, "has 3 names of parts; expected 2"),
-        ({"change": {"roles": "role", "groups": "satellite drone"}}, "give two groups of one view each"),
-        ({"change": {"views": "drone", "roles": "role"}}, "give two groups of one view each"),
-        ({"change": {"views": "moon"}}, "one to three of satellite"),
         ({"change": {"format": "lpn-explorer-onnx/3"}}, "later version"),
         ({"change": {"format": ""}}, "has no contract in its metadata"),
-        (
-            {"size": (10**9, 10**9)},
-            "images of batch x 3 x 1000000000 x 1000000000; expected at most 4096 pixels on a side",
-        ),
-        ({"size": (10**6, 16)}, "expected at most 4096 pixels"),
+        ({"size": (10**6, 16)}, "images of batch x 3 x 1000000 x 16; expected at most 4096 pixels on a side"),
         ({"batch": 10**9}, "images of 1000000000 x 3 x 16 x 16; .* and 67108864 in a batch"),
         ({"outputs": ["features", "cells"]}, "takes images and returns parts"),
         ({"outputs": ["parts", "features"]}, "no output cells"),

@@ -76,7 +76,7 @@ def test_without_a_gpu_auto_is_the_cpu(model_file: Path) -> None:
     )
 
 
-@pytest.mark.parametrize(("wanted", "name"), [("cuda", CUDA), ("tensorrt", TENSORRT)])
+@pytest.mark.parametrize(("wanted", "name"), [("cuda", CUDA), ("tensorrt", TENSORRT), ("gpu", "gpu")])
 def test_a_provider_that_is_not_built_in_is_one_sentence(model_file: Path, wanted: str, name: str) -> None:
     with pytest.raises(InputError, match=f"has no {name}, but {CPU}; install .*onnxruntime-gpu") as caught:
         lpn.load(model_file, wanted)
@@ -207,11 +207,3 @@ def test_the_commands_pass_the_option_on(
     FakeGpu(monkeypatch)
     assert main.main([*describe, "auto"]) == 0
     assert "Computed on cuda." in capsys.readouterr().out
-
-
-def test_a_name_of_no_provider_is_refused_with_those_there_are(
-    model_file: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    FakeGpu(monkeypatch)
-    with pytest.raises(InputError, match=f"has no gpu, but {TENSORRT}, {CUDA}, {CPU}; install the one that has it"):
-        lpn.load(model_file, "gpu")

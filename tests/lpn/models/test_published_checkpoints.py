@@ -13,7 +13,6 @@ from torch import Tensor
 
 import lpn
 from lpn.core.errors import ModelFileError
-from lpn.models.export import export
 from lpn.models.lpn import LPN
 from lpn.models.options import read_options
 from lpn.models.published_checkpoints import infer_backbone, infer_spec
@@ -21,7 +20,6 @@ from lpn.models.spec import ModelSpec
 from tools.fixtures import published_network, seeded, small_worlds
 from tools.fixtures.parity import (
     CASES,
-    CVUSA_OPTIONS,
     TOLERANCE,
     UNIVERSITY_OPTIONS,
     ParityCase,
@@ -81,22 +79,6 @@ def test_three_view_baseline_and_descriptors(tmp_path: Path) -> None:
     (tmp_path / "opts.yaml").write_text(options)
     found = lpn.load(tmp_path / "net_last.pth").descriptors(picture(256), "drone")
     agree(found, descriptor(state, "drone", "resnet50"))
-
-
-@pytest.mark.slow
-def test_two_view_descriptors_also_when_exported(tmp_path: Path) -> None:
-    """Released VGG-16 runs are given stride 2, and make no use of it."""
-    state = state_dict("vgg16_bn", 2, 8)
-    # torchvision's class layers are large and unused.
-    unused = {"weight": torch.zeros(1).expand(4096, 25088), "bias": torch.zeros(4096)}
-    surplus = {f"model_{i}.model.classifier.0.{k}": v for i in (1, 2) for k, v in unused.items()}
-    torch.save(state | surplus, tmp_path / "net_119.pth")
-    (tmp_path / "opts.yaml").write_text(CVUSA_OPTIONS.format(n=8, stride=2, vgg="true"))
-    export(tmp_path / "net_119.pth", tmp_path / "lpn.onnx")
-    for file in ("net_119.pth", "lpn.onnx"):
-        model = lpn.load(tmp_path / file)
-        for view in model.views:
-            agree(model.descriptors(picture(256), view), descriptor(state, view, "vgg16_bn"))
 
 
 def two_branches() -> State:
@@ -195,13 +177,8 @@ def test_the_log_says_that_a_size_is_assumed_where_no_option_states_it(caplog: p
     assert not caplog.records
 
 
-def test_weights_that_are_not_numbers_are_found(tmp_path: Path) -> None:
+def test_finite_weights_whose_sum_is_not_open(tmp_path: Path) -> None:
     state = small_worlds.make_network().state_dict()
-    for value in (float("nan"), float("inf")):
-        state["classifier1.add_block.0.weight"][3, 4] = value
-        torch.save(state, tmp_path / "net_last.pth")
-        with pytest.raises(ModelFileError, match=r"classifier1\.add_block\.0\.weight holds values that are not finite"):
-            lpn.load(tmp_path / "net_last.pth")
     state["classifier1.add_block.0.weight"][:] = 3e38
     torch.save(state, tmp_path / "net_last.pth")
     assert lpn.load(tmp_path / "net_last.pth").n_parts == 4
@@ -242,17 +219,11 @@ OPTIONS: dict[str, tuple[str, Any]] = {
 LINES = [f"{key}: {text}" for key, (text, _) in OPTIONS.items()]
 
 
-@pytest.mark.parametrize(
-    "text",
-    [
-        "\n".join(LINES),
-        "\n".join(["!!python/object:argparse.Namespace", *LINES]),
-    ],
-    ids=["quotes", "Namespace"],
-)
-@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig"])
-def test_options_are_numbers_and_truth_values_whatever_wrote_them(text: str, encoding: str, tmp_path: Path) -> None:
-    (tmp_path / "opts.yaml").write_text(text.replace("\n", "\r\n"), encoding, newline="")
+@pytest.mark.parametrize(("first", "encoding"), [([], "utf-8-sig"), (["!!python/object:argparse.Namespace"], "utf-8")])
+def test_options_are_numbers_and_truth_values_whatever_wrote_them(
+    first: list[str], encoding: str, tmp_path: Path
+) -> None:
+    (tmp_path / "opts.yaml").write_text("\r\n".join([*first, *LINES]), encoding, newline="")
     assert read_options(tmp_path / "opts.yaml") == {key: value for key, (_, value) in OPTIONS.items()}
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 import torch
@@ -13,7 +12,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import lpn
-from lpn.core.arrays import UInt8Array
 from lpn.core.errors import InputError, ModelFileError
 from lpn.core.images import polar
 from lpn.models.backbones import VGG16, map_size
@@ -98,46 +96,6 @@ def test_layers_have_the_published_shapes_and_start() -> None:
         assert bool((bias == 0.1).all())
 
 
-def test_each_view_and_strip_has_layers_of_its_own() -> None:
-    built = network()
-    layers = [(view, part) for view in SPEC.views for part in range(4)]
-    weights = [built.branch(view).aware[part].weight1 for view, part in layers]  # type: ignore[union-attr]
-    assert {tuple(weight.shape) for weight in weights} == {(3, 8, 4)}
-    assert len({weight.data_ptr() for weight in weights}) == len(layers)
-    assert not any(key.startswith("classifier") for key in built.state_dict())
-    whole = network(replace(SPEC, n_parts=1))
-    assert [tuple(layers.weight1.shape) for layers in whole.branch("drone").aware] == [(3, 20, 10)]  # type: ignore[union-attr]
-
-
-def test_a_descriptor_is_what_plain_loops_make_of_the_map() -> None:
-    built = network()
-    model = TorchModel(built)
-    images = seeded.pictures(3, 2, 32, 160)
-    parts = model.run(images, "drone").parts
-    with torch.inference_mode():
-        features = built.features(torch.from_numpy(images), "drone").numpy()
-    assert features.shape == (2, 256, 2, 10)
-    expected = np.zeros((2, 4, 3, 256))
-    for picture in range(2):
-        for part in range(4):
-            columns = range(2 * part, 2 * part + 4)
-            cells = [(row, column) for row in range(2) for column in columns]
-            layers = built.branch("drone").aware[part]
-            first, first_bias, second, second_bias = (p.detach().double().numpy() for p in layers.parameters())  # type: ignore[union-attr]
-            strongest = [max(features[picture, :, row, column]) for row, column in cells]
-            for j in range(3):
-                hidden = [first_bias[j, 0, k] + sum(strongest[i] * first[j, i, k] for i in range(8)) for k in range(4)]
-                for i, (row, column) in enumerate(cells):
-                    weight = second_bias[j, 0, i] + sum(hidden[k] * second[j, k, i] for k in range(4))
-                    expected[picture, part, j] += weight * features[picture, :, row, column]
-    np.testing.assert_allclose(parts, expected.reshape(2, 4, 768), rtol=1e-4, atol=1e-4)
-    descriptors = model.descriptors(images, "drone")
-    flat = expected.reshape(2, 4, 768)
-    by_hand = flat / np.linalg.norm(flat, axis=2, keepdims=True) / 2
-    np.testing.assert_allclose(descriptors, by_hand, atol=1e-5)
-    np.testing.assert_allclose(np.linalg.norm(descriptors.reshape(2, -1), axis=1), 1, rtol=1e-5)
-
-
 @given(st.integers(1, 8), st.integers(8, 40))
 def test_windows_are_as_wide_as_the_stride_leaves(n: int, width: int) -> None:
     stride = width // n
@@ -160,26 +118,6 @@ def test_too_narrow_a_map_is_refused_in_words() -> None:
         LPN(replace(SPEC, n_parts=11))
     with pytest.raises(InputError, match="3 maps of 256 channels has 768"):
         LPN(replace(SPEC, embedding=512))
-
-
-def compass() -> UInt8Array:
-    """A tile with a white centre, red in the north, green in the east, blue in the south, and yellow in the west."""
-    tile = np.zeros((101, 101, 3), np.uint8)
-    middle = (50, 50)
-    for start, colour in ((225, (255, 0, 0)), (315, (0, 255, 0)), (45, (0, 0, 255)), (135, (255, 255, 0))):
-        cv2.ellipse(tile, middle, (90, 90), 0, start, start + 90, colour, -1)
-    cv2.circle(tile, middle, 10, (255, 255, 255), -1)
-    return tile
-
-
-def test_polar_tiles_have_north_in_the_middle_and_east_to_its_right() -> None:
-    unrolled = polar(compass(), 40, 160)
-    assert unrolled.shape == (40, 160, 3)
-    assert unrolled.dtype == np.uint8
-    for column, colour in ((0, (0, 0, 255)), (40, (255, 255, 0)), (80, (255, 0, 0)), (120, (0, 255, 0))):
-        assert tuple(unrolled[5, column]) == colour
-        assert tuple(unrolled[25, column]) == colour
-    assert bool((unrolled[-5:] == 255).all())
 
 
 def test_tiles_are_unrolled_by_the_released_formula() -> None:

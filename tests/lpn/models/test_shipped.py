@@ -8,7 +8,6 @@ import shutil
 import subprocess
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 import lpn
@@ -19,12 +18,10 @@ from lpn.core.views import TaskName, views_of
 from lpn.datasets import open_dataset
 from lpn.descriptors import shipped_or_cached
 from lpn.models import shipped
-from lpn.models.checkpoints import load_torch
 from lpn.models.export import export
 from lpn.models.quantize import quantize
 from lpn.models.shipped import ModelCard, model_cards, model_file
 from lpn.retrieval import metrics
-from tools.fixtures import seeded
 
 
 @pytest.mark.parametrize("card", model_cards(), ids=lambda card: card.name)
@@ -112,14 +109,6 @@ def test_a_wrong_name_is_told_the_nearest(name: str, message: str, tmp_path: Pat
             export(name, tmp_path / "model.onnx")
         with pytest.raises(ModelFileError, match=message):
             quantize(name, open_dataset(DEMO), tmp_path / "model.onnx")
-
-
-@pytest.mark.slow
-def test_a_shipped_model_is_exported_again_from_its_trained_file(tmp_path: Path) -> None:
-    export("city-lpn", tmp_path / "again.onnx")
-    trained, pictures = load_torch(model_file("city-lpn", trained=True)), seeded.pictures(0, 1, 256, 256)
-    again = lpn.load(tmp_path / "again.onnx").descriptors(pictures, "drone")
-    np.testing.assert_allclose(again, trained.descriptors(pictures, "drone"), atol=1e-4)
 
 
 def test_a_damaged_card_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -98,11 +98,8 @@ def test_at_the_paper_s_scale_the_recipes_are_the_paper_s() -> None:
     assert (recipes["panorama-safa-lpn"].pooling, recipes["panorama-safa-lpn"].optimizer) == ("safa", "adam")
     assert recipes["panorama-safa-lpn"].input_size == (112, 616)
     released = SCALES["released"]
-    rates = {
-        training.name: (recipe.batch, recipe.lr)
-        for training in find("table1", released).trainings
-        for recipe in [released.recipe(training, 0)]
-    }
+    of_table = {training.name: released.recipe(training, 0) for training in find("table1", released).trainings}
+    rates = {name: (recipe.batch, recipe.lr) for name, recipe in of_table.items()}
     assert rates["lpn"] == (8, 0.001)
     # wtyhub/LPN run.sh:36
     assert rates["instance"] == (8, 0.01)
@@ -113,12 +110,8 @@ def test_at_the_paper_s_scale_the_recipes_are_the_paper_s() -> None:
     small = replace(scale, changes={"backbone": "resnet18", "last_layer": "layer3"})
     for table in tables(small).values():
         assert {small.recipe(training, 0).backbone for training in table.trainings} == {"resnet18"}
-    made = {name: recipes[f"panorama-{name}"] for name in ("safa", "safa-lpn")}
-    assert {recipe.backbone for recipe in made.values()} == {"vgg16"}
-    assert [(recipe.n_parts, recipe.maps, recipe.metric_per_part) for recipe in made.values()] == [
-        (1, 8, False),
-        (8, 1, True),
-    ]
+    safa = [recipes[f"panorama-{name}"] for name in ("safa", "safa-lpn")]
+    assert [(one.backbone, one.n_parts, one.maps) for one in safa] == [("vgg16", 1, 8), ("vgg16", 8, 1)]
 
 
 def test_rows_and_recipes_keep_the_settings_that_are_their_own() -> None:
@@ -142,9 +135,9 @@ def test_rows_and_recipes_keep_the_settings_that_are_their_own() -> None:
 
 
 def test_changes_are_checked_with_the_recipe_of_each_training() -> None:
-    def recipe(scale: str, key: str, number: int = 0, **changes: Any) -> Any:
+    def recipe(scale: str, key: str, **changes: Any) -> Any:
         made = replace(SCALES[scale], changes=changes)
-        return made.recipe(find(key, made).trainings[number], 0)
+        return made.recipe(find(key, made).trainings[0], 0)
 
     assert recipe("reduced", "table1", infonce=1.0).infonce == 1.0
     assert recipe("reduced", "table1", flip="place", place_rotation=20.0).place_rotation == 20.0
@@ -276,21 +269,15 @@ def test_given_models_stand_for_trainings(
     made.run(["table1", "table4", "figure7", "figure8"])
     text = (tmp_path / "out" / "table1.md").read_text()
     assert text.count("| not run |") == 5 * 3
-    assert (
-        "| Contrastive loss | not run: no --model gives contrastive, and --no-train trains none | 52.39 | not run |"
-        in text
-    )
-    # There is no train/google.
-    assert "| LPN without google | not run: without train/google it would be the network of LPN |" in text
-    assert "not known; " in text
-    assert (
-        f"Networks given: instance = {baseline.name} (Baseline resnet18/layer3, n = 1, 64 x 64), lpn = {model.name} (LPN"
-        in text
-    )
-    assert "# Table I: losses and LPN, on University-1652\n" in text
-    assert (
-        "drone-to-satellite 6 of 37,855 queries, 6 of 951 pictures in the gallery, satellite-to-drone 6 of 701" in text
-    )
+    for said_there in (
+        "# Table I: losses and LPN, on University-1652\n",
+        "| Contrastive loss | not run: no --model gives contrastive, and --no-train trains none | 52.39 | not run |",
+        "| LPN without google | not run: without train/google it would be the network of LPN |",
+        "not known; ",
+        f"Networks given: instance = {baseline.name} (Baseline resnet18/layer3, n = 1, 64 x 64), lpn = {model.name} (LPN",
+        "drone-to-satellite 6 of 37,855 queries, 6 of 951 pictures in the gallery, satellite-to-drone 6 of 701",
+    ):
+        assert said_there in text
     assert not (tmp_path / "out" / "runs").exists()
     assert "which are 25.0 % of 4 x 4 cells; mean" in (tmp_path / "out" / "figure7.md").read_text(encoding="utf-8")
 
@@ -299,55 +286,28 @@ def test_what_cannot_be_made_is_said_before_anything_is_trained(places: Path, mo
     model, out = model_file, tmp_path / "out"
     start = model_file.with_suffix(".safetensors")
     for options, keys, expected in (
-        (
-            {},
-            ["table1", "table2"],
-            "Table II: .*: no panoramas and tiles as in CVUSA are given with --data; give them, or",
-        ),
-        ({}, ["table6"], "^Table VI: .*: no landmarks as in Oxford5k or Paris6k are given"),
+        ({}, ["table1", "table2"], "Table II: .*: no panoramas and tiles as in CVUSA are given with --data; give them"),
         ({}, ["table9"], "There is no 'table9'"),
         ({"models": {"nobody": model}}, ["table1"], "--model names 'nobody'"),
         ({"models": {"lpn": tmp_path / "typo.onnx"}}, ["figure5", "table4"], "no model file"),
         ({"models": {"lpn": model}, "data": [str(landmarks(tmp_path))]}, ["table6"], "needs the view street"),
         # A view of a row that is missing in training, and a batch that would never be full.
-        (
-            {"data": [str(places), str(landmarks(tmp_path))]},
-            ["table6"],
-            "needs the view street; places, on which instance",
-        ),
-        (
-            {"data": [str(places), str(small_worlds.make_cvusa(tmp_path / "three", 3))]},
-            ["table5", "table2"],
-            "cannot be trained on three. There are 3 places and a batch of 4; set --batch to at most 3",
-        ),
+        ({"data": [str(places), str(landmarks(tmp_path))]}, ["table6"], "the view street; places, on which instance"),
         ({"models": {"lpn": two_views(tmp_path)}}, ["figure7"], "needs the view drone"),
         # A network under a wrong name, and a network without any measurement.
         ({"models": {"lpn-2-parts": model}}, ["figure5"], "has n_parts 4, and lpn-2-parts needs n_parts 2"),
-        (
-            {"models": {"lpn": start}, "changes": {}},
-            ["table4"],
-            "has input_size 64 x 64, and lpn needs input_size 256 x 256 in .*; give it under .* --size changes the size",
-        ),
+        ({"models": {"lpn": start}, "changes": {}}, ["table4"], "has input_size 64 x 64, .* --size changes the size"),
         (
             {"models": {"lpn": strips(tmp_path)}},
             ["table5"],
             "has partitions satellite columns, drone columns, and lpn needs partitions satellite rings, drone rings",
         ),
         ({"models": {"lpn-2-parts": model}}, ["table5"], "as lpn-2-parts, which no requested row uses"),
-        (
-            {"init": [start], "changes": {**QUICK, "backbone": "resnet50", "last_layer": "layer4"}},
-            ["table5"],
-            "no --init has the weights of resnet50 for lpn",
-        ),
         ({"queries": ["nope"]}, ["figure8"], "no query nope"),
         ({"data": [str(places), str(places)]}, ["table4"], "two data sets of places"),
         ({"init": [start, start]}, ["table4"], "both hold a resnet18"),
         ({"from_scratch": False}, ["table5"], "no --init has the weights of resnet18 for lpn; give its weights"),
-        (
-            {"init": [start], "from_scratch": True},
-            ["table5"],
-            r"--init \(model.safetensors\) and --from-scratch exclude",
-        ),
+        ({"init": [start], "from_scratch": True}, ["table5"], r"\(model.safetensors\) and --from-scratch exclude"),
         (
             {
                 "scale": SCALES["paper"],
@@ -360,7 +320,7 @@ def test_what_cannot_be_made_is_said_before_anything_is_trained(places: Path, mo
         (
             {"changes": {**QUICK, "batch": 5}},
             ["table1"],
-            r"^instance cannot be trained on places. There are 4 places and a batch of 5; set --batch to at most 4",
+            "^instance cannot be trained on places. There are 4 places and",
         ),
     ):
         with pytest.raises(LPNError, match=expected):
@@ -377,15 +337,7 @@ def test_what_cannot_be_made_is_said_before_anything_is_trained(places: Path, mo
 def two_views(folder: Path, n_parts: int = 4) -> Path:
     """A network of satellite and street."""
     torch.manual_seed(0)
-    spec = ModelSpec(
-        "resnet18",
-        "layer3",
-        views=("satellite", "street"),
-        shared=False,
-        n_parts=n_parts,
-        classes=4,
-        input_size=(64, 64),
-    )
+    spec = replace(small_worlds.make_network().spec, views=("satellite", "street"), shared=False, n_parts=n_parts)
     save(LPN(spec), folder / "two.safetensors")
     return folder / "two.safetensors"
 
@@ -468,18 +420,11 @@ def test_the_released_protocol_is_a_table_s_own(places: Path, model_file: Path, 
     ours = (out / "table4.md").read_text(encoding="utf-8")
     reproduction(places, out, **options, scale=scale).run(["table4"])
     released = (out / "table4.md").read_text(encoding="utf-8")
-    for text, said, other in (
-        (ours, "protocol ours: bicubic", "nearest pixel"),
-        (released, "to the nearest pixel", "bicubic"),
-    ):
-        assert said in text
+    for text, own, other in ((ours, "protocol ours: bicubic", "nearest pixel"), (released, "nearest pixel", "bicubic")):
+        assert own in text
         assert other not in text
     # Both are kept side by side.
     assert len(read_measurements(out / "measured.json").figures) == 2 * 5
-    # The metric losses of the same budget, with the settings of the released ones.
-    recipe = scale.recipe(find("table1", scale).trainings[1], 0)
-    assert (recipe.positives, recipe.pool, recipe.alpha, recipe.street, recipe.google) == (4, 96, 1.0, False, False)
-    assert (recipe.metric, recipe.epochs, recipe.backbone) == ("contrastive", 1, "resnet18")
 
 
 def test_rows_whose_data_are_not_given_say_so_in_their_place(places: Path, model_file: Path, tmp_path: Path) -> None:
@@ -528,12 +473,9 @@ def test_all_runs_on_tiny_sets_in_the_released_layouts(tmp_path: Path, capsys: p
             quoted = f", and {len(table.rows) - len(own)} quoted" if len(own) < len(table.rows) else ""
             assert f"{key}: {len(own)} of {len(own)} rows{quoted}\n" in text
             assert "not run" not in (out / f"{key}.md").read_text(encoding="utf-8")
-    assert text.index("table1: 7 of 7 rows") < text.index("Plan: 22 of 22 trainings are left: 22 epochs.")
-    assert (
-        text.index("Plan: 22")
-        < text.index("resnet18 starts from start.safetensors.")
-        < text.index("(1 of 22 trainings")
-    )
+    order = ["table1: 7 of 7 rows", "Plan: 22 of 22 trainings are left: 22 epochs.", "(1 of 22 trainings"]
+    assert [text.index(one) for one in order] == sorted(text.index(one) for one in order)
+    assert "resnet18 starts from start.safetensors." in text
     assert "the hardest of other places among" in (out / "table1.md").read_text(encoding="utf-8")
     assert {file.stem for file in out.glob("*.png")} == {"figure5", *SHOWN}
     header = (out / "table6.md").read_text(encoding="utf-8").splitlines()[2]
@@ -546,25 +488,6 @@ def test_features_alone_need_the_whole_backbone(tmp_path: Path) -> None:
         features_alone(replace(SCALES["reduced"], changes=QUICK).base, tmp_path / "half.safetensors")
 
 
-@pytest.mark.slow
-def test_figures_are_drawn_with_the_networks_there_are(
-    places: Path, model_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def explode(*_: Any) -> Any:
-        raise DivergedError("The loss became nan in epoch 1, step 1; start again.")
-
-    monkeypatch.setattr(Trainer, "_epoch", explode)
-    made = reproduction(places, tmp_path / "one", models={"lpn": model_file})
-    files = ["figure7.md", "figure7.csv", "figure7a.png", "figure8.png"]
-    assert [file.name for file in made.run(["figure7", "figure8"])] == files
-    assert "figure7a drawn with the others: there is no network instance" in said(made)
-    assert "figure7b, figure8-panoramas not drawn: no panoramas are given with --data." in said(made)
-    made = reproduction(places, tmp_path / "none", train=False)
-    assert [file.name for file in made.run(["figure7", "figure8"])] == files[:2]
-    assert "figure7a not drawn: there is no network instance or lpn; give it as --model instance=FILE" in said(made)
-    assert said(made).count("figure8 not drawn") == 1
-
-
 def test_figure_1_has_its_own_name_and_figure_8_shows_what_safa_with_lpn_retrieves(
     places: Path, model_file: Path, tmp_path: Path
 ) -> None:
@@ -575,6 +498,10 @@ def test_figure_1_has_its_own_name_and_figure_8_shows_what_safa_with_lpn_retriev
     assert image.shape[:2] == (420, 420)
     assert "figure1 drawn with the others: there is no network instance" in said(made)
     assert [file.name for file in made.run(["figure3", "figure4"])] == ["figure3.png", "figure4.png"]
+    none = reproduction(places, tmp_path / "none", train=False)
+    assert none.run(["figure8"]) == []
+    assert "figure8 not drawn: there is no network lpn; give it as --model lpn=FILE" in said(none)
+    assert said(none).count("figure8 not drawn") == 1
     # Figure 8 (III), section IV-E: "our method with SAFA".
     recipe = SCALES["paper"].recipe(SHOWN["figure8-panoramas"][0], 0)
     assert (recipe.pooling, recipe.n_parts, recipe.polar) == ("safa", 8, True)
@@ -679,7 +606,6 @@ def test_the_command_collects_repeated_flags_and_wants_to_know_what(
     monkeypatch.setattr(Reproduction, "run", lambda self, _: seen.append(self) or [])
     data = ["--data", str(places)]
     given = [
-        *data,
         "--data",
         "b",
         "--model",
@@ -691,8 +617,9 @@ def test_the_command_collects_repeated_flags_and_wants_to_know_what(
         "1",
         "--batch",
         "8",
+        "--out",
     ]
-    assert main(["reproduce", "table1", "table4", *given, "--out", str(tmp_path)]) == 0
+    assert main(["reproduce", "table1", "table4", *data, *given, str(tmp_path)]) == 0
     assert (seen[0].data, seen[0].seeds, seen[0].scale.name) == ((str(places), "b"), (0, 1), "paper")
     assert seen[0].models == {"lpn": Path("x.onnx"), "instance": Path("y.onnx")}
     assert seen[0].scale.changes == {"batch": 8}

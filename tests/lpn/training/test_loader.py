@@ -54,39 +54,6 @@ def test_batches_do_not_depend_on_the_number_of_workers_or_on_where_a_run_begins
     assert not same(one[0], one[2])
 
 
-def test_sets_are_shuffled_on_their_own_over_their_pictures_with_their_own_labels(tmp_path: Path) -> None:
-    """Places have one satellite and three drone pictures each; an epoch ends with the satellites."""
-    for label in range(1, 11):
-        counts = {"satellite": 1, "drone": 3, "street": 2, "google": 1 if label > 2 else 4}
-        for seed, (name, count) in enumerate(counts.items()):
-            for number in range(count):
-                picture = small_worlds.place(1000 * seed + 100 * number + label)
-                small_worlds.write(tmp_path / "train" / name / f"{label:04d}" / f"{number}.png", picture)
-    made = loader(tmp_path, INDEPENDENT)
-    assert made.steps == 10 // 4
-    files = {
-        images.normalise(images.resize(images.load_picture(file), 32, 32)).tobytes(): (name, number, file)
-        for name, places in made.places.files.items()
-        for number, place in enumerate(places)
-        for file in place
-    }
-    assert len(files) == 10 * 6 + 8 + 8
-    drawn: list[tuple[int, str, Path]] = []
-    apart = 0
-    for step, batch in enumerate(made.stream(0, 20)):
-        assert set(batch.sets) == {"satellite", "street", "drone", "google"}
-        for name, pictures in batch.sets.items():
-            for row, picture in enumerate(pictures):
-                set_of, number, file = files[picture.contiguous().numpy().tobytes()]
-                assert (set_of, number) == (name, int(batch.labels[name][row]))
-                drawn.append((step // made.steps, name, file))
-        apart += not torch.equal(batch.labels["satellite"], batch.labels["drone"])
-    # Within an epoch no picture is drawn twice; over all epochs each is drawn, and sets differ in their order.
-    assert len(drawn) == len(set(drawn)) == 20 * 2 * 4 * 4
-    assert {file for _, _, file in drawn} == {file for _, _, file in files.values()}
-    assert apart == 40
-
-
 def test_a_batch_larger_than_the_smallest_set_is_refused(data: Path) -> None:
     for recipe, what in ((RECIPE, "10 places"), (INDEPENDENT, "10 pictures in the smallest set, satellite,")):
         with pytest.raises(InputError, match=f"There are {what} and a batch of 12; set --batch to at most 10"):

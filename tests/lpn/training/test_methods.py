@@ -7,14 +7,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 from rich.console import Console
 
 import lpn
 from lpn.datasets import open_dataset
 from lpn.models.checkpoints import load_torch, save
-from lpn.models.export import export
 from lpn.tasks.opening import lazy_task
 from lpn.training.recipes import METHODS, METRIC_LOSSES, RECIPES, method
 from lpn.training.trainer import Trainer
@@ -47,7 +45,6 @@ ON_PLACES: dict[str, dict[str, Any]] = {
     # Each loss and its slopes are compared with numbers elsewhere.
     **{f"{name} as released": AS_RELEASED for name in METRIC_LOSSES},
 }
-TASK = "street-to-satellite"
 ON_PANORAMAS: dict[str, dict[str, Any]] = {
     "instance": {"shared": False},
     "lpn-sequential": {"n_parts": 2},
@@ -112,12 +109,7 @@ def test_training_on_places_improves_retrieval(places: Path, tmp_path: Path, nam
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ON_PANORAMAS)
 def test_training_on_panoramas_improves_retrieval(panoramas: Path, tmp_path: Path, name: str) -> None:
-    model = improves(panoramas, tmp_path, name, ON_PANORAMAS[name], TASK)
-    if name == "lpn-strips":  # the exports of all other layouts are tested beside their models
-        export(model, tmp_path / "model.onnx")
-        dataset = open_dataset(panoramas)
-        own, exported = (lazy_task(lpn.load(m), dataset, TASK).evaluate() for m in (model, tmp_path / "model.onnx"))
-        np.testing.assert_allclose(own.ap, exported.ap, atol=1.0)
+    improves(panoramas, tmp_path, name, ON_PANORAMAS[name], "street-to-satellite")
 
 
 def test_every_method_is_trained_here() -> None:

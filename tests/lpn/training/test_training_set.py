@@ -98,12 +98,12 @@ def test_sets_without_any_place_that_is_trained_on_are_none(tmp_path: Path) -> N
         training_set(root)
 
 
-def drawn(loader: Loader, epochs: int) -> list[tuple[str, int, int]]:
-    """Return the set, the label of the row, and the place of the picture in it, of every row."""
+def drawn(loader: Loader, epochs: int) -> list[tuple[str, int, tuple[int, Path]]]:
+    """Return the set, the label of the row, and the place and the file of the picture in it, of every row."""
     places = loader.places
     assert isinstance(places, TrainingSet)
     known = {
-        images.normalise(images.resize(images.load_picture(file), 32, 32)).tobytes(): place
+        images.normalise(images.resize(images.load_picture(file), 32, 32)).tobytes(): (place, file)
         for files in places.files.values()
         for place, of in enumerate(files)
         for file in of
@@ -122,7 +122,7 @@ def test_every_row_shows_the_place_of_its_label(gaps: Path, recipe: Recipe) -> N
     assert loader.steps == {"places": 10 // 4, "pictures": 9 // 4}[recipe.sampling]
     rows = drawn(loader, 40)
     assert len(rows) == 40 * loader.steps * 4 * len(SETS)
-    assert all(label == place for _, label, place in rows)
+    assert all(label == place for _, label, (place, _) in rows)
     # Each place is seen in every set that it has, or that stands in for it.
     seen = {name: {loader.places.labels[label] for of, label, _ in rows if of == name} for name in SETS}  # type: ignore[union-attr]
     by_picture = recipe.sampling == "pictures"
@@ -130,6 +130,14 @@ def test_every_row_shows_the_place_of_its_label(gaps: Path, recipe: Recipe) -> N
     assert seen["drone"] == set(TRAINED) - {3}
     assert seen["street"] == set(TRAINED) - ({2, 5} if by_picture else {2})
     assert seen["google"] == set(TRAINED) - ({1, 2} if by_picture else {2})
+    if by_picture:
+        # Within an epoch no picture is drawn twice, over all epochs each is drawn, and sets differ in their order.
+        epochs = np.array_split(np.arange(len(rows)), 40)
+        assert all(len({rows[i] for i in epoch}) == len(epoch) for epoch in epochs)
+        files = loader.places.files  # type: ignore[union-attr]
+        assert {file for *_, (_, file) in rows} == {file for places in files.values() for of in places for file in of}
+        orders = [[label for of, label, _ in rows if of == name] for name in ("satellite", "drone")]
+        assert orders[0] != orders[1]
 
 
 def test_rows_of_a_place_agree_but_in_the_view_that_it_lacks(gaps: Path) -> None:

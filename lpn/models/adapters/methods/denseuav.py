@@ -10,7 +10,6 @@ from lpn.models.adapters.network import FirstToken, MeanVector, PartBranch, Toke
 from lpn.models.adapters.published import PublishedParts, by_view, size_of
 from lpn.models.adapters.registry import Adapter
 from lpn.models.adapters.trunks import Tokens, Trunk, trained_side
-from lpn.models.contract import AccountLevel
 from lpn.models.entries import Entries
 
 _HEAD = "classifier.add_block.0.weight"
@@ -18,13 +17,7 @@ _POOLS = ("avg", "global")
 
 
 def build(entries: Entries) -> PublishedParts:
-    """Build the head SingleBranch on the mean of a network's cells (`head_pool: avg`), or on its class token (`global`).
-
-    Raises:
-        ModelFileError: if entries are missing, have wrong shapes, contradict the options, or belong to an unsupported backbone
-            or head.
-        InputError: if timm is needed and cannot be imported.
-    """
+    """Build the head SingleBranch on the mean of a network's cells (`head_pool: avg`), or on its class token (`global`)."""
     head, own = entries.under("head.head."), entries.under("backbone.backbone.")
     others = [f"{head.prefix}{key}" for key in head.state if not key.startswith("classifier.")]
     if _HEAD not in head.state or others:
@@ -62,8 +55,7 @@ def build(entries: Entries) -> PublishedParts:
         branch: PartBranch = FirstToken(tokens, heads)
     else:
         branch = MeanVector(mapped, None, grid, None, heads)
-    level: AccountLevel = "exact" if isinstance(branch, MeanVector) else "one vector"
-    return by_view(entries, lambda _: branch, "DenseUAV", name, size, names=["whole"], level=level)
+    return by_view(entries, lambda _: branch, "DenseUAV", name, size, ["whole"])
 
 
 ADAPTERS = (

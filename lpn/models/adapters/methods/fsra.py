@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import torch
 from torch import Tensor, nn
 
@@ -28,7 +26,7 @@ class Regions(PartBranch):
     """
 
     def __init__(self, trunk: Tokens, regions: int, heads: tuple[Tensor, Tensor]) -> None:
-        super().__init__(trunk.grid, heads)
+        super().__init__(trunk.grid, heads, held="the regions of each picture")
         self.trunk, self.regions = trunk, regions
         if regions > (cells := trunk.grid[0] * trunk.grid[1]):
             raise ModelFileError(f"The model has {regions} regions for {cells} tokens; expected fewer regions.")
@@ -73,11 +71,8 @@ def build(entries: Entries) -> PublishedParts:
         heads = own.heads([*(f"classifier_heat{i + 1}" for i in range(regions)), "classifier1"], trunk.channels)
         return Regions(trunk, regions, heads) if regions else FirstToken(trunk, heads)
 
-    level: dict[str, Any] = {"level": "one vector"}
-    if regions:
-        level = {"level": "exact, with held", "held": "the regions of each picture"}
     names = [*["hottest", *["region"] * max(regions - 2, 0), "coolest"][:regions], "class token"]
-    return by_view(entries, branch, "FSRA", "ViT-S", size, names=names, **level)
+    return by_view(entries, branch, "FSRA", "ViT-S", size, names)
 
 
 ADAPTERS = (

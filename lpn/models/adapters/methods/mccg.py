@@ -10,8 +10,8 @@ from torch import Tensor, nn
 
 from lpn.core.errors import ModelFileError
 from lpn.core.files import printable
-from lpn.models.adapters.network import Account, PartBranch, by_heads
-from lpn.models.adapters.published import NORM_HELD, PublishedParts, by_view, check_option, equal, size_of
+from lpn.models.adapters.network import NORM_HELD, Account, PartBranch, by_heads
+from lpn.models.adapters.published import PublishedParts, by_view, check_option, equal, size_of
 from lpn.models.adapters.registry import Adapter
 from lpn.models.adapters.trunks import STRIDE, hand_made_trunk
 from lpn.models.entries import Entries
@@ -47,7 +47,8 @@ class Mccg(PartBranch):
         trunk = hand_made_trunk(entries)
         names = [*(f"classifier_mcb{number + 1}" for number in range(blocks)), "classifier1"]
         grid = size[0] // STRIDE, size[1] // STRIDE
-        super().__init__(grid, entries.heads(names, trunk.channels), STRIDE)
+        held = "the gates" if trunk.norm is None else f"the gates and {NORM_HELD}"
+        super().__init__(grid, entries.heads(names, trunk.channels), STRIDE, held)
         self.trunk, self.norm = trunk, trunk.norm
         gates = entries.under("tri_layer.")
         self.gates = nn.ModuleList([Gate(gates.under(f"{name}.conv.")) for name in ("cw", "hc")[:blocks]])
@@ -96,16 +97,8 @@ def build(entries: Entries) -> PublishedParts:
         only = "model_2."
         entries.read.update(key for key in entries.state if key.startswith("model_1."))
     branch = Mccg(entries.under(only), size, blocks)
-    return by_view(
-        entries,
-        lambda _: branch,
-        "MCCG",
-        branch.trunk.title,
-        size,
-        level="exact, with held",
-        held="the gates" if branch.norm is None else "the gates and " + NORM_HELD,
-        names=[*("gate of columns", "gate of rows")[:blocks], "whole"],
-    )
+    names = [*("gate of columns", "gate of rows")[:blocks], "whole"]
+    return by_view(entries, lambda _: branch, "MCCG", branch.trunk.title, size, names)
 
 
 MCCG = (r"model_1\.convnext\.", r"model_1\.tri_layer\.cw\.", r"model_1\.classifier_mcb1\.add_block\.")

@@ -45,7 +45,8 @@ class Salad(PartBranch):
         token = _layers(own.under("token_features."), channels, "2")
         values, scores = (_layers(own.under(f"{name}."), channels, "3") for name in ("cluster_features", "score"))
         weight, bias = entries.linear("aggregator.linear", self.width) if mega else (None, None)
-        super().__init__(trunk.grid, None if weight is None or bias is None else (weight[None], bias[None]))
+        held = "the clusters' shares of each cell, and the lengths of the clusters"
+        super().__init__(trunk.grid, None if weight is None or bias is None else (weight[None], bias[None]), held=held)
         self.trunk, self.token, self.values, self.scores = trunk, token, values, scores
         self.dust_bin = nn.Buffer(own.tensor("dust_bin", ()))
         if (cells := self.grid[0] * self.grid[1]) <= self.clusters:
@@ -121,8 +122,6 @@ def build(entries: Entries) -> PublishedParts:
         "MegaLoc" if mega else "SALAD",
         f"DINOv2 {branch.trunk.title}",
         size,
-        level="exact, with held",
-        held="the clusters' shares of each cell, and the lengths of the clusters",
         embedding=branch.width if branch.bias is None else branch.bias.shape[1],
         resize="bilinear",
         mirror="none",

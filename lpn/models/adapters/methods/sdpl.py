@@ -9,7 +9,7 @@ import torch
 from torch import Tensor, nn
 
 from lpn.core.arrays import Int64Array
-from lpn.core.errors import InputError, ModelFileError
+from lpn.core.errors import ModelFileError
 from lpn.models.adapters.network import Account, PartBranch, by_heads, on_grid
 from lpn.models.adapters.published import PublishedParts, by_role, check_option, numbered, published, size_of
 from lpn.models.adapters.registry import LPN, Adapter
@@ -26,7 +26,6 @@ PARTS = len(PART_NAMES)
 _STRIDE = 16
 # The rings need eight cells along a side, and shifts by two cells need sixteen.
 _SIDE_STEP, _SMALLEST = 128, 256
-_SIZES = f"squares of a multiple of {_SIDE_STEP} pixels from {_SMALLEST}"
 # Lower bound of values in the generalised mean of exponent 3.
 _FLOOR = 1e-6
 _HIDDEN = ("4", "6", "8")
@@ -92,7 +91,7 @@ class Sdpl(PartBranch):
     """
 
     def __init__(self, entries: Entries, heads: tuple[Tensor, Tensor], size: tuple[int, int]) -> None:
-        super().__init__((size[0] // _STRIDE, size[0] // _STRIDE))
+        super().__init__((size[0] // _STRIDE, size[0] // _STRIDE), held="pooled values and shift weights")
         blocks = entries.under("shift_blocks.")
         with torch.device("meta"):
             self.trunk = ResNet(Bottleneck, [3, 4, 6, 3], "layer4", last_stride=1)
@@ -104,14 +103,6 @@ class Sdpl(PartBranch):
         entries.under("model.").fill(self.trunk)
         blocks.fill(self.shift_blocks)
         self.matrix, self.offsets = (nn.Buffer(tensor) for tensor in heads)
-
-    def check_size(self, size: tuple[int, int], trained: tuple[int, int]) -> None:
-        """Check that a picture is a square of a size that fits the rings."""
-        if not _fits(size):
-            raise InputError(
-                f"The images are {size[0]} x {size[1]}; this model was trained with {trained[0]} x {trained[1]} and takes "
-                f"{_SIZES}."
-            )
 
     def shift_weights(self, features: Tensor) -> Tensor:
         """Return the weight of each shift: (B, C, S, S) -> (B, 3)."""
@@ -141,15 +132,11 @@ class Sdpl(PartBranch):
         share of the part's places, weighted over the shifts.
         """
         features = self.trunk(images)
-        weights = self.shift_weights(features)
-        batch, count = features.shape[0], features.shape[2] * features.shape[3]
+        weights, places = self.shift_weights(features), _places(features.shape[2], features.device)
         flat = nn.functional.pad(features.flatten(2), (0, 1))
         maps, cells, constants = [], [], []
-        for matrix, offset, shifts in zip(
-            self.matrix, self.offsets, _places(features.shape[2], features.device), strict=True
-        ):
-            shares, rest = torch.zeros_like(flat), flat.new_zeros(batch, flat.shape[1])
-            covered = flat.new_zeros(batch, count + 1)
+        for matrix, offset, shifts in zip(self.matrix, self.offsets, places, strict=True):
+            shares, rest, covered = torch.zeros_like(flat), torch.zeros_like(flat[..., 0]), torch.zeros_like(flat[:, 0])
             for shift, pair in enumerate(shifts):
                 both = [flat[:, :, where] for where in pair]
                 values = both[0] + both[1]
@@ -161,8 +148,8 @@ class Sdpl(PartBranch):
                 for term, where in zip(both, pair, strict=True):
                     shares.index_add_(2, where, term * square)
                     covered.index_add_(1, where, (own / len(where)).expand(-1, len(where)))
-            weight = covered[:, :count]
-            turned = torch.matmul(matrix, shares[:, :, :count])
+            weight = covered[:, :-1]
+            turned = torch.matmul(matrix, shares[..., :-1])
             maps.append(turned / torch.where(weight > 0, weight, 1.0)[:, None])
             cells.append(weight)
             constants.append(rest @ matrix.T + offset)
@@ -179,34 +166,18 @@ def _mean(values: Tensor) -> Tensor:
     return values.clamp(min=_FLOOR).pow(3).mean(-1).pow(1 / 3)
 
 
-def _fits(size: tuple[int, int]) -> bool:
-    return size[0] == size[1] and size[0] % _SIDE_STEP == 0 and size[0] >= _SMALLEST
-
-
 def build(entries: Entries) -> PublishedParts:
-    """Build SDPL: `model_1` describes queries, and `model_2` the gallery.
-
-    Raises:
-        ModelFileError: if entries are missing or have wrong shapes, or the size does not fit SDPL.
-    """
+    """Build SDPL: `model_1` describes queries, and `model_2` the gallery."""
     check_option(entries, "views", 2)
     size = size_of(entries, (512, 512))
-    if not _fits(size):
+    if size[0] != size[1] or size[0] % _SIDE_STEP or size[0] < _SMALLEST:
         raise ModelFileError(
-            f"The opts.yaml beside {entries.name} says {size[0]} x {size[1]} pixels; SDPL takes {_SIZES}."
+            f"The opts.yaml beside {entries.name} says {size[0]} x {size[1]} pixels; SDPL takes squares of a multiple of "
+            f"{_SIDE_STEP} pixels from {_SMALLEST}."
         )
     heads = entries.heads([f"classifier{number}" for number in range(PARTS)], 2048)
     branches = by_role([Sdpl(branch, heads, size) for branch in numbered(entries)])
-    return published(
-        branches,
-        "SDPL",
-        "ResNet-50",
-        size,
-        level="exact, with held",
-        held="pooled values and shift weights",
-        parts=PART_NAMES,
-        embedding=heads[1].shape[1],
-    )
+    return published(branches, "SDPL", "ResNet-50", size, PART_NAMES, heads[1].shape[1])
 
 
 # SDPL has one entry more than an LPN of two branches.

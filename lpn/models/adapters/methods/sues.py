@@ -9,7 +9,7 @@ from torch import Tensor
 
 from lpn.core.errors import ModelFileError
 from lpn.models.adapters.named import named_vector
-from lpn.models.adapters.network import Account, MeanVector, PartBranch
+from lpn.models.adapters.network import Account, PartBranch
 from lpn.models.adapters.published import PublishedParts, numbered, published, size_of
 from lpn.models.adapters.registry import Adapter
 from lpn.models.entries import Entries
@@ -39,7 +39,8 @@ class LopsidedSum(PartBranch):
     """
 
     def __init__(self, vector: PartBranch, heads: tuple[Tensor, Tensor]) -> None:
-        super().__init__(vector.grid, heads, vector.step)
+        held = None if vector.held is None else "the length of the picture's own pass"
+        super().__init__(vector.grid, heads, vector.step, held)
         self.vector = vector
 
     def account(self, images: Tensor) -> Account:
@@ -63,12 +64,7 @@ def network_in(entries: Entries) -> str | None:
 
 
 def build(entries: Entries) -> PublishedParts:
-    """Build a baseline of SUES-200: `model_1` describes the satellite and `model_2` the drone.
-
-    Raises:
-        ModelFileError: if entries are missing or have wrong shapes, or the network is none of timm's baselines.
-        InputError: if timm is needed and cannot be imported.
-    """
+    """Build a baseline of SUES-200: `model_1` describes the satellite and `model_2` the drone."""
     own = entries.under("model_1.")
     name = network_in(own)
     if name is None or "classifier.add_block.0.weight" not in entries.state:
@@ -81,17 +77,8 @@ def build(entries: Entries) -> PublishedParts:
     channels = entries.shape("classifier.add_block.0.weight", 2)[1]
     matrix, bias = entries.linear("classifier.add_block.0", channels)
     made = [LopsidedSum(named_vector(name, own, size)[0], (matrix[None], bias[None])) for own in numbered(entries)]
-    cells = isinstance(made[0].vector, MeanVector)
-    return published(
-        {"satellite": made[0], "drone": made[-1]},
-        "SUES-200",
-        name,
-        size,
-        level="exact, with held" if cells else "one vector",
-        held="the length of the picture's own pass" if cells else "",
-        # The branch adds the mirror itself.
-        mirror="none",
-    )
+    # The branch adds the mirror itself.
+    return published({"satellite": made[0], "drone": made[-1]}, "SUES-200", name, size, mirror="none")
 
 
 ADAPTERS = (

@@ -11,7 +11,7 @@ from lpn.models import timm_networks
 from lpn.models.adapters.methods.mccg import MCCG
 from lpn.models.adapters.named import named_vector
 from lpn.models.adapters.network import MeanVector, PartBranch
-from lpn.models.adapters.published import NORM_HELD, PublishedParts, by_role, distinct, published, size_of
+from lpn.models.adapters.published import PublishedParts, by_role, distinct, published, size_of
 from lpn.models.adapters.registry import Adapter
 from lpn.models.adapters.trunks import STRIDE, ConvNeXt, ResNetMap, hand_made_trunk, trained_side
 from lpn.models.entries import Entries
@@ -75,13 +75,10 @@ def build(method: str, entries: Entries) -> PublishedParts:
         own = entries.under("model_1.")
         made = [_on_map(own, hand_made_trunk(own))]
     first = made[0]
-    level: dict[str, Any] = {"level": "one vector"}
-    if isinstance(first.branch, MeanVector):
-        level = {"level": "exact"} if first.branch.norm is None else {"level": "exact, with held", "held": NORM_HELD}
     mean, std = first.normalisation
     further: dict[str, Any] = {"resize": "linear", "mean": mean, "std": std, "mirror": "none"}
     branches = by_role([network.branch for network in made])
-    return published(branches, method, first.name, first.size, embedding=first.width, **level, **further)
+    return published(branches, method, first.name, first.size, embedding=first.width, **further)
 
 
 # Entries of training, and buffers of Swin that only files of timm before 0.8 contain.

@@ -23,6 +23,7 @@ from lpn.models.trace import Trace
 from tools.fixtures import seeded
 from tools.fixtures.published_models import (
     State,
+    account_error,
     distinct,
     relative_by_part,
     small_denseuav,
@@ -84,9 +85,8 @@ def test_a_branch_of_all_views(state: State, options: str, tmp_path: Path) -> No
         (small_fsra(2), ""),
         (small_mccg(2), "h: 64\nw: 64\n"),
         (small_vector("camp"), "h: 64\nw: 64\n"),
-        (small_denseuav(), ""),
     ],
-    ids=["regions", "gates", "vector", "tokens"],
+    ids=["regions", "gates", "vector"],
 )
 def test_in_8_bits_its_evidence_stays_exact(state: State, options: str, data: Path, tmp_path: Path) -> None:
     model, _ = exported(state, options, tmp_path, ["model.onnx"])
@@ -95,8 +95,7 @@ def test_in_8_bits_its_evidence_stays_exact(state: State, options: str, data: Pa
     small = lpn.load(file, "cpu")
     assert (small.precision, small.contract) == ("int8", model.contract)
     picture = load_picture(open_dataset(data).queries("drone")[0].path)
-    trace = Trace.from_pass(small, small.run(small.with_mirror(small.prepare(picture, "drone")), "drone"), "drone")
-    assert trace.errors().max() < 1e-5
+    assert account_error(small, small.prepare(picture, "drone")) < 1e-5
 
 
 @pytest.mark.slow
@@ -112,6 +111,5 @@ def test_both_passes_of_a_baseline_of_sues_are_one_trunk(
     answer_alike(model, again)
     files, agreement = quantize(tmp_path / "model.onnx", open_dataset(data), tmp_path / "small.onnx", 4)
     assert 0.98 < min(agreement.cosines.values()) < 0.999999
-    small, pictures = lpn.load(files[0], "cpu"), seeded.pictures(30, 1, 64, 64)
-    for view in model.views:
-        assert Trace.from_pass(small, small.run(pictures, view), view).errors().max() < 1e-5
+    small, (picture,) = lpn.load(files[0], "cpu"), seeded.pictures(30, 1, 64, 64)
+    assert max(account_error(small, picture, view) for view in model.views) < 1e-5

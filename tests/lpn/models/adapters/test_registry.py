@@ -15,10 +15,8 @@ from lpn.core.errors import InputError, ModelFileError
 from lpn.models import timm_networks
 from lpn.models.adapters import registry
 from lpn.models.adapters.methods import sdpl
-from lpn.models.base import Model
-from lpn.models.entries import Entries
 from tools.fixtures import published_models, small_worlds
-from tools.fixtures.published_models import State, small_denseuav, small_fsra, small_mccg, small_vector
+from tools.fixtures.published_models import State, opened, small_denseuav, small_fsra, small_mccg, small_vector
 
 timm_networks.import_timm()
 from timm.models import convnext  # noqa: E402
@@ -69,7 +67,7 @@ def test_each_method_is_told_by_its_entries(names: Collection[str], kind: str) -
 def test_two_that_fit_alike_are_asked_for(tmp_path: Path) -> None:
     both = {**small_vector("camp"), **small_vector("dac")}
     with pytest.raises(ModelFileError, match=r"the entries of dac and of camp, and nothing decides .* with --kind"):
-        _opened(both, tmp_path)
+        opened(both, tmp_path)
     assert lpn.load(tmp_path / "net_119.pth", "cpu", kind="dac").contract.method == "DAC"
 
 
@@ -80,7 +78,7 @@ def test_what_fits_none_and_a_kind_that_is_none_are_refused(tmp_path: Path) -> N
         chosen([])
     with pytest.raises(InputError, match="no kind of model 'vit'; expected one of lpn, "):
         chosen(small_fsra(2), kind="vit")
-    _opened(small_fsra(2), tmp_path)
+    opened(small_fsra(2), tmp_path)
     with pytest.raises(ModelFileError, match=r"lacks model_1\."):
         lpn.load(tmp_path / "net_119.pth", "cpu", kind="camp")
     (tmp_path / "lpn.onnx").touch()
@@ -118,11 +116,6 @@ def test_timm_is_imported_where_torchvision_is_missing_and_no_stand_in_stays(mon
         timm_networks.named_network("test_vit", (64, 64))
 
 
-def _opened(state: State, folder: Path) -> Model:
-    torch.save(state, folder / "net_119.pth")
-    return lpn.load(folder / "net_119.pth", "cpu")
-
-
 def _two_blocks() -> State:
     """Return a checkpoint of DenseUAV whose block stands twice."""
     state = small_denseuav()
@@ -145,22 +138,9 @@ def _two_blocks() -> State:
     ],
 )
 def test_a_lost_entry_makes_no_smaller_model(state: State, lost: str, message: str, tmp_path: Path) -> None:
-    _opened(state, tmp_path)
+    opened(state, tmp_path)
     with pytest.raises(ModelFileError, match=message):
-        _opened({key: value for key, value in state.items() if key != lost}, tmp_path)
-
-
-@pytest.mark.parametrize(
-    "lost",
-    ["model_1.shift_blocks.0.weight", "model_2.model.layer4.2.bn3.running_var", "classifier9.add_block.1.weight"],
-)
-def test_a_network_at_its_full_size_without_one_entry_is_no_other_one(lost: str) -> None:
-    # Entries without memory of their own.
-    state = {k: torch.zeros(()).expand(v) for k, v in published_models.shapes_of("sdpl_resnet50_512").items()}
-    for entry in ({}, {lost: torch.zeros(3, 3, 3)}):
-        changed = {name: value for name, value in state.items() if name != lost} | entry
-        with pytest.raises(ModelFileError, match=lost.replace(".", r"\.")):
-            sdpl.build(Entries("net.pth", changed))
+        opened({key: value for key, value in state.items() if key != lost}, tmp_path)
 
 
 _NETWORK = convnext.ConvNeXt(depths=(1, 1, 1, 1), dims=(4, 8, 12, 16), num_classes=0)
@@ -184,13 +164,13 @@ def test_entries_that_are_not_read_are_named(
     method: str, entry: str, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     """The released code's entries of training alone are no news, and those of a method that is built on it are."""
-    _opened(STATES[method], tmp_path)
+    opened(STATES[method], tmp_path)
     assert "released code does not have" not in caplog.text
-    _opened(STATES[method] | {entry: torch.zeros(2, 2)}, tmp_path)
+    opened(STATES[method] | {entry: torch.zeros(2, 2)}, tmp_path)
     assert f"has entries that {method}'s released code does not have, 1 in number ({entry})" in caplog.text
 
 
 def test_the_buffers_of_an_older_timm_are_not_named(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     names = ("attn_mask", "attn.relative_position_index", "attn.relative_coords_table")
-    _opened(STATES["Sample4Geo"] | {f"model.layers.0.blocks.1.{name}": torch.zeros(2, 2) for name in names}, tmp_path)
+    opened(STATES["Sample4Geo"] | {f"model.layers.0.blocks.1.{name}": torch.zeros(2, 2) for name in names}, tmp_path)
     assert "released code does not have" not in caplog.text

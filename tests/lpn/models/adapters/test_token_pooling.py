@@ -16,9 +16,8 @@ from lpn.models import timm_networks
 from lpn.models.export import export
 from lpn.models.partition import Partition
 from lpn.models.token_pooling import TokenPooling
-from lpn.models.trace import Trace
 from tools.fixtures import seeded
-from tools.fixtures.published_models import relative_by_part
+from tools.fixtures.published_models import account_error, relative_by_part
 
 TOLERANCE = 2e-5
 POOLINGS = ("mean", "gem", "gem:2", "cls", "cls+mean", "rings:2")
@@ -36,10 +35,6 @@ def pooled(pooling: str, cells: AnyArray, first: AnyArray | None, grid: tuple[in
         assert first is not None
         parts = first[:, None] if pooling == "cls" else np.concatenate([first[:, None], parts], 2)
     return parts
-
-
-def account_error(model: lpn.Model, picture: AnyArray) -> float:
-    return float(Trace.from_pass(model, model.run(picture[None], "drone"), "drone").errors().max())
 
 
 def timm_file(name: str, side: int, folder: Path) -> str:
