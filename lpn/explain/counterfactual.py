@@ -14,7 +14,6 @@ from typing import cast
 import numpy as np
 
 from lpn.core.arrays import Float32Array, Float64Array, FloatingArray, Int64Array
-from lpn.core.errors import InputError
 from lpn.retrieval import Ranking, scoring
 
 # Smallest lead in score over every negative in `smallest_change`. Rounding errors of float32 are smaller.
@@ -47,9 +46,6 @@ def ranks_without_parts(ranking: Ranking, tile: int | None = None) -> RanksWitho
 
     Returns:
         None if the ranking has no true match, or the true matches are unknown.
-
-    Raises:
-        InputError: when `tile` is not ranked.
     """
     positives, negatives = _split(ranking, tile)
     if not len(positives):
@@ -81,9 +77,6 @@ def smallest_change(ranking: Ranking, tile: int | None = None) -> Float32Array |
     Returns:
         The part weights, 0 or more, with sum one, (n,). None if no weights put a positive first by `MIN_SCORE_LEAD`, or no
         positive is known.
-
-    Raises:
-        InputError: when `tile` is not ranked.
     """
     positives, negatives = _split(ranking, tile)
     if not len(positives):
@@ -137,8 +130,6 @@ def _split(ranking: Ranking, tile: int | None) -> tuple[Int64Array, Int64Array]:
     """Return the ranked positives and negatives, each in gallery order."""
     ranked = np.sort(ranking.order)
     if tile is not None:
-        if not ranking.holds(tile):
-            raise InputError(f"Gallery picture {tile} is not in the ranking; choose one that is.")
         return ranked[ranked == tile], ranked[ranked != tile]
     if ranking.relevant is None:
         return ranked[:0], ranked

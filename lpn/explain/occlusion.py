@@ -43,11 +43,9 @@ def occlude(
     squares = [(row, column) for row in range(rows) for column in range(columns)]
     for start in range(0, len(squares), _BATCH):
         some = squares[start : start + _BATCH]
-        pictures = []
-        for square in some:
-            mask = np.zeros((rows, columns), bool)
-            mask[square] = True
-            pictures.append(mixed(shaped, blurred, mask))
+        masks = np.zeros((len(some), rows, columns), bool)
+        masks[(np.arange(len(some)), *np.transpose(some))] = True
+        pictures = [mixed(shaped, blurred, mask) for mask in masks]
         for (row, column), cosines in zip(some, _cosines(model, pictures, view, other), strict=True):
             losses[:, row, column] = whole - cosines
         yield start + len(some), losses

@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal, get_args
+from typing import Any, Literal, TypeVar, get_args
 
 import numpy as np
 
@@ -37,6 +37,7 @@ CHANGE_FIELD: dict[SweptProperty, str] = {
     "weather": "weather",
 }
 MAX_POINTS = 3600
+T = TypeVar("T", int, float)
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,9 +90,7 @@ def sweep_points(
     for change in changes:
         ranking = rank(retrieval.describe_picture(model, picture, view, change).descriptor)
         if not len(ranking.order):
-            raise InputError(
-                "There is no tile to rank; a sweep needs at least one tile in the gallery that is not junk."
-            )
+            raise InputError("There is no tile to rank; a sweep needs at least one that is not junk.")
         if follow is not None and not ranking.holds(follow):
             raise InputError(f"Gallery picture {follow} is not in the ranking; choose one that is.")
         top = ranking.match(0)
@@ -115,10 +114,6 @@ class SweepResult:
     base: Change = UNCHANGED
 
     def __post_init__(self) -> None:
-        if not self.points:
-            raise InputError(
-                "A sweep result needs at least one point; take one from lpn.explain.sweeps.sweep_points first."
-            )
         ordered = sorted(self.points, key=lambda point: swept_value(self.over, point.change))
         object.__setattr__(self, "points", tuple(ordered))
 
@@ -162,22 +157,13 @@ class SweepResult:
 
     def to_csv(self) -> bytes:
         """Return a row for each point as comma-separated values in UTF-8."""
-        rows: list[dict[str, Any]] = [
-            {
-                self.over: point.change.weather.name
-                if self.over == "weather"
-                else swept_value(self.over, point.change),
-                "score": point.score,
-                "rank": point.rank,
-                **{f"cosine {part}": float(cosine) for part, cosine in enumerate(point.cosines, 1)},
-                "tile": point.tile,
-                "true": point.true,
-                "top": point.top,
-                "top score": point.top_score,
-            }
-            for point in self.points
-        ]
-        return csv_bytes([list(rows[0]), *(row.values() for row in rows)])
+        parts = (f"cosine {part}" for part in range(1, len(self.points[0].cosines) + 1))
+        rows: list[list[Any]] = [[self.over, "score", "rank", *parts, "tile", "true", "top", "top score"]]
+        for point in self.points:
+            value = point.change.weather.name if self.over == "weather" else swept_value(self.over, point.change)
+            followed = point.score, point.rank, *map(float, point.cosines), point.tile, point.true
+            rows.append([value, *followed, point.top, point.top_score])
+        return csv_bytes(rows)
 
     def _highest(self, scores: Sequence[float]) -> SweepPoint:
         places = sorted(range(len(scores)), key=lambda i: (-scores[i], _magnitude(self.over, self.points[i].change)))
@@ -236,21 +222,20 @@ def changes_over(
             raise InputError("A rotation always covers the full circle; leave its reach out.")
         _check_count(360 / step)
         angles = [step * i for i in range(math.ceil(360 / step - 1e-9))]
-        return [Change(rotate=angles[i]) for i in _coarse_first(angles, 360.0)]
+        return [Change(rotate=angle) for angle in _coarse_first(angles, 360.0)]
     if over == "zoom":
         step = _checked("step", 1.1 if step is None else step, 1, MAX_SCALE, "a factor")
         reach = _checked("reach", 2.0 if reach is None else reach, 1, MAX_SCALE, "a factor")
         _check_count(2 * math.log(reach) / math.log(step))
-        powers = _both_sides(math.floor(math.log(reach) / math.log(step) + 1e-9))
-        return [Change(scale=step ** powers[i]) for i in _coarse_first(powers)]
+        count = math.floor(math.log(reach) / math.log(step) + 1e-9)
+        return [Change(scale=step**power) for power in _coarse_first(_both_sides(count))]
     step = _checked("step", max(1, side // 32) if step is None else step, 0, side, "whole pixels")
     reach = _checked("reach", side // 4 if reach is None else reach, 0, side, "whole pixels")
     if step != int(step):
         raise InputError(f"The step is {step:g}; expected whole pixels.")
     _check_count(2 * reach / step)
-    pixels = [int(step) * i for i in _both_sides(math.floor(reach / step))]
-    order = _coarse_first(pixels)
-    return [Change(shift=pixels[i]) if over == "shift" else Change(down=pixels[i]) for i in order]
+    pixels = _coarse_first([int(step) * i for i in _both_sides(math.floor(reach / step))])
+    return [Change(**{CHANGE_FIELD[over]: number}) for number in pixels]
 
 
 def apply_to_base(over: SweptProperty, base: Change, changes: Iterable[Change]) -> list[Change]:
@@ -265,8 +250,8 @@ def _both_sides(count: int) -> list[int]:
     return [0, *(i for i in range(-count, count + 1) if i)]
 
 
-def _coarse_first(values: Sequence[float], circle: float | None = None) -> list[int]:
-    """Return the positions of values in farthest-point order, which starts at position 0; of ties, the first comes next."""
+def _coarse_first(values: Sequence[T], circle: float | None = None) -> list[T]:
+    """Return values in farthest-point order, which starts at the first; of ties, the earlier one comes next."""
     places = np.asarray(values, dtype=np.float64)
     order, nearest = [0], np.full(len(places), np.inf)
     while len(order) < len(places):
@@ -275,7 +260,7 @@ def _coarse_first(values: Sequence[float], circle: float | None = None) -> list[
         nearest[order[-1]] = -1
         # Steps such as 0.1 are inexact; rounding keeps ties.
         order.append(int(np.argmax(np.round(nearest, 9))))
-    return order
+    return [values[i] for i in order]
 
 
 def _magnitude(over: SweptProperty, change: Change) -> float:
