@@ -6,23 +6,39 @@ The package imports `core`, `datasets`, and `models`.
 
 from __future__ import annotations
 
-from lpn.descriptors.cache import STORES as STORES
-from lpn.descriptors.cache import Reader as Reader
-from lpn.descriptors.cache import StoredDescriptors as StoredDescriptors
-from lpn.descriptors.cache import cached_descriptors as cached_descriptors
-from lpn.descriptors.cache import descriptor_reader as descriptor_reader
-from lpn.descriptors.cache import shipped_descriptors as shipped_descriptors
-from lpn.descriptors.cache import shipped_only as shipped_only
-from lpn.descriptors.cache import shipped_or_cached as shipped_or_cached
-from lpn.descriptors.cache import temporary_descriptors as temporary_descriptors
-from lpn.descriptors.store import DescriptorKind as DescriptorKind
-from lpn.descriptors.store import Precision as Precision
-from lpn.descriptors.store import Row as Row
-from lpn.descriptors.store import Store as Store
-from lpn.descriptors.store import open_store as open_store
-from lpn.descriptors.store import row_of as row_of
-from lpn.descriptors.writer import PartialStore as PartialStore
-from lpn.descriptors.writer import describe as describe
-from lpn.descriptors.writer import describe_share as describe_share
-from lpn.descriptors.writer import pictures_below as pictures_below
-from lpn.descriptors.writer import write_store as write_store
+from lpn.descriptors.cache import (
+    STORES,
+    Reader,
+    StoredDescriptors,
+    cached_descriptors,
+    descriptor_reader,
+    shipped_descriptors,
+    shipped_only,
+    shipped_or_cached,
+    temporary_descriptors,
+)
+from lpn.descriptors.store import DescriptorKind, Precision, Row, Store, open_store, row_of
+from lpn.descriptors.writer import PartialStore, describe, describe_share, pictures_below, write_store
+
+__all__ = [
+    "STORES",
+    "DescriptorKind",
+    "PartialStore",
+    "Precision",
+    "Reader",
+    "Row",
+    "Store",
+    "StoredDescriptors",
+    "cached_descriptors",
+    "describe",
+    "describe_share",
+    "descriptor_reader",
+    "open_store",
+    "pictures_below",
+    "row_of",
+    "shipped_descriptors",
+    "shipped_only",
+    "shipped_or_cached",
+    "temporary_descriptors",
+    "write_store",
+]

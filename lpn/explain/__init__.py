@@ -3,12 +3,26 @@
 It imports `retrieval` and the packages below it.
 """
 
-from lpn.explain.attribution import Correspondences as Correspondences
-from lpn.explain.attribution import Evidence as Evidence
-from lpn.explain.attribution import SideEvidence as SideEvidence
-from lpn.explain.attribution import cell_similarities as cell_similarities
-from lpn.explain.attribution import correspondences as correspondences
-from lpn.explain.attribution import evidence as evidence
-from lpn.explain.attribution import lead_cells as lead_cells
-from lpn.explain.attribution import side_evidence as side_evidence
-from lpn.explain.attribution import spread_constants as spread_constants
+from lpn.explain.attribution import (
+    Correspondences,
+    Evidence,
+    SideEvidence,
+    cell_similarities,
+    correspondences,
+    evidence,
+    lead_cells,
+    side_evidence,
+    spread_constants,
+)
+
+__all__ = [
+    "Correspondences",
+    "Evidence",
+    "SideEvidence",
+    "cell_similarities",
+    "correspondences",
+    "evidence",
+    "lead_cells",
+    "side_evidence",
+    "spread_constants",
+]

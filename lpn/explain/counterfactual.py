@@ -1,9 +1,7 @@
 """Counterfactuals of one ranking: the margin by part, ranks without a part, and the smallest change of part weights.
 
-They are computed from the query's part cosines, less the terms of CSLS if it is used, without the network. For part weights
-w_i with sum one, a positive p, and a negative g:
-
-    score(p) - score(g) = sum_i w_i (cos_i(p) - cos_i(g)),    margin = d^2(g) - d^2(p) = 2 (score(p) - score(g)).
+They are computed from the query's part cosines, less the terms of CSLS if it is used, without the network. The margin of a
+positive p over a negative g is d^2(g) - d^2(p) = 2 (score(p) - score(g)), see `lpn.retrieval.scoring`.
 """
 
 from __future__ import annotations

@@ -25,7 +25,7 @@ from lpn.core.views import View
 from lpn.descriptors.transforms import MAX_SCALE, UNCHANGED, Change
 from lpn.descriptors.weather import WEATHERS, Weather
 from lpn.models.base import Model
-from lpn.retrieval import Ranking
+from lpn.retrieval import Match, Ranking
 
 # The property that a sweep varies. Rotation is in degrees counter-clockwise. A shift to the right or down is in pixels of the
 # network's input. Zoom is a factor. A weather's number is its place among `WEATHERS`.
@@ -45,25 +45,13 @@ class SweepPoint:
     """One query under one change.
 
     Attributes:
-        tile: gallery position of the followed tile: the nearest positive, a chosen tile, or else the top match.
-        true: True if the followed tile is a positive; None if unknown.
-        score: weighted mean cosine of the followed tile, -1 .. 1.
-        rank: rank of the followed tile, 1 for the nearest.
-        cosines: part cosines with the followed tile, (n,).
-        top: gallery position of the nearest tile.
-        top_score: score of the nearest tile.
-        contributions: each part's exact share of the followed tile's squared distance, (n,); None without a ranking.
+        followed: the nearest positive, a chosen tile, or else the top match.
+        top: the nearest tile.
     """
 
     change: Change
-    tile: int
-    true: bool | None
-    score: float
-    rank: int
-    cosines: Float32Array
-    top: int
-    top_score: float
-    contributions: Float32Array | None = None
+    followed: Match
+    top: Match
 
 
 def sweep_points(
@@ -94,9 +82,7 @@ def sweep_points(
         if follow is not None and not ranking.holds(follow):
             raise InputError(f"Gallery picture {follow} is not in the ranking; choose one that is.")
         top = ranking.match(0)
-        tile = (ranking.positive() or top) if follow is None else ranking.find(follow)
-        known = tile.score, tile.rank, tile.cosines, top.index, top.score, tile.contributions
-        yield SweepPoint(change, tile.index, tile.true, *known)
+        yield SweepPoint(change, (ranking.positive() or top) if follow is None else ranking.find(follow), top)
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,18 +106,18 @@ class SweepResult:
     @property
     def best(self) -> SweepPoint:
         """The point where the followed tile has its highest score; the smallest change wins ties."""
-        return self._highest([point.score for point in self.points])
+        return self._highest([point.followed.score for point in self.points])
 
     @property
     def best_top_match(self) -> SweepPoint:
         """The point where the top match has its highest score; needs no ground truth. The smallest change wins ties."""
-        return self._highest([point.top_score for point in self.points])
+        return self._highest([point.top.score for point in self.points])
 
     @property
     def best_rank(self) -> SweepPoint:
         """The point where the followed tile ranks best; the highest score wins ties."""
         # Scores differ by at most 2, so the rank dominates.
-        return self._highest([4.0 * -point.rank + point.score for point in self.points])
+        return self._highest([4.0 * -point.followed.rank + point.followed.score for point in self.points])
 
     @property
     def unchanged(self) -> SweepPoint | None:
@@ -143,8 +129,10 @@ class SweepResult:
 
         None until the base change is computed.
         """
-        before = self.unchanged
-        return None if before is None else (before.rank - point.rank, point.score - before.score)
+        if self.unchanged is None:
+            return None
+        before, after = self.unchanged.followed, point.followed
+        return before.rank - after.rank, after.score - before.score
 
     def heading(self) -> float | None:
         """Estimate the heading of the query, 0 .. 360 degrees clockwise from north.
@@ -157,12 +145,13 @@ class SweepResult:
 
     def to_csv(self) -> bytes:
         """Return a row for each point as comma-separated values in UTF-8."""
-        parts = (f"cosine {part}" for part in range(1, len(self.points[0].cosines) + 1))
+        parts = (f"cosine {part}" for part in range(1, len(self.points[0].followed.cosines) + 1))
         rows: list[list[Any]] = [[self.over, "score", "rank", *parts, "tile", "true", "top", "top score"]]
         for point in self.points:
             value = point.change.weather.name if self.over == "weather" else swept_value(self.over, point.change)
-            followed = point.score, point.rank, *map(float, point.cosines), point.tile, point.true
-            rows.append([value, *followed, point.top, point.top_score])
+            tile, top = point.followed, point.top
+            cosines = tile.cosines.tolist()
+            rows.append([value, tile.score, tile.rank, *cosines, tile.index, tile.true, top.index, top.score])
         return csv_bytes(rows)
 
     def _highest(self, scores: Sequence[float]) -> SweepPoint:

@@ -475,27 +475,6 @@ def test_names_are_checked_before_anything_is_added(
         assert not (tmp_path / "i").exists()
 
 
-def test_positions_that_fit_two_folders_are_asked_about(
-    described: Described, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    names = [row.file for row in descriptors.open_store(described.store).rows]
-    given = ["index", *_options(descriptors=described.store, data=tmp_path, out=tmp_path / "i")]
-
-    def write(**folders: float) -> None:
-        lines = [f"{folder}/{name},{at},{i}\n" for folder, at in folders.items() for i, name in enumerate(names)]
-        (tmp_path / "geo.csv").write_text("path,latitude,longitude\n" + "".join(lines))
-
-    write(gallery=1, query=2)
-    assert main(given) == 2
-    assert "has the pictures below both gallery/ and query/, at other places" in capsys.readouterr().err
-    assert not (tmp_path / "i").exists()
-    write(gallery=1, query=1)
-    assert main(given) == 0
-    with open_index(tmp_path / "i") as index:
-        tile = index.read(names[:1])[0][0]
-        assert len(index.search(tile, None, 20, (1, -180, 1, 180))) == 14
-
-
 def test_the_number_of_tiles_is_checked_first(
     described: Described, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
