@@ -52,14 +52,9 @@ class Change:
         if not 1 / MAX_SCALE <= self.scale <= MAX_SCALE:
             raise InputError(f"The scale is {self.scale:g}; expected a factor from 1/{MAX_SCALE:g} to {MAX_SCALE:g}.")
         # Normalise, so that equal transforms compare equal.
-        numbers = {
-            "rotate": float(self.rotate),
-            "shift": int(self.shift),
-            "scale": float(self.scale),
-            "down": int(self.down),
-        }
-        for name, value in (numbers | {"around": bool(self.around and self.rotate % 360)}).items():
-            object.__setattr__(self, name, value)
+        for name, number in (("rotate", float), ("shift", int), ("scale", float), ("down", int)):
+            object.__setattr__(self, name, number(getattr(self, name)))
+        object.__setattr__(self, "around", bool(self.around and self.rotate % 360))
 
     def __bool__(self) -> bool:
         """Return whether this is not the identity."""

@@ -224,7 +224,7 @@ def changes_over(
         raise InputError(f"The step is {step:g}; expected whole pixels.")
     _check_count(2 * reach / step)
     pixels = _coarse_first([int(step) * i for i in _both_sides(math.floor(reach / step))])
-    return [Change(**{CHANGE_FIELD[over]: number}) for number in pixels]
+    return [Change(shift=number) if over == "shift" else Change(down=number) for number in pixels]
 
 
 def apply_to_base(over: SweptProperty, base: Change, changes: Iterable[Change]) -> list[Change]:
