@@ -157,7 +157,7 @@ def _truth(gallery: IndexGallery, queries: IndexQueries, basemap: Map | None) ->
         assert basemap is not None
         xy, halves = basemap.frame.xy(*gallery.degrees.T), gallery.sizes[:, None] / 2
         good = [np.flatnonzero((np.abs(xy - spot) <= halves).all(axis=1)) for spot in queries.spots]
-        known = np.isfinite(queries.spots).all(axis=1).tolist()
+        known = (bool(np.isfinite(spot).all()) for spot in queries.spots)
         return [Truth(tiles, np.zeros(0, np.int64), of) for tiles, of in zip(good, known, strict=True)]
     if queries.truth is None:
         return None
