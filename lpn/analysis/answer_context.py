@@ -100,10 +100,8 @@ def answers_alike(
         known: the queries whose truth is known, (Q,); None for all.
         besides: a query that is not counted, because it is the asked one.
     """
-    graded = np.isfinite(ranking.gap) if known is None else np.isfinite(ranking.gap) & known
-    if besides is not None:
-        graded[besides] = False
-    rows = np.flatnonzero(graded)
+    rows = _graded(ranking, known)
+    rows = rows[rows != besides] if besides is not None else rows
     if gap is None or not np.isfinite(gap) or len(rows) < FEWEST_GRADED:
         return None
     gaps = ranking.gap[rows]
@@ -122,12 +120,17 @@ def found_by_lead(ranking: Retrieval, known: BoolArray | None = None) -> list[Le
         ranking: of all queries.
         known: the queries whose truth is known, (Q,); None for all.
     """
-    rows = np.flatnonzero(np.isfinite(ranking.gap) if known is None else np.isfinite(ranking.gap) & known)
+    rows = _graded(ranking, known)
     if len(rows) < FEWEST_GRADED:
         return []
     parts = np.array_split(rows[np.argsort(ranking.gap[rows], kind="stable")], 10)
     found = ranking.first == 0
     return [LeadGroup(float(np.median(ranking.gap[of])), len(of), int(np.count_nonzero(found[of]))) for of in parts]
+
+
+def _graded(ranking: Retrieval, known: BoolArray | None) -> Int64Array:
+    """Return the queries whose truth and gap are known."""
+    return np.flatnonzero(np.isfinite(ranking.gap) if known is None else np.isfinite(ranking.gap) & known)
 
 
 def answer_distances(
@@ -160,7 +163,7 @@ def describe_lead(outcomes: Outcomes, lead: float) -> str:
         return ""
     smaller = float((leads < lead).mean())
     comparison = "larger" if smaller >= 0.5 else "smaller"
-    share = _in_words(max(smaller, 1 - smaller))
+    share = next((words for least, words in _SHARES if max(smaller, 1 - smaller) >= least), "about half")
     return f"A lead of {lead:.3f} is {comparison} than that of {share} of the model's {len(leads):,} right answers."
 
 
@@ -199,7 +202,3 @@ def describe_failures(outcomes: Outcomes, table: Table, query_labels: Int64Array
         kind = "pictures of buildings with a twin elsewhere"
     others = f"{failures - most.failures:,} of {queries - most.queries:,} others"
     return f"{wrong}. It fails most for {kind}: {most.failures:,} of {most.queries:,} are wrong, against {others}."
-
-
-def _in_words(share: float) -> str:
-    return next((words for least, words in _SHARES if share >= least), "about half")

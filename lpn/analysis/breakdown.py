@@ -8,12 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from lpn.core.arrays import BoolArray, Float64Array, Int64Array
-from lpn.core.errors import InputError
 from lpn.core.tables import Column
 from lpn.tasks.query_outcomes import Outcomes
 
 # The two-sided 95 % quantile of the normal distribution.
 _NORMAL_95 = 1.959963984540054
+# Most bins of numbers.
+_BINS = 5
 # Columns of degrees around the full circle, and the number of their bins: north, east, south, and west.
 _CIRCULAR, _SECTORS = ("heading",), 4
 
@@ -32,11 +33,6 @@ class Confusion:
     answered: int
     queries: Int64Array
     tile: int
-
-    @property
-    def count(self) -> int:
-        """The number of confused queries."""
-        return len(self.queries)
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,16 +97,15 @@ def confusions(
         query_labels, labels: the place of each query and tile, (Q,) and (G,).
         rows: the counted queries, all by default. Queries without an answer are left out.
     """
-    rows = _rows(outcomes, rows)
-    rows = rows[outcomes.failed[rows] & (outcomes.answer[rows] >= 0)]
+    rows = _wrongly_answered(outcomes, rows)
     pairs = np.stack([query_labels[rows], labels[outcomes.answer[rows]]], axis=1)
     kinds, which, counts = np.unique(pairs, axis=0, return_inverse=True, return_counts=True)
     groups = np.split(rows[np.argsort(which.ravel(), kind="stable")], np.cumsum(counts)[:-1])
     result = [
-        Confusion(int(place), int(answered), group, int(outcomes.answer[group[0]]))
-        for (place, answered), group in zip(kinds, groups, strict=False)
+        Confusion(place, answered, group, int(outcomes.answer[group[0]]))
+        for (place, answered), group in zip(kinds.tolist(), groups, strict=False)
     ]
-    return sorted(result, key=lambda confusion: -confusion.count)
+    return sorted(result, key=lambda confusion: -len(confusion.queries))
 
 
 def hubs(outcomes: Outcomes, query_labels: Int64Array, rows: Int64Array | None = None) -> list[Hub]:
@@ -120,22 +115,21 @@ def hubs(outcomes: Outcomes, query_labels: Int64Array, rows: Int64Array | None =
         query_labels: the place of each query, (Q,).
         rows: the counted queries, all by default.
     """
-    rows = _rows(outcomes, rows)
-    rows = rows[outcomes.failed[rows] & (outcomes.answer[rows] >= 0)]
+    rows = _wrongly_answered(outcomes, rows)
     answers = outcomes.answer[rows]
-    of_tiles = [(int(tile), rows[answers == tile]) for tile in np.unique(answers)]
+    of_tiles = [(tile, rows[answers == tile]) for tile in np.unique(answers).tolist()]
     all_hubs = [Hub(tile, queries, len(np.unique(query_labels[queries]))) for tile, queries in of_tiles]
     return sorted((hub for hub in all_hubs if hub.places > 1), key=lambda hub: (-hub.places, -len(hub.queries)))
 
 
 def blame(outcomes: Outcomes, rows: Int64Array | None = None) -> Int64Array:
     """Return the number of failures that each part decided, (n,); failures without a margin are not counted."""
-    rows = _rows(outcomes, rows)
-    decided = outcomes.deciding_part[rows][outcomes.failed[rows]]
+    failed = outcomes.failed if rows is None else outcomes.failed & np.isin(np.arange(len(outcomes)), rows)
+    decided = outcomes.deciding_part[failed]
     return np.bincount(decided[decided >= 0], minlength=outcomes.parts.shape[1]).astype(np.int64)
 
 
-def rates(failed: BoolArray, column: Column, bins: int = 5, rows: Int64Array | None = None) -> list[Rate]:
+def rates(failed: BoolArray, column: Column, rows: Int64Array | None = None) -> list[Rate]:
     """Return the failure rate for each bin of a column: quantile bins of numbers, or distinct texts.
 
     Bins of numbers are ascending, and have about equal numbers of queries; queries of equal value are always in the same bin.
@@ -145,31 +139,22 @@ def rates(failed: BoolArray, column: Column, bins: int = 5, rows: Int64Array | N
     Args:
         failed: True for queries that failed, (Q,).
         column: one value for each query.
-        bins: maximum number of bins of numbers.
         rows: the counted queries, all by default.
-
-    Raises:
-        InputError: when the numbers of values and of queries differ, or `bins` is below 1.
     """
-    if len(column.values) != len(failed) or bins < 1:
-        raise InputError(
-            f"{column.name} has {len(column.values)} values for {len(failed)} queries and {bins} bins; expected one value for "
-            "each query and at least one bin."
-        )
     rows = np.arange(len(failed)) if rows is None else rows
     known, unknown = rows[column.known[rows]], rows[~column.known[rows]]
     values = column.values[known]
     result: list[Rate] = []
     if len(known):
         distinct, which = np.unique(values, return_inverse=True)
-        circular = column.kind == "number" and column.name in _CIRCULAR and len(distinct) > bins
+        circular = column.kind == "number" and column.name in _CIRCULAR and len(distinct) > _BINS
         # Headings outside 0 to 360 fit into no bin around north.
         circular = circular and bool(distinct[0] >= 0 and distinct[-1] < 360)
         if circular:
             _, sectors = np.unique(_sectors(distinct), return_inverse=True)
             which = sectors[which]
         elif column.kind == "number":
-            which = _quantile_bins(which, bins)
+            which = _quantile_bins(which)
         totals, missed = np.bincount(which), np.bincount(which, failed[known])
         if column.kind == "text":
             spans, names = [(np.nan, np.nan)] * len(totals), [str(value) for value in distinct]
@@ -188,17 +173,10 @@ def rates(failed: BoolArray, column: Column, bins: int = 5, rows: Int64Array | N
 
 
 def wilson(hits: int, trials: int) -> tuple[float, float]:
-    """The Wilson 95 % interval of a share, 0 .. 1, for `hits` in `trials` independent trials (Wilson 1927).
+    """The Wilson 95 % interval of a share, 0 .. 1, for `hits` in `trials` independent trials, at least one (Wilson 1927).
 
     Pictures of one place are not independent, so their true interval is wider.
-
-    Raises:
-        InputError: when there are no trials, or more hits than trials.
     """
-    if not 0 <= hits <= trials or trials == 0:
-        raise InputError(
-            f"There are {hits} hits in {trials} trials; expected at least one trial, and no more hits than trials."
-        )
     square = _NORMAL_95**2
     middle = (hits + square / 2) / (trials + square)
     half = _NORMAL_95 / (trials + square) * np.sqrt(hits * (trials - hits) / trials + square / 4)
@@ -207,13 +185,7 @@ def wilson(hits: int, trials: int) -> tuple[float, float]:
 
 
 def chance(hits: int, group: int, all_hits: int, total: int) -> float:
-    """Return the probability that a group drawn at random from `total` has at least `hits` of all hits (hypergeometric tail).
-
-    Raises:
-        InputError: when the counts are impossible.
-    """
-    if not (0 <= hits <= min(group, all_hits) and max(group, all_hits) <= total):
-        raise InputError(f"There are {hits} hits in {group} of {all_hits} hits in {total}; expected parts of a whole.")
+    """Return the probability that a group drawn at random from `total` has at least `hits` of all hits (hypergeometric tail)."""
 
     def log_ways(n: int, k: int) -> float:
         return math.lgamma(n + 1) - math.lgamma(k + 1) - math.lgamma(n - k + 1)
@@ -245,8 +217,9 @@ def design_effect(failed: BoolArray, labels: Int64Array) -> float:
     return 1 + (size - 1) * min(max(together, 0.0), 1.0)
 
 
-def _rows(outcomes: Outcomes, rows: Int64Array | None) -> Int64Array:
-    return np.arange(len(outcomes)) if rows is None else rows
+def _wrongly_answered(outcomes: Outcomes, rows: Int64Array | None) -> Int64Array:
+    rows = np.arange(len(outcomes)) if rows is None else rows
+    return rows[outcomes.failed[rows] & (outcomes.answer[rows] >= 0)]
 
 
 def _sectors(degrees: Float64Array) -> Int64Array:
@@ -263,13 +236,13 @@ def _ends(values: Float64Array, circular: bool) -> tuple[float, float]:
     return float(values.min()), float(values.max())
 
 
-def _quantile_bins(which: Int64Array, bins: int) -> Int64Array:
+def _quantile_bins(which: Int64Array) -> Int64Array:
     """Return the bin of each value, given as its index among the distinct values; equal values take their median's bin."""
     counts = np.bincount(which)
-    if len(counts) <= bins:
+    if len(counts) <= _BINS:
         return which
     middles: Float64Array = (np.cumsum(counts) - counts / 2) / len(which)
-    _, compact = np.unique((middles * bins).astype(np.int64), return_inverse=True)
+    _, compact = np.unique((middles * _BINS).astype(np.int64), return_inverse=True)
     return compact[which].astype(np.int64)
 
 

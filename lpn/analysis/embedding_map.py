@@ -33,24 +33,21 @@ class Projection:
     variance: Float64Array | None
 
 
-def pca(queries: npt.ArrayLike, gallery: npt.ArrayLike, sample: int = SAMPLE) -> Projection:
+def pca(queries: npt.ArrayLike, gallery: npt.ArrayLike) -> Projection:
     """Project descriptors to their two principal components, computed from queries and tiles together.
 
-    The components are computed from all rows, or from an evenly spaced sample if there are more. The largest number of each
-    component is positive, so that equal descriptors always give equal maps.
+    The components are computed from all rows, or from an evenly spaced sample of `SAMPLE` if there are more. The largest number
+    of each component is positive, so that equal descriptors always give equal maps.
 
     Args:
         queries, gallery: (Q, n, D) and (G, n, D), or flattened.
-        sample: maximum number of rows that the components are computed from.
 
     Raises:
-        InputError: as for `metrics.evaluate`, or when the sample is smaller than 2.
+        InputError: as for `metrics.evaluate`.
     """
-    if sample < 2:
-        raise InputError(f"The sample for the PCA is {sample}; expected 2 pictures or more.")
     sides, _ = checked_sides(queries, gallery)
     total = len(sides[0]) + len(sides[1])
-    chosen = np.unique(np.linspace(0, total - 1, min(sample, total)).astype(np.int64))
+    chosen = np.unique(np.linspace(0, total - 1, min(SAMPLE, total)).astype(np.int64))
     split = np.searchsorted(chosen, len(sides[0]))
     drawn = np.concatenate([sides[0][chosen[:split]], sides[1][chosen[split:] - len(sides[0])]]).astype(np.float64)
     middle = drawn.mean(axis=0)

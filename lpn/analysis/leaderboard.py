@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import statistics
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -10,11 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from lpn.analysis.model_table import (
-    ModelTable,
-    compare,
-    comparisons_csv,
-)
+from lpn.analysis.model_table import ModelTable, compare, comparisons_csv
 from lpn.analysis.statistics import RESAMPLES
 from lpn.core.errors import InputError
 from lpn.core.progress import report_progress
@@ -63,15 +60,9 @@ class ModelFacts:
             if number >= _WARM:
                 times.append((1000 * (time.perf_counter() - started), 1000 * (time.process_time() - worked)))
         milliseconds, processor_milliseconds = map(statistics.median, zip(*times, strict=True))
-        return cls(
-            contract.method,
-            contract.level,
-            contract.input_size,
-            contract.n_parts * contract.embedding,
-            None if size is None else size / 1e6,
-            milliseconds,
-            processor_milliseconds,
-        )
+        numbers, megabytes = contract.n_parts * contract.embedding, None if size is None else size / 1e6
+        times_of_one = milliseconds, processor_milliseconds
+        return cls(contract.method, contract.level, contract.input_size, numbers, megabytes, *times_of_one)
 
 
 # Recall@1 and AP in percent.
@@ -189,22 +180,19 @@ def leaderboard(
     Raises:
         InputError: when a model does not support a measure, no query's truth is known, or queries or galleries differ.
     """
-    done, stages = 0, len(models) * (1 + len(tasks) * (1 + len(turns)) + (1 if weathers else 0))
+    done, stages = itertools.count(1), len(models) * (1 + len(tasks) * (1 + len(turns)) + weathers)
 
     def report() -> None:
-        nonlocal done
-        done += 1
-        report_progress("Taking measures", done, stages)
+        report_progress("Taking measures", next(done), stages)
 
     def measured(task: Task) -> RecallAndAP:
         result = task.evaluate()
         return result.recall["1"], result.ap
 
-    facts = {}
+    facts, tables = dict[str, ModelFacts](), list[ModelTable]()
     for name, model in models.items():
         facts[name] = ModelFacts.of(model, sizes.get(name))
         report()
-    tables: list[ModelTable] = []
     parts: dict[str, dict[str, dict[str, RecallAndAP]]] = {}
     of_turns: dict[str, dict[str, dict[float, RecallAndAP]]] = {}
     for name in tasks:

@@ -106,7 +106,10 @@ def _print_breakdown(console: Console, task: Task, rows: Int64Array, top: int) -
         pairs = breakdown.confusions(outcomes, task.query_labels, task.gallery_labels, rows)
         truth, answer = table.column("truth"), table.column("answer")
         counts = [
-            (f"{truth.text(one.queries[0]) or one.place} taken for {answer.text(one.queries[0])}", str(one.count))
+            (
+                f"{truth.text(one.queries[0]) or one.place} taken for {answer.text(one.queries[0])}",
+                str(len(one.queries)),
+            )
             for one in pairs[:top]
         ]
         listed = f", {top} listed" if len(pairs) > top else ""

@@ -84,18 +84,21 @@ def _print(profile: SweepResult, title: str, views: tuple[View, View], console: 
     from lpn.explain.sweeps import swept_label, swept_value
 
     blocks = str(console.encoding).lower().startswith("utf")
-    scores = [point.score for point in profile.points]
+    scores = [point.followed.score for point in profile.points]
     low, span = min(scores), (max(scores) - min(scores)) or 1.0
-    parts, rows = len(profile.points[0].cosines), []
+    parts, rows = len(profile.points[0].followed.cosines), []
     of_parts = [f"cos {part}" for part in range(1, parts + 1 if parts > 1 else 1)]
     for point in profile.points:
         number = swept_label(profile.over, swept_value(profile.over, point.change), 4)
-        bar = ("█" if blocks else "#") * (1 + round((point.score - low) / span * (_BAR - 1)))
-        cosines = [f"{cosine:.3f}" for cosine in point.cosines if parts > 1]
+        bar = ("█" if blocks else "#") * (1 + round((point.followed.score - low) / span * (_BAR - 1)))
+        cosines = [f"{cosine:.3f}" for cosine in point.followed.cosines if parts > 1]
         mark = "*" if point is profile.best else ""
-        rows.append((number, mark, str(point.rank), f"{point.score:.3f}", bar, *cosines, f"{point.top_score:.3f}"))
+        standing = str(point.followed.rank), f"{point.followed.score:.3f}"
+        rows.append((number, mark, *standing, bar, *cosines, f"{point.top.score:.3f}"))
     head = (profile.over, "", "rank", "score", f"from {low:.3f} to {max(scores):.3f}", *of_parts, "top score")
-    subject = "the nearest true match" if profile.points[0].true else "the top match, as there is no true match"
+    subject = (
+        "the nearest true match" if profile.points[0].followed.true else "the top match, as there is no true match"
+    )
     after = "\n".join([f"Score and rank of {subject}; * the highest score.", *_sentences(profile, views)])
     TextTable(head, rows, title, after, align="rrrrlr").print(console)
 
@@ -105,7 +108,7 @@ def _sentences(profile: SweepResult, views: tuple[View, View]) -> list[str]:
     from lpn.drawing import verdicts
 
     lines = []
-    if profile.points[0].true:
+    if profile.points[0].followed.true:
         lines.append(_sentence("The true match scores highest", profile, profile.best))
         lines.append(_sentence("It ranks best", profile, profile.best_rank))
     lines.append(
@@ -117,11 +120,11 @@ def _sentences(profile: SweepResult, views: tuple[View, View]) -> list[str]:
 
 
 def _sentence(begin: str, profile: SweepResult, point: SweepPoint) -> str:
-    gain, changed = profile.gain(point), point.change.describe()
+    gain, changed, tile = profile.gain(point), point.change.describe(), point.followed
     when = f"when {changed}" if changed else "with the query as it is"
-    subject = "the true match has" if point.true else "the top match has"
+    subject = "the true match has" if tile.true else "the top match has"
     if gain is None or not changed:
-        return f"{begin} {when}: {subject} rank {point.rank}, score {point.score:.3f}."
+        return f"{begin} {when}: {subject} rank {tile.rank}, score {tile.score:.3f}."
     ranks, score = gain
-    before = f"instead of {point.rank + ranks}" if ranks else "as before"
-    return f"{begin} {when}: {subject} rank {point.rank} {before}, score {point.score:.3f} ({signed(score)})."
+    before = f"instead of {tile.rank + ranks}" if ranks else "as before"
+    return f"{begin} {when}: {subject} rank {tile.rank} {before}, score {tile.score:.3f} ({signed(score)})."

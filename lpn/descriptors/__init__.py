@@ -17,12 +17,11 @@ from lpn.descriptors.cache import (
     shipped_or_cached,
     temporary_descriptors,
 )
-from lpn.descriptors.store import CropBox, DescriptorKind, Precision, Row, Store, WindowsRecord, open_store, row_of
+from lpn.descriptors.store import DescriptorKind, Precision, Row, Store, open_store, row_of
 from lpn.descriptors.writer import PartialStore, describe, describe_share, pictures_below, write_store
 
 __all__ = [
     "STORES",
-    "CropBox",
     "DescriptorKind",
     "PartialStore",
     "Precision",
@@ -30,7 +29,6 @@ __all__ = [
     "Row",
     "Store",
     "StoredDescriptors",
-    "WindowsRecord",
     "cached_descriptors",
     "describe",
     "describe_share",

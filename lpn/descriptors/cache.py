@@ -125,10 +125,17 @@ def shipped_or_cached(
 
 
 def shipped_only(
-    model: Model, pictures: Sequence[Picture], view: View, root: Path, role: Role
+    model: Model, pictures: Sequence[Picture], view: View, root: Path, role: Role | None, exact: bool = False
 ) -> StoredDescriptors | None:
-    """Return the descriptors of queries or gallery that ship with the data set in `root`; None without them."""
-    stores = (shipped_descriptors(model, pictures, view, store) for store in _stores(root, f"{role}_{view}"))
+    """Return the descriptors of queries, of the gallery, or of either, that ship with the data set in `root`; None without them.
+
+    The first model's stores come first, then those of others in their own folders. For `exact` see `shipped_descriptors`.
+    """
+    name = f"{role or '*'}_{view}"
+    found = [store for pattern in (name, f"*/{name}") for store in sorted((root / STORES).glob(pattern))]
+    stores = (
+        shipped_descriptors(model, pictures, view, store, exact) for store in dict.fromkeys(map(linked_folder, found))
+    )
     return next((shipped for shipped in stores if shipped is not None), None)
 
 
@@ -139,19 +146,10 @@ def descriptor_reader(root: Path) -> Reader:
     """
 
     def read(model: Model, pictures: Sequence[Picture], view: View, change: Change = UNCHANGED) -> Float32Array:
-        for store in [] if change else _stores(root, f"*_{view}"):
-            shipped = shipped_descriptors(model, pictures, view, store, exact=True)
-            if shipped is not None:
-                return shipped.descriptors
-        return cached_descriptors(model, pictures, view, change)
+        shipped = None if change else shipped_only(model, pictures, view, root, None, exact=True)
+        return cached_descriptors(model, pictures, view, change) if shipped is None else shipped.descriptors
 
     return read
-
-
-def _stores(root: Path, name: str) -> list[Path]:
-    """Return the shipped stores whose names match a pattern: the first model's, then those of others in their own folders."""
-    folders = [store for pattern in (name, f"*/{name}") for store in sorted((root / STORES).glob(pattern))]
-    return list(dict.fromkeys(map(linked_folder, folders)))
 
 
 def temporary_descriptors(

@@ -52,9 +52,9 @@ from lpn.descriptors.store import (
     encode,
     entry_of,
     parts_of,
-    rows_of_part,
     unwritable,
     vectors_size,
+    whole_parts,
     write_part,
 )
 from lpn.descriptors.transforms import UNCHANGED
@@ -174,22 +174,19 @@ def _locked(folder: Path) -> Iterator[None]:
 
 
 def _held(target: Storage, kind: DescriptorKind, rows: Sequence[Row]) -> tuple[list[PartEntry], list[Row], int]:
-    """Return the parts of a place that hold some of the rows, each row once; the rows in none; and the next part's number.
-
-    Raises:
-        StoreError: if the place holds other descriptors, or is an index.
-    """
+    """Return the parts of a place that hold some of the rows, each row once; the rows in none; and the next part's number."""
     left, found, number = {row: i for i, row in enumerate(rows)}, [], 1
     with tempfile.TemporaryDirectory(prefix="lpn-") as name, suppress(FileNotFoundError):
         folder = Path(name)
         sizes = target.copy(folder, vectors=False)
+        parts = [*whole_parts(folder)]
         with suppress(FileNotFoundError):
             (folder / MANIFEST).write_bytes(target.read(MANIFEST))
-            check_replaceable(folder, kind, target.where)
-        for part in parts_of(folder):
-            number = int(part.name.split("-")[1]) + 1
-            described = rows_of_part(part, kind)
-            if described is not None and sizes.get(f"{part.name}/{VECTORS}") == vectors_size(kind, len(described)):
+            check_replaceable(Manifest.read(folder), parts, kind, target.where)
+        number += max((int(part.name.split("-")[1]) for part in parts_of(folder)), default=0)
+        for part, notes in parts:
+            described = notes.rows() if notes.kind == kind.digest else []
+            if sizes.get(f"{part.name}/{VECTORS}") == vectors_size(kind, len(described)):
                 places = [left.pop(row, -1) for row in described]
                 if max(places, default=-1) >= 0:
                     unused = tuple(i for i, place in enumerate(places) if place < 0)
@@ -298,12 +295,7 @@ class DescribeWorker:
 
 @contextmanager
 def _ray_session(address: str | None, workers: int | None, threads: int) -> Iterator[tuple[Any, int]]:
-    """Yield Ray, started on this machine or joined on a cluster, and the number of workers; a session in progress is used.
-
-    Raises:
-        InputError: when there is no cluster at the address, or none of its machines has enough cores.
-        StoreError: when Ray does not start on this machine.
-    """
+    """Yield Ray, started on this machine or joined on a cluster, and the number of workers; a session in progress is used."""
     for name, value in _QUIET.items():
         os.environ.setdefault(name, value)
     ray: Any = importlib.import_module("ray")

@@ -372,11 +372,10 @@ class Store:
     @cached_property
     def places(self) -> Int64Array:
         """The place of each row among the rows of all parts, replaced ones included, (N,)."""
-        gone = [
-            start + np.array(entry.replaced, int)
-            for start, entry in zip(self.starts, self.manifest.parts, strict=False)
-        ]
-        return np.delete(np.arange(self.starts[-1]), np.concatenate([np.zeros(0, int), *gone]))
+        found = [np.zeros(0, np.int64)]
+        for start, entry, some in zip(self.starts.tolist(), self.manifest.parts, self.kept, strict=False):
+            found.append(start + (np.arange(entry.rows) if some is None else some))
+        return np.concatenate(found)
 
     @cached_property
     def descriptors(self) -> AnyArray:
@@ -462,26 +461,23 @@ def open_store(folder: str | Path, known: Mapping[str, Part] | None = None) -> S
     return Store(folder, manifest, parts)
 
 
-def check_replaceable(folder: Path, kind: DescriptorKind, where: object) -> bool:
-    """Return whether there is a store, which a description may replace.
+def check_replaceable(
+    held: Manifest, parts: Iterable[tuple[Path, PartRows]], kind: DescriptorKind, where: object
+) -> None:
+    """Raise StoreError if a store holds other descriptors, or is an index, whose tiles no description gives back.
 
     Args:
+        parts: parts in its folder, with their rows.
         where: its name in messages.
-
-    Raises:
-        StoreError: if it holds other descriptors, or is an index, whose tiles no description gives back.
     """
-    if not (folder / MANIFEST).exists():
-        return False
-    held = Manifest.read(folder)
     if held.kind != kind:
         raise StoreError(
             f"{where} holds {held.kind}, and these would be {kind}; choose another folder, or delete that one."
         )
-    rows = (row for part in held.parts for row in rows_of_part(folder / part.name, kind) or [])
-    if held.engine != "exact" or not all(row.size or row.time_ns for row in rows):
+    named = {part.name for part in held.parts}
+    stats = (stat for part, notes in parts if part.name in named for stat in zip(notes.sizes, notes.times, strict=True))
+    if held.engine != "exact" or not all(map(any, stats)):
         raise StoreError(f"{where} is an index, which descriptors would replace; choose another folder for them.")
-    return True
 
 
 def write_part(
@@ -544,21 +540,14 @@ def parts_of(folder: Path) -> list[Path]:
     return []
 
 
-def rows_of_part(part: Path, kind: DescriptorKind) -> list[Row] | None:
-    """Return the rows of a part; None if it is cut off, or of another kind."""
-    try:
-        notes = PartRows.read(part)
-    except (OSError, ValueError, RecursionError):
-        return None
-    return notes.rows() if notes.kind == kind.digest else None
-
-
-def is_sound(part: Path) -> bool:
-    """Compare the descriptors of a whole part with their checksum."""
-    try:
-        return sum_of(part / VECTORS) == PartRows.read(part).sum
-    except OSError:
-        return False
+def whole_parts(folder: Path) -> Iterator[tuple[Path, PartRows]]:
+    """Yield the folder and the rows of each part of `parts_of` that is not cut off."""
+    for part in parts_of(folder):
+        try:
+            notes = PartRows.read(part)
+        except (OSError, ValueError, RecursionError):
+            continue
+        yield part, notes
 
 
 def entry_of(part: Path) -> PartEntry:

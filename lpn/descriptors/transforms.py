@@ -51,11 +51,9 @@ class Change:
                 raise InputError(f"The shift is {pixels}; expected a whole number of pixels.")
         if not 1 / MAX_SCALE <= self.scale <= MAX_SCALE:
             raise InputError(f"The scale is {self.scale:g}; expected a factor from 1/{MAX_SCALE:g} to {MAX_SCALE:g}.")
-        object.__setattr__(self, "rotate", float(self.rotate))
-        object.__setattr__(self, "shift", int(self.shift))
-        object.__setattr__(self, "scale", float(self.scale))
-        object.__setattr__(self, "down", int(self.down))
         # Normalise, so that equal transforms compare equal.
+        for name, number in (("rotate", float), ("shift", int), ("scale", float), ("down", int)):
+            object.__setattr__(self, name, number(getattr(self, name)))
         object.__setattr__(self, "around", bool(self.around and self.rotate % 360))
 
     def __bool__(self) -> bool:
@@ -65,14 +63,8 @@ class Change:
 
     def apply(self, picture: UInt8Array) -> UInt8Array:
         """Draw the weather, rotate, and zoom: (H, W, 3) uint8 to the same shape, or smaller (`Weather.apply`, `images.zoom`)."""
-        picture = self.weather.apply(picture)
-        if self.around:
-            turned = images.roll(picture, self.rotate)
-        else:
-            turned = (
-                images.rotate_nearest(picture, self.rotate) if self.released else images.rotate(picture, self.rotate)
-            )
-        return images.zoom(turned, self.scale * self.zoom)
+        turn = images.roll if self.around else images.rotate_nearest if self.released else images.rotate
+        return images.zoom(turn(self.weather.apply(picture), self.rotate), self.scale * self.zoom)
 
     def for_picture(self, picture: Picture, zoom: float | None = None) -> Change:
         """Return this transform for a picture, which may be a panorama; `zoom` replaces its own zoom."""

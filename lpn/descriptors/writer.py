@@ -20,25 +20,25 @@ from lpn.datasets import files_below, unread_below, warn_left_out
 from lpn.datasets.integrity import check_whole
 from lpn.descriptors.parallel_inference import describe_each
 from lpn.descriptors.store import (
+    MANIFEST,
     VECTORS,
     CropBox,
     DescriptorKind,
     Manifest,
     Part,
     PartEntry,
-    PartRows,
     Precision,
     Row,
     Store,
     check_replaceable,
     encode,
     entry_of,
-    is_sound,
     open_store,
     parts_of,
     row_of,
-    rows_of_part,
+    sum_of,
     unwritable,
+    whole_parts,
     write_part,
 )
 from lpn.descriptors.transforms import UNCHANGED, Change
@@ -109,12 +109,11 @@ def describe_share(
     out, (i, n) = Path(out), share
     kind = DescriptorKind.of_model(model, view, UNCHANGED, precision)
     _before(out, kind)
-    for part in parts_of(out):
-        with suppress(OSError, ValueError, RecursionError):  # a part that is cut off will be deleted
-            if PartRows.read(part).kind != kind.digest:
-                raise StoreError(
-                    f"{part} holds other descriptors than {kind}; give all shares the same options, or choose another folder."
-                )
+    for part, notes in whole_parts(out):
+        if notes.kind != kind.digest:
+            raise StoreError(
+                f"{part} holds other descriptors than {kind}; give all shares the same options, or choose another folder."
+            )
     files = files[(i - 1) * len(files) // n : i * len(files) // n]
     rows = [row_of(file, root, None) for file in files]
     try:
@@ -160,11 +159,12 @@ class PartialStore:
     def __init__(self, folder: Path, kind: DescriptorKind, rows: Sequence[Row]) -> None:
         self.folder, self.kind, self.rows = folder, kind, rows
         wanted, found = set(rows), dict[Row, tuple[Path, int]]()
-        for part in parts_of(folder):
-            held = rows_of_part(part, kind) or []
+        for part, notes in whole_parts(folder):
+            held = notes.rows() if notes.kind == kind.digest else []
             here = {row: (part, i) for i, row in enumerate(held) if row in wanted and row not in found}
-            if here and is_sound(part):
-                found |= here
+            with suppress(OSError):  # without its vectors, the part is left out
+                if here and sum_of(part / VECTORS) == notes.sum:
+                    found |= here
         # The part of each row, and its place in it.
         self._places = [found.get(row) for row in rows]
         self._waiting: dict[int, AnyArray] = {}
@@ -224,11 +224,7 @@ class PartialStore:
 
 
 def write_store(
-    out: Path,
-    kind: DescriptorKind,
-    rows: Sequence[Row],
-    fill: Callable[[PartialStore], None],
-    whole: bool = True,
+    out: Path, kind: DescriptorKind, rows: Sequence[Row], fill: Callable[[PartialStore], None], whole: bool = True
 ) -> Store:
     """Write a store, or open the existing one.
 
@@ -274,21 +270,20 @@ def _fill(partial: PartialStore, fill: Callable[[PartialStore], None]) -> None:
 
 
 def _before(out: Path, kind: DescriptorKind) -> Store | None:
-    """Return the store in a folder; None if there is none, or its arrays are damaged.
-
-    Raises:
-        StoreError: if it holds other descriptors, is an index, cannot be read, or its store.json is not ours.
-    """
-    if not check_replaceable(out, kind, out):
+    """Return the store in a folder, which a description may replace; None if there is none, or its arrays are damaged."""
+    if not (out / MANIFEST).exists():
         return None
+    held, parts = Manifest.read(out), whole_parts(out)
+    store: Store | None = None
     try:
         store = open_store(out)
-        _ = store.rows
+        parts = iter([(part.folder, part.notes) for part in store.parts])
     except StoreError as error:
         cause = error.__cause__
         if isinstance(cause, OSError) and cause.errno in (errno.EMFILE, errno.ENFILE):
             raise
-        return None
+        store = None
+    check_replaceable(held, parts, kind, out)
     return store
 
 

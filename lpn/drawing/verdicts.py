@@ -139,7 +139,7 @@ def describe_heading(profile: SweepResult, views: tuple[View, View], known: floa
     best = profile.best_top_match
     text = (
         f"Without knowing the truth, any tile is nearest at {signed_value('rotation', best.change):g}° "
-        f"(d² {distance2(best.top_score):.3f}): by that, the picture's top points {heading:.0f}° clockwise from north"
+        f"(d² {distance2(best.top.score):.3f}): by that, the picture's top points {heading:.0f}° clockwise from north"
     )
     if known is None:
         return f"{text}, a guess that may be wrong."

@@ -1,11 +1,7 @@
 """Exact evidence: the share of each part and of each cell in a pair's score.
 
-With parts q_i, g_i of norm 1/sqrt(n) and part weights w_i with sum one, cos_i = n q_i . g_i and
-
-    score = sum_i w_i cos_i,        distance^2 = 2 - 2 score = sum_i 2 w_i (1 - cos_i).
-
-By the model's contract (`lpn.models.contract`), the raw embedding of part i is a sum over passes p and cells x, plus a
-constant:
+Scores and cosines are those of `lpn.retrieval.scoring`. By the model's contract (`lpn.models.contract`), the raw embedding of
+part i is a sum over passes p and cells x, plus a constant:
 
     e_i = sum_p sum_x a_pi(x) A_i F_pi(x) + c_i.
 
@@ -120,21 +116,23 @@ class Evidence:
         A part's `weighted_cosine` is its weight times its cosine; they add up to the score. `cells` (a list of rows) and
         `constant` are the query's and add up to the part's cosine. Those in `match` are the tile's and also add up to it.
         """
-        parts = [
-            {
-                "name": name,
-                "cosine": float(self.cosines[part]),
-                "weight": float(self.weights[part]),
-                "weighted_cosine": float(self.weighted_cosines[part]),
-                "constant": float(self.query.constants[part]),
-                "cells": self.query.cells[part].tolist(),
-                "match": {"constant": float(self.tile.constants[part]), "cells": self.tile.cells[part].tolist()},
-            }
-            for part, name in enumerate(names)
-        ]
-        csls = dict(zip(("query", "tile"), self.csls_shares, strict=True)) if self.csls is not None else {}
+        parts = part_values(names, self.cosines, self.weights)
+        for row, part in enumerate(parts):
+            query, tile = (
+                {"constant": float(side.constants[row]), "cells": side.cells[row].tolist()}
+                for side in (self.query, self.tile)
+            )
+            part |= query | {"match": tile}
         values = {"level": level, "score": self.score, "distance2": self.distance2, "parts": parts}
-        return values | ({"csls": csls} if csls else {})
+        csls = {} if self.csls is None else {"csls": dict(zip(("query", "tile"), self.csls_shares, strict=True))}
+        return values | csls
+
+
+def part_values(names: Sequence[str], cosines: FloatingArray, weights: Float32Array) -> list[dict[str, Any]]:
+    """Return the name, cosine, weight, and share of the score of each part, as JSON values."""
+    keys = "name", "cosine", "weight", "weighted_cosine"
+    columns = names, cosines.tolist(), weights.tolist(), (cosines * weights).tolist()
+    return [dict(zip(keys, values, strict=True)) for values in zip(*columns, strict=True)]
 
 
 def side_evidence(trace: Trace, other: FloatingArray) -> SideEvidence:

@@ -1,9 +1,7 @@
 """Counterfactuals of one ranking: the margin by part, ranks without a part, and the smallest change of part weights.
 
-They are computed from the query's part cosines, less the terms of CSLS if it is used, without the network. For part weights
-w_i with sum one, a positive p, and a negative g:
-
-    score(p) - score(g) = sum_i w_i (cos_i(p) - cos_i(g)),    margin = d^2(g) - d^2(p) = 2 (score(p) - score(g)).
+They are computed from the query's part cosines, less the terms of CSLS if it is used, without the network. The margin of a
+positive p over a negative g is d^2(g) - d^2(p) = 2 (score(p) - score(g)), see `lpn.retrieval.scoring`.
 """
 
 from __future__ import annotations
@@ -14,7 +12,6 @@ from typing import cast
 import numpy as np
 
 from lpn.core.arrays import Float32Array, Float64Array, FloatingArray, Int64Array
-from lpn.core.errors import InputError
 from lpn.retrieval import Ranking, scoring
 
 # Smallest lead in score over every negative in `smallest_change`. Rounding errors of float32 are smaller.
@@ -47,9 +44,6 @@ def ranks_without_parts(ranking: Ranking, tile: int | None = None) -> RanksWitho
 
     Returns:
         None if the ranking has no true match, or the true matches are unknown.
-
-    Raises:
-        InputError: when `tile` is not ranked.
     """
     positives, negatives = _split(ranking, tile)
     if not len(positives):
@@ -81,9 +75,6 @@ def smallest_change(ranking: Ranking, tile: int | None = None) -> Float32Array |
     Returns:
         The part weights, 0 or more, with sum one, (n,). None if no weights put a positive first by `MIN_SCORE_LEAD`, or no
         positive is known.
-
-    Raises:
-        InputError: when `tile` is not ranked.
     """
     positives, negatives = _split(ranking, tile)
     if not len(positives):
@@ -137,8 +128,6 @@ def _split(ranking: Ranking, tile: int | None) -> tuple[Int64Array, Int64Array]:
     """Return the ranked positives and negatives, each in gallery order."""
     ranked = np.sort(ranking.order)
     if tile is not None:
-        if not ranking.holds(tile):
-            raise InputError(f"Gallery picture {tile} is not in the ranking; choose one that is.")
         return ranked[ranked == tile], ranked[ranked != tile]
     if ranking.relevant is None:
         return ranked[:0], ranked

@@ -14,6 +14,7 @@ import numpy as np
 
 from lpn.core.arrays import BoolArray, Float32Array, FloatingArray, UInt8Array
 from lpn.core.views import View
+from lpn.explain.attribution import part_values
 from lpn.models.base import Model
 from lpn.retrieval import scoring
 
@@ -43,11 +44,9 @@ def occlude(
     squares = [(row, column) for row in range(rows) for column in range(columns)]
     for start in range(0, len(squares), _BATCH):
         some = squares[start : start + _BATCH]
-        pictures = []
-        for square in some:
-            mask = np.zeros((rows, columns), bool)
-            mask[square] = True
-            pictures.append(mixed(shaped, blurred, mask))
+        masks = np.zeros((len(some), rows, columns), bool)
+        masks[(np.arange(len(some)), *np.transpose(some))] = True
+        pictures = [mixed(shaped, blurred, mask) for mask in masks]
         for (row, column), cosines in zip(some, _cosines(model, pictures, view, other), strict=True):
             losses[:, row, column] = whole - cosines
         yield start + len(some), losses
@@ -62,17 +61,9 @@ def to_dict(
         cosines: of the parts of the pair, (n,).
         weights: part weights that sum to one, (n,).
     """
-    score = float(cosines @ weights)
-    parts = [
-        {
-            "name": name,
-            "cosine": float(cosines[part]),
-            "weight": float(weights[part]),
-            "weighted_cosine": float(cosines[part] * weights[part]),
-            "losses": losses[part].tolist(),
-        }
-        for part, name in enumerate(names)
-    ]
+    score, parts = float(cosines @ weights), part_values(names, cosines, weights)
+    for part, of_part in zip(parts, losses.tolist(), strict=True):
+        part["losses"] = of_part
     return {"level": "measured by occlusion", "score": score, "distance2": 2 - 2 * score, "parts": parts}
 
 

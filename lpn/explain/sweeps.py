@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal, get_args
+from typing import Any, Literal, TypeVar, get_args
 
 import numpy as np
 
@@ -25,7 +25,7 @@ from lpn.core.views import View
 from lpn.descriptors.transforms import MAX_SCALE, UNCHANGED, Change
 from lpn.descriptors.weather import WEATHERS, Weather
 from lpn.models.base import Model
-from lpn.retrieval import Ranking
+from lpn.retrieval import Match, Ranking
 
 # The property that a sweep varies. Rotation is in degrees counter-clockwise. A shift to the right or down is in pixels of the
 # network's input. Zoom is a factor. A weather's number is its place among `WEATHERS`.
@@ -37,6 +37,7 @@ CHANGE_FIELD: dict[SweptProperty, str] = {
     "weather": "weather",
 }
 MAX_POINTS = 3600
+T = TypeVar("T", int, float)
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,25 +45,13 @@ class SweepPoint:
     """One query under one change.
 
     Attributes:
-        tile: gallery position of the followed tile: the nearest positive, a chosen tile, or else the top match.
-        true: True if the followed tile is a positive; None if unknown.
-        score: weighted mean cosine of the followed tile, -1 .. 1.
-        rank: rank of the followed tile, 1 for the nearest.
-        cosines: part cosines with the followed tile, (n,).
-        top: gallery position of the nearest tile.
-        top_score: score of the nearest tile.
-        contributions: each part's exact share of the followed tile's squared distance, (n,); None without a ranking.
+        followed: the nearest positive, a chosen tile, or else the top match.
+        top: the nearest tile.
     """
 
     change: Change
-    tile: int
-    true: bool | None
-    score: float
-    rank: int
-    cosines: Float32Array
-    top: int
-    top_score: float
-    contributions: Float32Array | None = None
+    followed: Match
+    top: Match
 
 
 def sweep_points(
@@ -89,15 +78,11 @@ def sweep_points(
     for change in changes:
         ranking = rank(retrieval.describe_picture(model, picture, view, change).descriptor)
         if not len(ranking.order):
-            raise InputError(
-                "There is no tile to rank; a sweep needs at least one tile in the gallery that is not junk."
-            )
+            raise InputError("There is no tile to rank; a sweep needs at least one that is not junk.")
         if follow is not None and not ranking.holds(follow):
             raise InputError(f"Gallery picture {follow} is not in the ranking; choose one that is.")
         top = ranking.match(0)
-        tile = (ranking.positive() or top) if follow is None else ranking.find(follow)
-        known = tile.score, tile.rank, tile.cosines, top.index, top.score, tile.contributions
-        yield SweepPoint(change, tile.index, tile.true, *known)
+        yield SweepPoint(change, (ranking.positive() or top) if follow is None else ranking.find(follow), top)
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,28 +100,24 @@ class SweepResult:
     base: Change = UNCHANGED
 
     def __post_init__(self) -> None:
-        if not self.points:
-            raise InputError(
-                "A sweep result needs at least one point; take one from lpn.explain.sweeps.sweep_points first."
-            )
         ordered = sorted(self.points, key=lambda point: swept_value(self.over, point.change))
         object.__setattr__(self, "points", tuple(ordered))
 
     @property
     def best(self) -> SweepPoint:
         """The point where the followed tile has its highest score; the smallest change wins ties."""
-        return self._highest([point.score for point in self.points])
+        return self._highest([point.followed.score for point in self.points])
 
     @property
     def best_top_match(self) -> SweepPoint:
         """The point where the top match has its highest score; needs no ground truth. The smallest change wins ties."""
-        return self._highest([point.top_score for point in self.points])
+        return self._highest([point.top.score for point in self.points])
 
     @property
     def best_rank(self) -> SweepPoint:
         """The point where the followed tile ranks best; the highest score wins ties."""
         # Scores differ by at most 2, so the rank dominates.
-        return self._highest([4.0 * -point.rank + point.score for point in self.points])
+        return self._highest([4.0 * -point.followed.rank + point.followed.score for point in self.points])
 
     @property
     def unchanged(self) -> SweepPoint | None:
@@ -148,8 +129,10 @@ class SweepResult:
 
         None until the base change is computed.
         """
-        before = self.unchanged
-        return None if before is None else (before.rank - point.rank, point.score - before.score)
+        if self.unchanged is None:
+            return None
+        before, after = self.unchanged.followed, point.followed
+        return before.rank - after.rank, after.score - before.score
 
     def heading(self) -> float | None:
         """Estimate the heading of the query, 0 .. 360 degrees clockwise from north.
@@ -162,22 +145,14 @@ class SweepResult:
 
     def to_csv(self) -> bytes:
         """Return a row for each point as comma-separated values in UTF-8."""
-        rows: list[dict[str, Any]] = [
-            {
-                self.over: point.change.weather.name
-                if self.over == "weather"
-                else swept_value(self.over, point.change),
-                "score": point.score,
-                "rank": point.rank,
-                **{f"cosine {part}": float(cosine) for part, cosine in enumerate(point.cosines, 1)},
-                "tile": point.tile,
-                "true": point.true,
-                "top": point.top,
-                "top score": point.top_score,
-            }
-            for point in self.points
-        ]
-        return csv_bytes([list(rows[0]), *(row.values() for row in rows)])
+        parts = (f"cosine {part}" for part in range(1, len(self.points[0].followed.cosines) + 1))
+        rows: list[list[Any]] = [[self.over, "score", "rank", *parts, "tile", "true", "top", "top score"]]
+        for point in self.points:
+            value = point.change.weather.name if self.over == "weather" else swept_value(self.over, point.change)
+            tile, top = point.followed, point.top
+            cosines = tile.cosines.tolist()
+            rows.append([value, tile.score, tile.rank, *cosines, tile.index, tile.true, top.index, top.score])
+        return csv_bytes(rows)
 
     def _highest(self, scores: Sequence[float]) -> SweepPoint:
         places = sorted(range(len(scores)), key=lambda i: (-scores[i], _magnitude(self.over, self.points[i].change)))
@@ -236,21 +211,20 @@ def changes_over(
             raise InputError("A rotation always covers the full circle; leave its reach out.")
         _check_count(360 / step)
         angles = [step * i for i in range(math.ceil(360 / step - 1e-9))]
-        return [Change(rotate=angles[i]) for i in _coarse_first(angles, 360.0)]
+        return [Change(rotate=angle) for angle in _coarse_first(angles, 360.0)]
     if over == "zoom":
         step = _checked("step", 1.1 if step is None else step, 1, MAX_SCALE, "a factor")
         reach = _checked("reach", 2.0 if reach is None else reach, 1, MAX_SCALE, "a factor")
         _check_count(2 * math.log(reach) / math.log(step))
-        powers = _both_sides(math.floor(math.log(reach) / math.log(step) + 1e-9))
-        return [Change(scale=step ** powers[i]) for i in _coarse_first(powers)]
+        count = math.floor(math.log(reach) / math.log(step) + 1e-9)
+        return [Change(scale=step**power) for power in _coarse_first(_both_sides(count))]
     step = _checked("step", max(1, side // 32) if step is None else step, 0, side, "whole pixels")
     reach = _checked("reach", side // 4 if reach is None else reach, 0, side, "whole pixels")
     if step != int(step):
         raise InputError(f"The step is {step:g}; expected whole pixels.")
     _check_count(2 * reach / step)
-    pixels = [int(step) * i for i in _both_sides(math.floor(reach / step))]
-    order = _coarse_first(pixels)
-    return [Change(shift=pixels[i]) if over == "shift" else Change(down=pixels[i]) for i in order]
+    pixels = _coarse_first([int(step) * i for i in _both_sides(math.floor(reach / step))])
+    return [Change(shift=number) if over == "shift" else Change(down=number) for number in pixels]
 
 
 def apply_to_base(over: SweptProperty, base: Change, changes: Iterable[Change]) -> list[Change]:
@@ -265,8 +239,8 @@ def _both_sides(count: int) -> list[int]:
     return [0, *(i for i in range(-count, count + 1) if i)]
 
 
-def _coarse_first(values: Sequence[float], circle: float | None = None) -> list[int]:
-    """Return the positions of values in farthest-point order, which starts at position 0; of ties, the first comes next."""
+def _coarse_first(values: Sequence[T], circle: float | None = None) -> list[T]:
+    """Return values in farthest-point order, which starts at the first; of ties, the earlier one comes next."""
     places = np.asarray(values, dtype=np.float64)
     order, nearest = [0], np.full(len(places), np.inf)
     while len(order) < len(places):
@@ -275,7 +249,7 @@ def _coarse_first(values: Sequence[float], circle: float | None = None) -> list[
         nearest[order[-1]] = -1
         # Steps such as 0.1 are inexact; rounding keeps ties.
         order.append(int(np.argmax(np.round(nearest, 9))))
-    return order
+    return [values[i] for i in order]
 
 
 def _magnitude(over: SweptProperty, change: Change) -> float:

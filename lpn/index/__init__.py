@@ -84,12 +84,4 @@ def _engine(name: str) -> Any:
     return FolderIndex if name == "exact" else engines[name].load()
 
 
-__all__ = [
-    "DegreeBox",
-    "DescriptorKind",
-    "Index",
-    "SearchResult",
-    "WindowsRecord",
-    "create_index",
-    "open_index",
-]
+__all__ = ["DegreeBox", "DescriptorKind", "Index", "SearchResult", "WindowsRecord", "create_index", "open_index"]

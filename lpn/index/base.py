@@ -12,6 +12,7 @@ scores, whatever the engine's rounding.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Self
@@ -128,7 +129,9 @@ class Index(ABC):
         """
         rows = self._rows(ids)
         if missing := [name for name in ids if name not in rows]:
-            raise no_such_tile(missing[0])
+            raise InputError(
+                f"The index has no tile {printable(missing[0])[:80]}; tiles are named by their path when they were added."
+            )
         return self._tiles(ids, rows)[1:]
 
     def holds(self, ids: Sequence[str]) -> BoolArray:
@@ -223,13 +226,6 @@ def checked(kind: DescriptorKind, descriptors: npt.ArrayLike) -> Float32Array:
     return values
 
 
-def no_such_tile(name: str) -> InputError:
-    """Return the error for a name that an index lacks."""
-    return InputError(
-        f"The index has no tile {printable(name)[:80]}; tiles are named by their path when they were added."
-    )
-
-
 def scores_of(vectors: FloatingArray, wanted: Float64Array) -> Float64Array:
     """Score vectors (B, n D) under a rescaled query (n D,): (B,) float64.
 
@@ -253,11 +249,9 @@ def check_names(ids: Sequence[str], rows: int) -> list[str]:
             name.encode()
         except UnicodeEncodeError as error:
             raise InputError(f"The tile's name {printable(name)[:40]!r} is not UTF-8; rename its file.") from error
-    seen: set[str] = set()
-    for name in ids:
-        if name in seen:
-            raise InputError(f"The tile {printable(name)} is given twice; give each tile once.")
-        seen.add(name)
+    repeated = next((name for name, count in Counter(ids).items() if count > 1), None)
+    if repeated is not None:
+        raise InputError(f"The tile {printable(repeated)} is given twice; give each tile once.")
     return list(ids)
 
 
@@ -280,10 +274,10 @@ def check_positions(positions: Sequence[Sequence[float]] | Float64Array | None, 
     return values
 
 
-def check_count(k: int, what: str = "number of tiles asked for") -> int:
-    """Check a count; InputError unless it is a whole number of 1 or more."""
+def check_count(k: int) -> int:
+    """Check a number of tiles; InputError unless it is a whole number of 1 or more."""
     if not isinstance(k, (int, float, np.integer, np.floating)) or not k >= 1 or k % 1:
-        raise InputError(f"The {what} is {k}; expected 1 or more.")
+        raise InputError(f"The number of tiles asked for is {k}; expected 1 or more.")
     return int(k)
 
 
@@ -292,10 +286,7 @@ def check_box(box: Sequence[float] | None) -> DegreeBox | None:
     if box is None:
         return None
     values = [float(value) for value in box]
-    good = (
-        len(values) == 4 and -90 <= values[0] <= values[2] <= 90 and all(abs(v) <= 180 for v in (values[1], values[3]))
-    )
-    if not good:
+    if not (len(values) == 4 and -90 <= values[0] <= values[2] <= 90 and all(abs(v) <= 180 for v in values[1::2])):
         raise InputError(
             f"The box is {', '.join(f'{value:g}' for value in values)}; expected south, west, north, and east in degrees, "
             "with south <= north (west > east crosses the antimeridian)."

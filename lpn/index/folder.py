@@ -32,14 +32,7 @@ from lpn.descriptors.store import (
     unwritable,
     write_part,
 )
-from lpn.index.base import (
-    LONGEST,
-    DegreeBox,
-    Index,
-    TileRow,
-    Tiles,
-    within,
-)
+from lpn.index.base import LONGEST, DegreeBox, Index, TileRow, Tiles, within
 
 _ATTEMPTS = 20
 # Rows of a part that are read at a time.

@@ -40,12 +40,7 @@ def windows_kind(
 
 
 def index_windows(
-    index: Index,
-    basemap: Map,
-    describe: DescribeWindows,
-    block: int = BLOCK,
-    again: bool = False,
-    box: DegreeBox | None = None,
+    index: Index, basemap: Map, describe: DescribeWindows, again: bool = False, box: DegreeBox | None = None
 ) -> int:
     """Describe the windows that an index lacks of the map that it was made for, and add them by name, with positions.
 
@@ -54,7 +49,6 @@ def index_windows(
 
     Args:
         describe: see `window_describer`.
-        block: windows that are described and added together.
         again: describe all windows, also those that the index holds.
         box: describe only the windows with centres in it, so that several machines share a map.
 
@@ -75,10 +69,11 @@ def index_windows(
             inside = within(basemap.frame.degrees([(window.x, window.y) for window in windows]), box)
             done += turns * (len(windows) - int(inside.sum()))
             windows = [windows[i] for i in np.flatnonzero(inside).tolist()]
-        for start in range(0, len(windows), -(-block // turns)):
+        step = -(-BLOCK // turns)
+        for start in range(0, len(windows), step):
             some = [
                 Window(window.x, window.y, window.size, 360 / turns * k)
-                for window in windows[start : start + -(-block // turns)]
+                for window in windows[start : start + step]
                 for k in range(turns)
             ]
             named = NamedWindow.all_of(some, basemap.frame)

@@ -25,6 +25,7 @@ from lpn.descriptors.store import DescriptorKind
 from lpn.index.base import ID_LENGTH, DegreeBox, Index, TileRow, Tiles
 
 FORMAT = "lpn-milvus/1:"
+_FIELDS = ("id", "name", "vector", "latitude", "longitude")
 # Latitude and longitude of a tile without a position, outside of every box, as Milvus 2.3 has no null.
 _NOWHERE = 1000.0
 # Tiles in a message, far below a server's limit of 64 MB, and seconds of a call.
@@ -56,9 +57,7 @@ class MilvusIndex(Index):
                 "letters, digits, and underscores."
             )
         if parts.query not in ("", "hnsw"):
-            raise InputError(
-                f"{self._url} ends in ?{parts.query}; expected ?hnsw, or nothing after the collection's name."
-            )
+            raise InputError(f"{self._url} ends in ?{parts.query}; expected ?hnsw, or nothing after the collection.")
         uri = f"http://{parts.netloc.rpartition('@')[2]}"
         token = f"{unquote(parts.username)}:{unquote(parts.password or '')}" if parts.username else ""
         with self._told():
@@ -103,15 +102,13 @@ class MilvusIndex(Index):
 
     def _add(self, names: list[str], vectors: Float32Array, places: Float64Array) -> None:
         """Add tiles. Each message is atomic, so an error may leave some of the tiles added."""
-        degrees, flat = np.where(np.isnan(places), _NOWHERE, places).tolist(), vectors.reshape(len(names), -1)
-        rows = [
-            {"id": _key(name), "name": name, "vector": vector, "latitude": at[0], "longitude": at[1]}
-            for name, vector, at in zip(names, flat, degrees, strict=True)
-        ]
-        for start in range(0, len(rows), _STEP):
-            some = [row | {"vector": row["vector"].tolist()} for row in rows[start : start + _STEP]]
+        degrees, flat = np.where(np.isnan(places), _NOWHERE, places), vectors.reshape(len(names), -1)
+        for start in range(0, len(names), _STEP):
+            some = slice(start, start + _STEP)
+            tiles = zip(names[some], flat[some].tolist(), *degrees[some].T.tolist(), strict=True)
+            rows = [dict(zip(_FIELDS, (_key(tile[0]), *tile), strict=True)) for tile in tiles]
             with self._told():
-                self._client.upsert(self._name, some, **_CALL)
+                self._client.upsert(self._name, rows, **_CALL)
 
     def _nearest(self, wanted: Float64Array, k: int, box: DegreeBox | None) -> Tiles:
         """See `Index._nearest`; hnsw may return too few tiles, as in a box. Milvus's ties come in any order, so sort by name."""
@@ -128,7 +125,7 @@ class MilvusIndex(Index):
     def _read(self, keys: Sequence[str], vectors: bool = True, level: str = "Strong") -> dict[str, TileRow]:
         """Read tiles by their keys, in messages of bounded size."""
         rows: dict[str, TileRow] = {}
-        fields = ["name", "latitude", "longitude", *(["vector"] if vectors else [])]
+        fields = [field for field in _FIELDS[1:] if vectors or field != "vector"]
         for start in range(0, len(keys), _STEP):
             asked = {"ids": list(keys[start : start + _STEP]), "output_fields": fields}
             with self._told():

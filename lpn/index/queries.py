@@ -56,14 +56,11 @@ class IndexQueries:
 
     def true_tiles(self) -> list[str]:
         """Return the names of listed tiles that are true for some query."""
-        labels = {query.label for query in self.pictures}
-        good = {place for one in self.truth or () for place in one.good.tolist()}
-        by_labels = self.truth is None
-        return [
-            name
-            for name, (place, tile) in self.listed.items()
-            if (tile.label in labels if by_labels else place in good)
-        ]
+        if self.truth is None:
+            labels = {query.label for query in self.pictures}
+            return [name for name, (_, tile) in self.listed.items() if tile.label in labels]
+        good = {place for one in self.truth for place in one.good.tolist()}
+        return [name for name, (place, _) in self.listed.items() if place in good]
 
 
 def unknown_truth(queries: Sequence[Picture]) -> list[Truth]:
@@ -143,12 +140,10 @@ def fitting_tasks(model: Model, names: Sequence[str], index: Index) -> list[str]
     Raises:
         StoreError: when the index holds descriptors of another model, or of queries.
     """
-    fingerprints = [model.for_task(*views_of(name)).fingerprint for name in names]
-    fitting = [
-        name for name, fingerprint in zip(names, fingerprints, strict=True) if fingerprint == index.kind.fingerprint
-    ]
+    fingerprints = {name: model.for_task(*views_of(name)).fingerprint for name in names}
+    fitting = [name for name, fingerprint in fingerprints.items() if fingerprint == index.kind.fingerprint]
     if not fitting:
-        index.check_model(fingerprints[0])
+        index.check_model(fingerprints[names[0]])
     return fitting
 
 
@@ -161,10 +156,7 @@ def view_pair(model: Model) -> str:
 def _names_held(
     index: Index, root: Path, gallery: Sequence[Picture]
 ) -> tuple[list[str], dict[str, tuple[int, Picture]]]:
-    """Return the best-fitting folders below the root for the index's names, and the gallery pictures of the first.
-
-    The pictures, with their positions in the gallery, are keyed by their names in the index. Without any, there is no folder.
-    """
+    """Return the folders that fit the index's names best, and the first one's gallery pictures by their names in the index."""
     paths = geo.names_below(root, gallery)
     splits = [
         (path[:start], path[start:])

@@ -36,8 +36,6 @@ from lpn.tasks.task import Task, descriptor_clauses
 MOST_TILES = 200_000
 # Number of tiles that an engine proposes for each query.
 PROPOSED = 100
-
-
 # Side of a placeholder in pixels.
 _SIDE = 256
 # Labels of tiles outside the data set begin here.
@@ -97,8 +95,8 @@ def open_gallery(index: Index, queries: IndexQueries) -> IndexGallery:
         for descriptor, place in zip(queries.descriptors, queries.places or (), strict=True):
             if place is not None:
                 high, wide = (reach / metres for metres in geo.metres_per_degree(place.latitude))
-                middle = place.latitude, place.longitude
-                box = middle[0] - high, middle[1] - wide, middle[0] + high, middle[1] + wide
+                north, east = place.latitude, place.longitude
+                box = north - high, east - wide, north + high, east + wide
                 names |= dict.fromkeys(index.search(descriptor, None, PROPOSED, box).ids)
     if len(names) > MOST_TILES:
         raise InputError(
@@ -113,13 +111,7 @@ def open_gallery(index: Index, queries: IndexQueries) -> IndexGallery:
     return IndexGallery(list(names), *index.read(list(names)), chosen)
 
 
-def index_task(
-    model: Model,
-    model_name: str,
-    index: Index,
-    queries: IndexQueries,
-    basemap: Map | None = None,
-) -> Task:
+def index_task(model: Model, model_name: str, index: Index, queries: IndexQueries, basemap: Map | None = None) -> Task:
     """Return the task of some queries over the tiles of an index, which may be closed afterwards; see `open_gallery`.
 
     Args:
@@ -164,14 +156,9 @@ def _truth(gallery: IndexGallery, queries: IndexQueries, basemap: Map | None) ->
     if queries.spots is not None:
         assert basemap is not None
         xy, halves = basemap.frame.xy(*gallery.degrees.T), gallery.sizes[:, None] / 2
-        return [
-            Truth(
-                np.flatnonzero((np.abs(xy - spot) <= halves).all(axis=1)),
-                np.zeros(0, np.int64),
-                known=bool(np.isfinite(spot).all()),
-            )
-            for spot in queries.spots
-        ]
+        good = [np.flatnonzero((np.abs(xy - spot) <= halves).all(axis=1)) for spot in queries.spots]
+        known = (bool(np.isfinite(spot).all()) for spot in queries.spots)
+        return [Truth(tiles, np.zeros(0, np.int64), of) for tiles, of in zip(good, known, strict=True)]
     if queries.truth is None:
         return None
     rows = {name: row for row, name in enumerate(gallery.names)}

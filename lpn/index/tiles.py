@@ -73,7 +73,16 @@ def open_tiles(folder: Path, data: Path | None = None) -> TileSource:
 
 
 def _positions(root: Path, names: list[str]) -> Float64Array:
-    known = geo.positions(root) or _of_dataset(root)
+    """Return the positions of tiles from geo.csv, or those of a data set without one, such as DenseUAV, UAV-VisLoc, or VIGOR."""
+    known, reason = geo.positions(root), ""
+    try:
+        known = known or open_dataset(root).positions()
+    except DataError as error:
+        reason = f" ({str(error).rstrip('.')})"
+    if known is None:
+        raise DataError(
+            f"{root} has no {geo.NAME}, and no data set's own positions{reason}; leave --data out, or write one (docs/data.md)."
+        )
     places = known.match(names)
     if names and not any(places):
         raise InputError(
@@ -83,17 +92,3 @@ def _positions(root: Path, names: list[str]) -> Float64Array:
     nowhere = (np.nan, np.nan)
     found = [nowhere if at is None else (at.latitude, at.longitude) for at in places]
     return np.array(found, np.float64).reshape(-1, 2)
-
-
-def _of_dataset(root: Path) -> geo.Positions:
-    """Return the positions of a data set without a geo.csv, such as DenseUAV, UAV-VisLoc, or VIGOR."""
-    reason = ""
-    try:
-        known = open_dataset(root).positions()
-    except DataError as error:
-        known, reason = None, f" ({str(error).rstrip('.')})"
-    if known is None:
-        raise DataError(
-            f"{root} has no {geo.NAME}, and no data set's own positions{reason}; leave --data out, or write one (docs/data.md)."
-        )
-    return known

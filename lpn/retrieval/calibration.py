@@ -80,14 +80,12 @@ class Calibration:
     def pictures(self, view: View, pictures: Sequence[Picture]) -> list[Picture]:
         """Return the pictures with their zoom, and with a note that names it."""
         zooms = self.zooms[view]
-        return [
-            replace(
-                picture,
-                zoom=zooms[picture.path],
-                note=", ".join(filter(None, (picture.note, zoom_note(zooms[picture.path])))),
-            )
-            for picture in pictures
-        ]
+        moved = []
+        for picture in pictures:
+            zoom = zooms[picture.path]
+            note = "" if zoom == 1 else f"zoomed by {zoom:.2f}"
+            moved.append(replace(picture, zoom=zoom, note=", ".join(filter(None, (picture.note, note)))))
+        return moved
 
     def read(
         self,
@@ -108,13 +106,11 @@ class Calibration:
                 f"The scale is {change.scale:g}, and the calibration zooms {view} pictures by up to {zooms.max():.3g}; "
                 f"expected a scale of at most {MAX_SCALE / zooms.max():.3g}."
             )
-        described = by_zoom(
-            model,
-            pictures,
-            zooms,
-            lambda some, zoom: read(model, some, view, replace(change, scale=change.scale * zoom)),
-        )
-        return normalise(described - self.means[view])
+
+        def at(some: Sequence[Picture], zoom: float) -> Float32Array:
+            return read(model, some, view, replace(change, scale=change.scale * zoom))
+
+        return normalise(by_zoom(model, pictures, zooms, at) - self.means[view])
 
     def stored(
         self, model: Model, pictures: Sequence[Picture], view: View, root: Path, role: Role, read: descriptors.Reader
@@ -208,26 +204,25 @@ def calibrate(
         means = {view: side.read(0).mean(axis=0) for view, side in sides.items()}
         return Calibration(means, zooms, {}, 1.0, (), np.zeros((0, model.n_parts, model.embedding), np.float32))
     means = {view: side.read(0).mean(axis=0) for view, side in sides.items() if view == "street"}
-    of_all, tried = _step_of_all(sides["drone"], sides["satellite"])
+    of_all, tried = _step_of_all(sides)
     tiles = sides["satellite"].read(max(-of_all, 0))
     means["satellite"] = tiles.mean(axis=0)
     tiles = normalise(tiles - means["satellite"])
     levels: list[ZoomLevel] = []
-    best: Float64Array = np.full(len(sides["drone"].pictures), -np.inf)
-    chosen, taken = np.zeros(len(best), np.int64), np.zeros((0, model.n_parts, model.embedding), np.float32)
-    for step in range(max(-_OWN_STEPS, -max(of_all, 0)), _OWN_STEPS + 1):
-        described = sides["drone"].read(max(of_all, 0) + step)
-        level = ZoomLevel(STEP ** (max(of_all, 0) + step), PRIOR * step**2, described.mean(axis=0))
+    drones = sides["drone"]
+    best: Float64Array = np.full(len(drones.files), -np.inf)
+    chosen, taken = np.zeros(len(best), np.int64), np.zeros((len(best), model.n_parts, model.embedding), np.float32)
+    first = max(of_all, 0)
+    for step in range(max(-_OWN_STEPS, -first), _OWN_STEPS + 1):
+        described = drones.read(first + step)
+        level = ZoomLevel(STEP ** (first + step), PRIOR * step**2, described.mean(axis=0))
         value = _nearest(normalise(described - level.mean), tiles) - level.cost
         better = value > best
-        taken = np.where(better[:, None, None], described, taken) if levels else described
-        best, chosen = np.where(better, value, best), np.where(better, len(levels), chosen)
+        taken[better], best[better], chosen[better] = described[better], value[better], len(levels)
         levels.append(level)
     means["drone"] = taken.mean(axis=0)
     zooms["satellite"] = dict.fromkeys(sides["satellite"].files, STEP ** max(-of_all, 0))
-    zooms["drone"] = {
-        file: levels[level].zoom for file, level in zip(sides["drone"].files, chosen.tolist(), strict=True)
-    }
+    zooms["drone"] = {file: levels[level].zoom for file, level in zip(drones.files, chosen.tolist(), strict=True)}
     return Calibration(means, zooms, tried, STEP**of_all, levels, _sample(tiles, _MOST_TILES))
 
 
@@ -252,7 +247,7 @@ def ground_ratio(
         raise InputError(
             "The ratio of ground is that of drone pictures and whole tiles, and these are panoramas or unrolled; leave it at 1."
         )
-    return float(STEP ** _step_of_all(sides["drone"], sides["satellite"])[0])
+    return float(STEP ** _step_of_all(sides)[0])
 
 
 class _Side:
@@ -265,15 +260,11 @@ class _Side:
 
     def read(self, step: int) -> Float32Array:
         """Return the descriptors of all at the zoom STEP^step, (N, n, D), read list by list like the tasks."""
-        known: set[Path] = set()
-        parts = []
-        for pictures in self._lists:
-            new = []
-            for picture in pictures:
-                new.append(picture.path not in known)
-                known.add(picture.path)
-            parts.append(self._described(pictures, step)[new])
-        return parts[0] if len(parts) == 1 else np.concatenate(parts)
+        described = np.concatenate([self._described(pictures, step) for pictures in self._lists])
+        first: dict[Path, int] = {}
+        for row, path in enumerate(picture.path for pictures in self._lists for picture in pictures):
+            first.setdefault(path, row)
+        return described[[*first.values()]]
 
     def sample(self, most: int, step: int) -> Float32Array:
         """Return the descriptors of at most `most` pictures, drawn at random, at the zoom STEP^step."""
@@ -284,11 +275,7 @@ class _Side:
 
 
 def _sides(
-    model: Model,
-    lists: Mapping[View, Sequence[Sequence[Picture]]],
-    read: descriptors.Reader,
-    what: str,
-    otherwise: str,
+    model: Model, lists: Mapping[View, Sequence[Sequence[Picture]]], read: descriptors.Reader, what: str, otherwise: str
 ) -> dict[View, _Side]:
     """Return the sides of lists; InputError unless the model has each view, and each has enough pictures."""
     sides = {view: _Side(model, view, of_view, read) for view, of_view in lists.items()}
@@ -310,9 +297,9 @@ def _comparable(model: Model, sides: Mapping[View, _Side]) -> bool:
     return not any(picture.panorama for view in above for picture in sides[view].pictures)
 
 
-def _step_of_all(drones: _Side, tiles: _Side) -> tuple[int, dict[float, float]]:
+def _step_of_all(sides: Mapping[View, _Side]) -> tuple[int, dict[float, float]]:
     """Return the power of STEP with the nearest neighbours, and the mean cosine at each tried ratio."""
-    tried: dict[float, float] = {}
+    drones, tiles, tried = sides["drone"], sides["satellite"], dict[float, float]()
 
     def value(step: int) -> float:
         ratio = STEP**step
@@ -365,8 +352,3 @@ def by_zoom(
 def centred(described: Float32Array) -> Float32Array:
     """Subtract the mean of descriptors (N, n, D) from each of them, part by part, and scale parts to norm 1/sqrt(n) again."""
     return normalise(described - described.mean(axis=0))
-
-
-def zoom_note(zoom: float) -> str:
-    """Return a picture's zoom in words, such as "zoomed by 1.41"; empty for 1."""
-    return "" if zoom == 1 else f"zoomed by {zoom:.2f}"

@@ -31,13 +31,8 @@ _EQUATOR = 6_378_137.0
 
 
 def recall_at(hits: npt.ArrayLike, k: int) -> float:
-    """Return Recall@K: the share in percent of queries with a hit among their first k tiles; hits: (Q, R) bool.
-
-    Raises:
-        InputError: if k is not between 1 and R.
-    """
+    """Return Recall@K: the share in percent of queries with a hit among their first k tiles, 1 .. R; hits: (Q, R) bool."""
     values: BoolArray = np.asarray(hits, bool)
-    _check_depth(values.shape, k)
     return float(100 * values[:, :k].any(axis=1).mean()) if len(values) else 0.0
 
 
@@ -45,25 +40,17 @@ def sdm(distances: npt.ArrayLike, k: int, decay: float) -> Float64Array:
     """Return SDM@K of each query, 0 .. 1, see this module, (Q,).
 
     Args:
-        distances: by `degree_distances` for `DENSEUAV_DECAY`, in metres for `GTA_UAV_DECAY`.
-
-    Raises:
-        InputError: if k is not between 1 and R.
+        distances: by `degree_distances` for `DENSEUAV_DECAY`, in metres for `GTA_UAV_DECAY`, (Q, R).
+        k: 1 .. R.
     """
     values = np.asarray(distances, np.float64)
-    _check_depth(values.shape, k)
     weights = np.arange(k, 0, -1, dtype=np.float64)
     return cast(Float64Array, np.exp(-decay * values[:, :k]) @ weights / weights.sum())
 
 
 def distance_at(metres: npt.ArrayLike, k: int) -> Float64Array:
-    """Return Dis@K of each query: the mean distance of its first k tiles, (Q,).
-
-    Raises:
-        InputError: if k is not between 1 and R.
-    """
+    """Return Dis@K of each query: the mean distance of its first k tiles, 1 .. R, (Q,)."""
     values = np.asarray(metres, np.float64)
-    _check_depth(values.shape, k)
     return cast(Float64Array, values[:, :k].mean(axis=1))
 
 
@@ -150,10 +137,3 @@ def field_figures(
     depths = [k for k in (1, 3, 5) if k <= order.shape[1]]
     figures = {f"sdm_gta_uav@{k}": float(sdm(metres, k, GTA_UAV_DECAY).mean()) for k in depths}
     return figures | {f"dis@{k}": float(distance_at(metres, k).mean()) for k in depths}
-
-
-def _check_depth(shape: tuple[int, ...], k: int) -> None:
-    if len(shape) != 2 or not 1 <= k <= shape[1]:
-        raise InputError(
-            f"K is {k} and the ranked tiles have the shape {shape}; expected (queries, tiles) and K in 1 .. tiles."
-        )

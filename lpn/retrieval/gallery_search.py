@@ -102,28 +102,24 @@ class Ranking:
     def match(self, position: int) -> Match:
         """The match at a 0-based position of the order."""
         index = int(self.order[position])
-        last = position + 1 >= len(self.order)
-        terms = self.csls_of(index)
+        score, following = float(self.scores[index]), self.order[position + 1 : position + 2].tolist()
+        cosines, csls = self.cosines[index], self.csls_of(index)
+        terms = None if csls is None else csls[0] + csls[1]
         return Match(
             rank=position + 1,
             index=index,
-            score=float(self.scores[index]),
-            distance2=2.0 - 2.0 * float(self.scores[index]),
-            gap=None if last else 2.0 * (float(self.scores[index]) - float(self.scores[self.order[position + 1]])),
-            cosines=self.cosines[index],
-            contributions=self._contributions(index),
+            score=score,
+            distance2=2.0 - 2.0 * score,
+            gap=2.0 * (score - float(self.scores[following[0]])) if following else None,
+            cosines=cosines,
+            contributions=scoring.contributions(cosines, self.weights, self.lengths, terms),
             true=None if self.relevant is None else bool(self.relevant[index]),
-            constants=None if terms is None else (float(terms[0] @ self.weights), float(terms[1] @ self.weights)),
+            constants=None if csls is None else (float(csls[0] @ self.weights), float(csls[1] @ self.weights)),
         )
 
     def csls_of(self, index: int) -> tuple[Float32Array, Float32Array] | None:
         """Return CSLS's subtrahends of each part's cosine for query and gallery picture, (n,) each; None without CSLS."""
         return None if self.csls is None else (self.csls.query, self.csls.tiles[index])
-
-    def _contributions(self, index: int) -> Float32Array:
-        csls = self.csls_of(index)
-        terms = None if csls is None else csls[0] + csls[1]
-        return scoring.contributions(self.cosines[index], self.weights, self.lengths, terms)
 
     def gains(self, leader: int, follower: int) -> Float64Array:
         """Return the lead of one gallery picture over another in d² by part: 2 w_i (cos_i(leader) - cos_i(follower)), (n,).
@@ -171,9 +167,8 @@ def describe_picture(
     Raises:
         InputError: when the change leaves nothing of the picture.
     """
-    return describe_pictures(model, [picture], view, [change if isinstance(change, Change) else Change(rotate=change)])[
-        0
-    ]
+    change = change if isinstance(change, Change) else Change(rotate=change)
+    return describe_pictures(model, [picture], view, [change])[0]
 
 
 def describe_pictures(

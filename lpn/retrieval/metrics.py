@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from lpn.core.arrays import AnyArray, BoolArray, Float32Array, Float64Array, Int64Array
+from lpn.core.arrays import AnyArray, BoolArray, Float64Array, Int64Array
 from lpn.core.errors import InputError
 from lpn.datasets import Truth
 from lpn.models.base import as_array
@@ -118,32 +118,18 @@ def retrieve(
         progress: called after each block with the numbers of ranked and of all queries; an exception stops the work.
     """
     (queries, tiles), lengths = checked_sides(query, gallery)
-    ground_truth = checked_ground_truth(queries, tiles, query_labels, gallery_labels, truth)
+    if truth is None:
+        of_query = _checked_labels(query_labels, queries, "query")
+        ground_truth = GroundTruth.by_labels(of_query, _checked_labels(gallery_labels, tiles, "gallery"))
+    else:
+        _check_truth(truth, len(queries), len(tiles))
+        ground_truth = GroundTruth.by_lists(truth)
     scores, blocks = Scores(queries, tiles, lengths, factors), []
     for rows, block, errors in scores.blocks():
         blocks.append(ranks.rank(scores, ground_truth, rows, block, errors))
         if progress is not None:
             progress(rows.stop, len(queries))
     return joined(blocks, len(tiles))
-
-
-def checked_ground_truth(
-    queries: Float32Array,
-    tiles: Float32Array,
-    query_labels: npt.ArrayLike | None,
-    gallery_labels: npt.ArrayLike | None,
-    truth: Sequence[Truth] | None,
-) -> GroundTruth:
-    """Return the true matches and junk of queries (Q, F) in a gallery (G, F), by lists or by labels.
-
-    Raises:
-        InputError: if lists or labels do not fit the queries or the gallery.
-    """
-    if truth is None:
-        of_query = checked_labels(query_labels, queries, "query")
-        return GroundTruth.by_labels(of_query, checked_labels(gallery_labels, tiles, "gallery"))
-    check_truth(truth, len(queries), len(tiles))
-    return GroundTruth.by_lists(truth)
 
 
 def joined(parts: Sequence[Ranked], gallery: int) -> Retrieval:
@@ -154,7 +140,7 @@ def joined(parts: Sequence[Ranked], gallery: int) -> Retrieval:
     return Retrieval(first, true, false, precision, gap, gallery)
 
 
-def check_truth(truth: Sequence[Truth], queries: int, gallery: int) -> None:
+def _check_truth(truth: Sequence[Truth], queries: int, gallery: int) -> None:
     """Raise InputError unless each query has one list, and each list names gallery pictures once."""
     if len(truth) != queries:
         raise InputError(f"There are {len(truth)} lists of true matches for {queries} queries; expected one for each.")
@@ -224,7 +210,7 @@ def norms(rows: AnyArray) -> Float64Array:
     return bounds
 
 
-def checked_labels(values: Any, rows: AnyArray, side: str) -> Int64Array:
+def _checked_labels(values: Any, rows: AnyArray, side: str) -> Int64Array:
     """Return labels as int64; InputError unless there is one integer per row of descriptors."""
     labels = as_array(values)
     if labels.shape != (len(rows),) or not np.issubdtype(labels.dtype, np.integer):

@@ -258,13 +258,9 @@ def rank(scores: Scores, ground_truth: GroundTruth, rows: slice, block: Float32A
 def _ranks_of(
     scores: Scores, query: int, tiles: Int64Array, score: Float64Array, line: Float32Array, gap: float, most: int
 ) -> tuple[Int64Array, int] | None:
-    """Return the ascending ranks of a query's true tiles, and the nearest of them; None if more than `most` are close.
-
-    Args:
-        score: scores of the true tiles, (T,).
-        line: scores of the false tiles, (G,), -inf for others.
-        gap: scores that differ by more are in their true order.
-    """
+    """Return the ascending ranks of a query's true tiles, and the nearest of them; None if more than `most` are close."""
+    # `score` has the scores of the true tiles, (T,), and `line` those of the false tiles, (G,), -inf for others. Scores that
+    # differ by more than `gap` are in their true order.
     # NumPy 1 compares a number with an array in single precision, so these are rounded outwards.
     low, high = _rounded(score - gap, -np.inf), _rounded(score + gap, np.inf)
     near = (line >= low.min()).nonzero()[0]

@@ -139,4 +139,4 @@ def test_arrays_are_ranked_without_a_model(tmp_path: Path) -> None:
         assert result.message()["headline"]["found"] in (True, False)
     assert workspace.areas(task.query_view) is None
     pairs = breakdown.confusions(task.outcomes, task.query_labels, task.gallery_labels, task.table.rows())
-    assert sum(pair.count for pair in pairs) == int(task.outcomes.failed.sum())
+    assert sum(len(pair.queries) for pair in pairs) == int(task.outcomes.failed.sum())

@@ -32,13 +32,6 @@ def test_intervals_draw_places_with_all_their_queries() -> None:
         assert (estimate.low, estimate.high) == pytest.approx(tuple(100 * np.quantile(of_row, (0.025, 0.975))))
 
 
-def test_intervals_hold_a_known_share() -> None:
-    hits = (np.arange(400) % 4 == 0).astype(float)
-    (estimate,) = intervals(hits[None], np.arange(400), seed=0, resamples=2000)
-    half = 100 * 1.96 * math.sqrt(0.25 * 0.75 / 400)
-    assert (estimate.value, estimate.low, estimate.high) == pytest.approx((25, 25 - half, 25 + half), abs=0.6)
-
-
 def test_the_randomization_test_is_fishers_of_darwins_plants() -> None:
     # Fisher counts 863 of 32,768 arrangements in one tail.
     assert randomization_test(DARWIN[None], np.arange(15), seed=0) == [2 * 863 / 2**15]

@@ -22,7 +22,9 @@ from lpn.core.arrays import Float32Array
 from lpn.core.errors import DataError, LPNError, PictureError, StoreError
 from lpn.core.files import write_atomic
 from lpn.core.views import View
+from lpn.datasets import Picture, open_dataset
 from lpn.descriptors.transforms import Change
+from lpn.descriptors.weather import Weather
 from lpn.index import open_index
 from lpn.models.base import Model
 from tools.fixtures import small_worlds
@@ -221,8 +223,6 @@ def test_machines_share_the_pictures_and_the_last_makes_the_store(
 def test_a_cache_that_cannot_be_written_says_how_to_choose_another(
     model: Model, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from lpn.datasets import Picture
-
     (tmp_path / "file").write_text("")
     monkeypatch.setenv("LPN_CACHE", str(tmp_path / "file" / "cache"))
     with pytest.raises(StoreError, match="Set LPN_CACHE"):
@@ -232,8 +232,6 @@ def test_a_cache_that_cannot_be_written_says_how_to_choose_another(
 def test_a_store_that_comes_along_is_used_for_its_own_pictures_and_model(
     model: Model, folder: Path, tmp_path: Path
 ) -> None:
-    from lpn.datasets import Picture
-
     files = descriptors.pictures_below(folder)
     made = np.array(descriptors.describe(model, files, "drone", tmp_path / "store", root=folder).descriptors)
     copied = [tmp_path / "copy" / file.relative_to(folder) for file in files]
@@ -260,8 +258,6 @@ def test_a_smaller_store_says_nearly_the_same(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    from lpn.datasets import Picture
-
     files = descriptors.pictures_below(folder)
     whole = descriptors.describe(model, files, "drone", tmp_path / "whole", root=folder)
     with monkeypatch.context() as patch:
@@ -290,8 +286,6 @@ def test_a_smaller_store_says_nearly_the_same(
 def test_a_data_sets_own_store_is_evaluated_where_it_is_exact(
     model: Model, data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from lpn.datasets import open_dataset
-
     root = shutil.copytree(data, tmp_path / "data")
     tiles = open_dataset(root).gallery("satellite")
     folder = root / "test" / "gallery_satellite"
@@ -321,13 +315,6 @@ def test_two_at_once_describe_into_one_folder_once(
         both = [pool.submit(descriptors.describe, model, files, "drone", tmp_path / "store") for _ in range(2)]
     assert count.described == 20
     np.testing.assert_array_equal(both[0].result().descriptors, both[1].result().descriptors)
-
-
-def test_hidden_files_are_not_pictures(folder: Path) -> None:
-    before = descriptors.pictures_below(folder)
-    for name in (".ipynb_checkpoints/a.png", "1/._02.png"):
-        small_worlds.write(folder / name, small_worlds.place(0))
-    assert descriptors.pictures_below(folder) == before
 
 
 def test_unreadable_pictures_are_named_before_anything_is_computed(
@@ -380,19 +367,7 @@ def test_too_many_open_files_are_not_called_damage(
         descriptors.describe(model, files, "drone", tmp_path / "store")
 
 
-def test_a_store_that_cannot_be_read_is_not_called_damaged(model: Model, folder: Path, tmp_path: Path) -> None:
-    descriptors.describe(model, descriptors.pictures_below(folder)[:2], "drone", tmp_path / "store")
-    (array,) = (tmp_path / "store").glob("*/vectors.npy")
-    array.unlink()
-    array.mkdir()  # which nobody can read as a file, also where permissions do not bind
-    with pytest.raises(LPNError) as told:
-        descriptors.open_store(tmp_path / "store")
-    assert str(told.value) == f"{array} cannot be read (Is a directory); check its permissions and its disk."
-
-
 def test_a_picture_s_own_zoom_has_descriptors_of_its_own(model: Model, folder: Path, tmp_path: Path) -> None:
-    from lpn.datasets import Picture
-
     files = descriptors.pictures_below(folder)[:5]
     pictures = [Picture(file, 1, file.stem) for file in files]
     made = {
@@ -408,23 +383,31 @@ def test_a_picture_s_own_zoom_has_descriptors_of_its_own(model: Model, folder: P
         descriptors.describe(model, files, "drone", tmp_path / "store", change=Change(scale=2))
 
 
-def test_cache_is_keyed_by_every_change_and_box(model: Model, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from lpn.datasets import Picture
+CHANGES = [
+    {}, {"shift": 4}, {"scale": 2}, {"down": 4}, {"rotate": 90}, {"rotate": 90, "around": True},
+    {"weather": Weather("fog", 0.5, 3)}, {"weather": Weather("fog", 0.5, 4)},
+]  # fmt: skip
 
+
+def test_cache_is_keyed_by_every_change_and_box(model: Model, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pictures = [Picture(file, 1, file.stem) for file in descriptors.pictures_below(folder)[:5]]
     boxed = [replace(picture, box=(0.0, 10.0, 50.5, 60.0)) for picture in pictures]
     count = Counting(model, monkeypatch)
-    asked = [(pictures, Change(**given)) for given in ({}, {"shift": 4}, {"scale": 2}, {"down": 4}, {"rotate": 90})]
+    asked = [(pictures, Change(**given)) for given in CHANGES]  # type: ignore[arg-type]
     asked.append((boxed, Change()))
     made = [descriptors.cached_descriptors(model, given, "drone", change) for given, change in asked]
-    assert count.described == 30
+    assert count.described == 45
     again = [descriptors.cached_descriptors(model, given, "drone", change) for given, change in asked]
-    assert count.described == 30
+    assert count.described == 45
     np.testing.assert_array_equal(made, again)
-    assert len({array.tobytes() for array in made}) == 6
+    assert len({array.tobytes() for array in made}) == 9
+    for (_, change), found in zip(asked[:-1], made, strict=False):
+        direct = lpn.retrieval.describe_picture(model, pictures[0].load(), "drone", change).descriptor
+        np.testing.assert_allclose(found[0], direct, atol=1e-5)
     moved = [*boxed[:4], replace(boxed[4], box=(1.0, 10.0, 50.5, 60.0))]
+    before = count.described
     descriptors.cached_descriptors(model, moved, "drone")
-    assert count.described == 31
+    assert count.described == before + 1
 
 
 def test_a_damaged_or_cut_part_of_an_unfinished_store_is_described_again(

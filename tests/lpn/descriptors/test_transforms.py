@@ -4,18 +4,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 
-from lpn import descriptors
 from lpn.core import images
 from lpn.core.errors import InputError, PictureError
 from lpn.datasets import open_dataset
 from lpn.descriptors.transforms import UNCHANGED, Change
-from lpn.models.checkpoints import TorchModel
-from lpn.models.lpn import LPN
-from lpn.models.spec import ModelSpec
-from lpn.tasks.changes import turned
-from lpn.tasks.opening import lazy_task
 from tools.fixtures import small_worlds
 
 
@@ -116,19 +109,3 @@ def test_a_panorama_is_turned_by_moving_its_columns_around(tmp_path: Path) -> No
     assert quarter.describe() == "turned 90° (columns moved around)"
     assert Change(rotate=90).for_picture(tile) == Change(rotate=90)
     assert Change().for_picture(street) == Change()
-
-
-def test_stores_of_turned_panoramas_are_told_from_those_of_turned_pictures(tmp_path: Path) -> None:
-    dataset = open_dataset(small_worlds.make_cvusa(tmp_path / "pairs", 3))
-    torch.manual_seed(0)
-    spec = ModelSpec("resnet18", "layer3", views=("satellite", "street"), shared=False, n_parts=2, input_size=(64, 64))
-    model, queries = TorchModel(LPN(spec), "f" * 16), dataset.queries("street")
-    found = {
-        change.around: descriptors.cached_descriptors(model, queries, "street", change)
-        for change in (Change(rotate=90), Change(rotate=90).for_picture(queries[0]))
-    }
-    assert not np.allclose(found[True], found[False], atol=1e-3)
-    again = descriptors.cached_descriptors(model, queries, "street", Change(rotate=90, around=True))
-    np.testing.assert_array_equal(found[True], again)
-    task = turned(lazy_task(model, dataset, "street-to-satellite"), 90)
-    assert "columns moved around" in task.evaluate().sentence

@@ -2,22 +2,16 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from types import SimpleNamespace
 
-import msgspec
 import numpy as np
 import pytest
 
-import lpn
 from lpn.core import images
 from lpn.core.arrays import UInt8Array
 from lpn.core.errors import InputError
-from lpn.datasets import open_dataset
 from lpn.descriptors import weather
-from lpn.descriptors.cache import cached_descriptors
-from lpn.descriptors.store import DescriptorKind
-from lpn.descriptors.transforms import UNCHANGED, Change
+from lpn.descriptors.transforms import Change
 from lpn.descriptors.weather import CLEAR, WEATHERS, Weather, WeatherName
 from tools.fixtures import small_worlds
 
@@ -95,19 +89,3 @@ def test_large_pictures_are_shrunk_to_where_flakes_have_their_size() -> None:
 def test_weathers_that_mean_nothing_are_refused(values: tuple[str, float, int], message: str) -> None:
     with pytest.raises(InputError, match=message):
         Weather(*values)  # type: ignore[arg-type]
-
-
-def test_stores_of_weathers_are_told_apart(data: Path, model_file: Path) -> None:
-    model, dataset = lpn.load(model_file), open_dataset(data)
-    queries = dataset.queries("drone")[:2]
-    change = Change(weather=Weather("fog", 0.5, 3))
-    kind = DescriptorKind.of_model(model, "drone", change)
-    assert msgspec.json.decode(msgspec.json.encode(kind), type=DescriptorKind) == kind
-    clear, foggy, other = (
-        cached_descriptors(model, queries, "drone", one)
-        for one in (UNCHANGED, change, Change(weather=Weather("fog", 0.5, 4)))
-    )
-    assert not np.allclose(clear, foggy)
-    assert not np.array_equal(foggy, other)
-    expected = lpn.retrieval.describe_picture(model, queries[0].load(), "drone", change).descriptor
-    np.testing.assert_allclose(foggy[0], expected, atol=1e-5)

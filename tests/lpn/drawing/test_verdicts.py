@@ -11,6 +11,7 @@ from lpn.explain import Evidence, SideEvidence
 from lpn.explain.counterfactual import Effect
 from lpn.explain.sweeps import SweepPoint, SweepResult
 from lpn.retrieval.scoring import part_weights
+from tools.fixtures.tasks import match
 
 
 def test_reweighting_states_its_effect_on_all_queries() -> None:
@@ -34,7 +35,7 @@ def test_reweighting_states_its_effect_on_all_queries() -> None:
 )
 def test_a_guessed_heading_is_judged_by_the_known_one(known: float | None, judged: str) -> None:
     points = [
-        SweepPoint(Change(rotate=angle), 0, True, 0.2, 1, np.zeros(4, np.float32), 1, top_score)
+        SweepPoint(Change(rotate=angle), match(0, 2, 0.2, True), match(1, 1, top_score, False))
         for angle, top_score in ((90, 0.3), (0, 0.4))
     ]
     sweep = SweepResult("rotation", tuple(points))

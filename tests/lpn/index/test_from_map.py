@@ -46,7 +46,10 @@ def test_windows_are_those_of_a_described_store(town: Map, model_file: Path, tmp
     np.testing.assert_array_equal(degrees, [(one.latitude, one.longitude) for one in named])
 
 
-def test_a_killed_run_goes_on_with_the_windows_that_are_missing(town: Map, tmp_path: Path) -> None:
+def test_a_killed_run_goes_on_with_the_windows_that_are_missing(
+    town: Map, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("lpn.index.from_map.BLOCK", 8)
     kind = windows_of(town)
     described: list[Window] = []
 
@@ -59,12 +62,12 @@ def test_a_killed_run_goes_on_with_the_windows_that_are_missing(town: Map, tmp_p
     resumed = False
     with create_index(tmp_path / "index", kind) as index:
         with pytest.raises(KeyboardInterrupt):
-            index_windows(index, town, describe, block=8)
+            index_windows(index, town, describe)
         before, resumed = len(described), True
         assert index.count() == before >= 20
         progress: list[tuple[int, int]] = []
         with listening(lambda _, *counts: progress.append(counts)):
-            added = index_windows(index, town, describe, block=8)
+            added = index_windows(index, town, describe)
         windows = town.pyramid([40.0])
         assert len(described) == before + added == index.count() == len(windows) == town.count_pyramid([40.0])
         assert progress[0] == (0, len(windows))

@@ -360,8 +360,6 @@ def test_an_index_of_another_model_or_kind_is_refused(tmp_path: Path) -> None:
 def test_what_is_no_index_is_told_in_a_sentence(tmp_path: Path) -> None:
     with pytest.raises(StoreError, match="not an index"):
         open_index(tmp_path)
-    with pytest.raises(InputError, match="not the address of a Milvus collection"):
-        open_index("milvus://somewhere/tiles")
     index = create_index(tmp_path / "index", KIND)
     Tiles.draw(50).add_to(index)
     part = next(path for path in (tmp_path / "index").iterdir() if path.is_dir())
@@ -477,27 +475,6 @@ def test_names_are_checked_before_anything_is_added(
         assert not (tmp_path / "i").exists()
 
 
-def test_positions_that_fit_two_folders_are_asked_about(
-    described: Described, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    names = [row.file for row in descriptors.open_store(described.store).rows]
-    given = ["index", *_options(descriptors=described.store, data=tmp_path, out=tmp_path / "i")]
-
-    def write(**folders: float) -> None:
-        lines = [f"{folder}/{name},{at},{i}\n" for folder, at in folders.items() for i, name in enumerate(names)]
-        (tmp_path / "geo.csv").write_text("path,latitude,longitude\n" + "".join(lines))
-
-    write(gallery=1, query=2)
-    assert main(given) == 2
-    assert "has the pictures below both gallery/ and query/, at other places" in capsys.readouterr().err
-    assert not (tmp_path / "i").exists()
-    write(gallery=1, query=1)
-    assert main(given) == 0
-    with open_index(tmp_path / "i") as index:
-        tile = index.read(names[:1])[0][0]
-        assert len(index.search(tile, None, 20, (1, -180, 1, 180))) == 14
-
-
 def test_the_number_of_tiles_is_checked_first(
     described: Described, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -533,10 +510,7 @@ def test_what_cannot_be_indexed_or_searched_is_told_in_a_sentence(
         (["index", *_options(descriptors=described.store, data=places), *into], "no position for any of the 14 tiles"),
         (["index", *_options(descriptors=described.store, engine="milvus"), *into], "does not go with this place"),
         (["index", *_options(descriptors=described.store, out=tmp_path / "other")], "choose another folder"),
-        ([*searching, *_options(index=tmp_path / "none")], "not an index"),
         ([*searching, *_options(index=tmp_path / "other")], "search with that model"),
-        ([*searching, *_options(index=tmp_path / "other"), "--weights", "1,2"], "part weights"),
-        ([*searching, *_options(index="milvus://host/tiles")], "not the address of a Milvus collection"),
     ):
         assert main(given) == 2, given
         error = capsys.readouterr().err

@@ -142,8 +142,3 @@ def test_nearest_is_the_head_of_the_sorted_gallery(k: int) -> None:
     np.testing.assert_array_equal(field_metrics.nearest(query, gallery, k, junk), expected)
     with pytest.raises(InputError, match="0 gallery pictures are not junk"):
         field_metrics.nearest(query, gallery, k, np.ones(25, bool))
-
-
-def test_wrong_shapes_are_refused() -> None:
-    with pytest.raises(InputError, match="K is 4"):
-        field_metrics.sdm(np.zeros((2, 3)), 4, 1.0)

@@ -134,44 +134,6 @@ def lists(seed: int, queries: int, gallery: int) -> list[Truth]:
     return made
 
 
-def as_oxford_does(query: np.ndarray, gallery: np.ndarray, truth: list[Truth]) -> tuple[float, list[int]]:
-    """Mean AP walking down each ranking and adding trapezoids between recalls; and the ranks of the first hits."""
-    total, first = 0.0, []
-    for descriptor, of in zip(query.astype(float), truth, strict=True):
-        hits, seen, recall, precision, area, rank = 0, 0, 0.0, 1.0, 0.0, -1
-        for tile in np.argsort(-(gallery.astype(float) @ descriptor), kind="stable"):
-            if tile in of.junk:
-                continue
-            if tile in of.good:
-                rank = seen if hits == 0 else rank
-                hits += 1
-            seen += 1
-            now = hits / len(of.good) if len(of.good) else 0.0
-            area += (now - recall) * (precision + hits / seen) / 2
-            recall, precision = now, hits / seen
-        total += area
-        first.append(rank)
-    return 100 * total / len(query), first
-
-
-@pytest.mark.parametrize("seed", range(8))
-def test_lists_of_true_matches_and_junk_are_treated_as_oxford_does(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    query, gallery = (rng.standard_normal((count, 8)).astype(np.float32) for count in (15, 70))
-    truth = lists(seed, 15, 70)
-    found = metrics.evaluate(query, None, gallery, None, truth)
-    ap, first = as_oxford_does(query, gallery, truth)
-    assert found["ap"] == pytest.approx(ap, abs=1e-9)
-    for k in (1, 5, 10):
-        assert found[f"recall@{k}"] == pytest.approx(100 * sum(0 <= rank < k for rank in first) / 15)
-    retrieval = metrics.retrieve(query, None, gallery, None, truth)
-    assert retrieval.first.tolist() == first
-    inner_products = query.astype(float) @ gallery.T.astype(float)
-    for row, of, best in zip(inner_products, truth, retrieval.best, strict=True):
-        row[of.junk] = -np.inf
-        assert best == np.argmax(row)
-
-
 def test_queries_of_unknown_truth_do_not_count() -> None:
     rng = np.random.default_rng(3)
     query, gallery = (rng.standard_normal((count, 8)).astype(np.float32) for count in (12, 40))

@@ -307,14 +307,14 @@ def test_confusions_and_blame_count_failures() -> None:
     outcomes = outcomes_of([0, 1, 4, 1, 2, -1, -1], [2, 1, 1, 0, 3, 3, -1], [2, 0, 1, 1, 1, -1, -1])
     places, tiles = np.array([3, 3, 3, 2, 3, 9, 9]), np.array([1, 2, 3, 2])
     found = breakdown.confusions(outcomes, places, tiles)
-    assert [(c.place, c.answered, c.count, c.queries.tolist(), c.tile) for c in found] == [
-        (3, 2, 3, [1, 2, 4], 1),
-        (2, 1, 1, [3], 0),
-        (9, 2, 1, [5], 3),
+    assert [(c.place, c.answered, c.queries.tolist(), c.tile) for c in found] == [
+        (3, 2, [1, 2, 4], 1),
+        (2, 1, [3], 0),
+        (9, 2, [5], 3),
     ]
     assert breakdown.blame(outcomes).tolist() == [1, 3, 0]
     chosen = np.array([4, 3, 0])
-    assert [c.count for c in breakdown.confusions(outcomes, places, tiles, chosen)] == [1, 1]
+    assert [len(c.queries) for c in breakdown.confusions(outcomes, places, tiles, chosen)] == [1, 1]
     assert breakdown.blame(outcomes, chosen).tolist() == [0, 2, 0]
     assert breakdown.confusions(outcomes, places, tiles, np.array([0])) == []
 
@@ -331,8 +331,6 @@ def test_wilson_intervals_are_the_published_ones() -> None:
     for hits, of, expected in [(81, 263, (0.2553, 0.3662)), (15, 148, (0.0624, 0.1605)), (0, 20, (0.0, 0.1611))]:
         assert breakdown.wilson(hits, of) == pytest.approx(expected, abs=1e-4)
     assert breakdown.wilson(29, 29) == pytest.approx((0.8830, 1.0), abs=1e-4)
-    with pytest.raises(InputError, match="3 hits in 2"):
-        breakdown.wilson(3, 2)
 
 
 def test_failure_rates_are_counted_in_quantile_bins() -> None:
@@ -383,8 +381,6 @@ def test_failure_rates_by_text_come_with_the_highest_first() -> None:
     failed = np.array([True, False, True, True, False])
     found = breakdown.rates(failed, text_column("district", ["a", "a", "b", "", "a"]))
     assert [(r.name, r.queries, r.failures) for r in found] == [("b", 1, 1), ("a", 3, 1), ("not known", 1, 1)]
-    with pytest.raises(InputError, match="one value for each"):
-        breakdown.rates(failed, text_column("district", ["a"]))
 
 
 def test_the_command_lists_failures_and_writes_them(

@@ -176,7 +176,7 @@ def _pairs(selection: LabSelection) -> dict[str, Any]:
     card.head["title"] += _of(_MOST_LINES, len(found))
     for one in found[:_MOST_LINES]:
         key, tiles = (one.place, one.answered), [int(findings.outcomes.true[one.queries[0]]), one.tile]
-        line = {"tiles": tiles, "text": " → ".join(names[key]), "count": one.count}
+        line = {"tiles": tiles, "text": " → ".join(names[key]), "count": len(one.queries)}
         card.add(line, conditions[key], whole[key])
     return card.finished()
 

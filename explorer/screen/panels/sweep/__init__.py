@@ -12,7 +12,6 @@ from explorer.screen.fields import OneOf, PanelField
 from explorer.screen.fragments import fragment
 from explorer.screen.panel import Panel, PanelPart, Tab
 from explorer.screen.result import ScreenResult
-from lpn.core.arrays import Float32Array
 from lpn.core.texts import ordinal
 from lpn.descriptors.transforms import Change
 from lpn.explain import sweeps
@@ -81,11 +80,12 @@ class PhotoSweep:
             "follows": self.follows,
             "x": values,
             "labels": [swept_label(over, value) for value in values],
-            "rank": [one.rank for one in points],
-            "distance": [round(2 - 2 * one.score, 4) for one in points],
-            "nearest": [round(2 - 2 * one.top_score, 4) for one in points],
+            "rank": [one.followed.rank for one in points],
+            "distance": [round(one.followed.distance2, 4) for one in points],
+            "nearest": [round(one.top.distance2, 4) for one in points],
             "shares": [
-                [round(float(share), 4) for share in of] for of in zip(*(_shares(one) for one in points), strict=True)
+                [round(float(share), 4) for share in of]
+                for of in zip(*(one.followed.contributions for one in points), strict=True)
             ],
             "now": here,
             "names": self._result.workspace.part_names,
@@ -96,12 +96,12 @@ class PhotoSweep:
     def _said(self, profile: SweepResult) -> list[str]:
         best, ranked, before = profile.best, profile.best_rank, profile.unchanged
         assert before is not None
-        said = [f"As it is, the {self.follows} is {ordinal(before.rank)}, at {_distance(before)}."]
+        said = [f"As it is, the {self.follows} is {_standing(before)}."]
         if best is not before:
-            said.append(f"It is nearest at {self._at(best)}: {ordinal(best.rank)}, at {_distance(best)}.")
-        if ranked.rank < best.rank:
-            said.append(f"Its best rank is {ordinal(ranked.rank)}, at {self._at(ranked)}.")
-        firsts = sum(point.rank == 1 for point in profile.points)
+            said.append(f"It is nearest at {self._at(best)}: {_standing(best)}.")
+        if ranked.followed.rank < best.followed.rank:
+            said.append(f"Its best rank is {ordinal(ranked.followed.rank)}, at {self._at(ranked)}.")
+        firsts = sum(point.followed.rank == 1 for point in profile.points)
         said.append(f"It is first at {firsts} of {self.total} steps.")
         if self.over == "weather":
             said += self._worst(profile, before)
@@ -115,15 +115,16 @@ class PhotoSweep:
 
     def _worst(self, profile: SweepResult, before: SweepPoint) -> list[str]:
         """Name the weather that costs most, and the part that loses most in it."""
-        worst = min(profile.points, key=lambda point: point.score)
+        worst = min(profile.points, key=lambda point: point.followed.score)
         if worst is before:
             return []
-        said = [f"It suffers most {worst.change.weather.describe()}: {ordinal(worst.rank)}, at {_distance(worst)}."]
+        said = [f"It suffers most {worst.change.weather.describe()}: {_standing(worst)}."]
         names = self._result.workspace.part_names
         if len(names) > 1:
-            part = int(np.argmax(_shares(worst) - _shares(before)))
+            least, most = before.followed.contributions, worst.followed.contributions
+            part = int(np.argmax(most - least))
             noun = self._result.workspace.contract.part_noun
-            figures = f"from {_shares(before)[part]:.3f} to {_shares(worst)[part]:.3f}"
+            figures = f"from {least[part]:.3f} to {most[part]:.3f}"
             said.append(f"There, the share of {noun} {names[part]} grows most: {figures}.")
         return said
 
@@ -150,13 +151,8 @@ def sweep_key(over: SweptProperty, result: ScreenResult) -> object:
     return over, *photo, angle, followed, analysis.ranking.weights.tobytes()
 
 
-def _shares(point: SweepPoint) -> Float32Array:
-    assert point.contributions is not None
-    return point.contributions
-
-
-def _distance(point: SweepPoint) -> str:
-    return f"{2 - 2 * point.score:.3f}"
+def _standing(point: SweepPoint) -> str:
+    return f"{ordinal(point.followed.rank)}, at {point.followed.distance2:.3f}"
 
 
 class _SweepPart(PanelPart):
