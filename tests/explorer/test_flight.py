@@ -34,7 +34,7 @@ from lpn.sources import ModelOptions
 from tests.explorer.conftest import RefusedError, answered
 from tests.lpn.flight.locate.scenery import FLOWN_PLACES, ground_to_photo, land, photo_of, small_flight, write_map
 from tools.fixtures.photos import exif, photo_bytes
-from tools.fixtures.waiting import TIMEOUT
+from tools.fixtures.waiting import TIMEOUT, wait_until
 
 # Frames of `small_flight` whose places are unknown: one has no position, one cannot be read.
 UNKNOWN = [0, 2]
@@ -230,6 +230,8 @@ def test_a_comparison_goes_on_behind_other_pictures_until_the_browser_leaves(
             assert tried.acquire(timeout=60)
             steps.release()
 
+    # A job of an earlier test that has not ended yet would take a step.
+    wait_until(lambda: not any(one.name == "explorer-job" for one in threading.enumerate()))
     monkeypatch.setattr(own_photos, "register_own_photo", register)
     jobs = OwnPhotoJobs(workspace.own_photos.basemap)  # type: ignore[union-attr]
     client, other = object(), object()
@@ -237,8 +239,7 @@ def test_a_comparison_goes_on_behind_other_pictures_until_the_browser_leaves(
     of_first = jobs.join(first, (), client)
     go_on(1)
     of_second = jobs.join(second, (), client)
-    while not jobs._turns._waiting:
-        threading.Event().wait(0.01)
+    wait_until(lambda: jobs._turns._waiting)
     go_on(4)  # the picture that is shown comes first, as soon as a try has ended
     assert of_second.wait(TIMEOUT)
     assert [done for side, done in computed if side == 20] == [0, 1, 2]
