@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from tools.fixtures.imports import EXPLORER, LPN, imports, mermaid, modules, room
+from tools.fixtures.imports import EXPLORER, LPN, imports, mermaid, modules, nodes, room
 
 ROOT = Path(__file__).parents[1]
 FLOORS = {"lpn": LPN, "explorer": EXPLORER}
@@ -84,8 +84,13 @@ def test_no_room_of_lpn_imports_the_explorer() -> None:
 
 
 def test_tools_and_tests_import_each_other_through_fixtures_only() -> None:
-    # Tests of the world, of what packs it, and of its commands; tests of the cross-validation.
-    allowed = {"world": ("tools_world", "test_assets", "test_docs"), "crossval": ("test_crossval",)}
+    # A tool's own tests; tests of what packs the world, and of its commands.
+    allowed = {
+        "world": ("tools_world", "test_assets", "test_docs"),
+        "crossval": ("test_crossval",),
+        "keep": ("test_keep",),
+        "bench": ("test_bench", "test_keep"),
+    }
     wrong = [
         f"{one.file}:{one.line}: {one.importer} imports {one.imported}"
         for one in imports(ROOT, "tests", "tools")
@@ -101,7 +106,7 @@ def test_private_attributes_of_viser_are_touched_in_viser_compat_only() -> None:
     for name, path in modules(ROOT, "explorer").items():
         if name == "explorer.server.viser_compat":
             continue
-        for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+        for node in nodes(path):
             where = f"{path.relative_to(ROOT)}:{getattr(node, 'lineno', 0)}"
             if isinstance(node, ast.Attribute) and _private(node.attr) and not _own(node.value):
                 wrong.append(f"{where}: {ast.unparse(node)}")
@@ -130,7 +135,7 @@ def test_no_two_classes_have_one_name() -> None:
     places = defaultdict(list)
     for package in ("lpn", "explorer", "tools"):
         for name, path in modules(ROOT, package).items():
-            for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+            for node in nodes(path):
                 if isinstance(node, ast.ClassDef) and not _private(node.name):
                     places[node.name].append(name)
     assert not {name: where for name, where in places.items() if len(where) > 1}

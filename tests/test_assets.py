@@ -107,14 +107,15 @@ def test_both_models_are_packed_with_descriptors_that_the_explorer_finds(
         pack.pack_model(tmp_path / "lpn.safetensors", "other", root, tmp_path / "stores")
 
 
-def test_the_demo_offers_both_directions_on_the_same_pictures() -> None:
-    dataset = open_dataset(DEMO)
+def test_the_demo_offers_both_directions_on_the_same_pictures_and_places() -> None:
+    dataset, where = open_dataset(DEMO), Positions(DEMO)
     assert dataset.tasks() == ["drone-to-satellite", "satellite-to-drone"]
     model = lpn.load(DEMO / "lpn.onnx")
     views: tuple[View, View] = ("drone", "satellite")
     for view in views:
         queries, gallery = dataset.queries(view), dataset.gallery(view)
         assert [picture.path.resolve() for picture in queries] == [picture.path.resolve() for picture in gallery]
+        assert where.of(queries) == where.of(gallery)
         of_queries, of_gallery = (
             descriptors.shipped_or_cached(model, pictures, view, DEMO, role).descriptors
             for role, pictures in (("query", queries), ("gallery", gallery))
@@ -133,6 +134,7 @@ def test_the_demo_is_all_there() -> None:
     files = {file.relative_to(DEMO).as_posix() for file in (DEMO / "test").rglob("*.*")}
     assert {picture["path"] for picture in plan["pictures"]} == files
     assert DEMO_QUERY in [picture.name for picture in dataset.queries("drone")]
+    assert sum(file.stat().st_size for file in DEMO.parent.rglob("*") if file.is_file()) < 48e6
 
 
 def test_the_demo_s_flight_lies_on_its_map_and_near_the_truth() -> None:
@@ -169,15 +171,6 @@ def test_the_demo_s_real_photos_lie_on_the_map_of_the_others() -> None:
     west, south, east, north = place.bounds
     tags = place.frame.xy(*flight.degrees.T)
     assert ((tags > (west, south)) & (tags < (east, north))).all()
-
-
-def test_every_picture_of_the_demo_has_its_position() -> None:
-    dataset, where = open_dataset(DEMO), Positions(DEMO)
-    for view in ("drone", "satellite"):
-        queries, gallery = dataset.queries(view), dataset.gallery(view)
-        assert where.of(queries) == where.of(gallery)
-        assert len(queries) > 0
-    assert sum(file.stat().st_size for file in DEMO.parent.rglob("*") if file.is_file()) < 48e6
 
 
 def test_a_packed_flight_keeps_its_metadata_and_its_map_its_place(

@@ -1,80 +1,104 @@
-"""The program that compares measures with their baselines. Tests reach tools only as processes."""
+"""The program that compares measures with their baselines, and what its slow measures do apart from the measuring."""
 
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
+import os
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-ROOT = Path(__file__).parents[1]
-PRELUDE = """
-import sys
-from pathlib import Path
-import tools.keep.__main__ as keep
-from tools.keep.measures import Measure, NotMeasuredError, at_least, at_most, equal, reported, within
-keep._state = lambda *_: "one state"
-def run(figures, bounds):
-    arguments = sys.argv[1:]
-    made = Measure("made", (lambda: figures) if isinstance(figures, dict) else figures, bounds)
-    sys.exit(keep.main(arguments, {"made": made}, Path("baseline")))
-"""
+from lpn.core.demo import DEMO_FLIGHT
+from lpn.core.errors import DataError
+from tools.bench import __main__ as bench
+from tools.bench.figures import Figure
+from tools.bench.single_photos import photos_of
+from tools.bench.wrong_maps import open_pair
+from tools.keep import __main__ as keep
+from tools.keep import _resumable, flights, training
+from tools.keep.measures import (
+    Bound,
+    Measure,
+    NotMeasuredError,
+    Value,
+    all_measures,
+    at_least,
+    at_most,
+    equal,
+    errors,
+    reported,
+    within,
+)
+from tools.keep.speed import ratios
+
+Run = Callable[..., tuple[int, str]]
+KNOWN = all_measures()
 
 
-def run(folder: Path, code: str, *arguments: str, baseline: dict[str, object] | None = None) -> tuple[int, str]:
-    """Run measuring code in a folder beside a baseline; return its exit status and output."""
-    if baseline is not None:
-        (folder / "baseline").mkdir(exist_ok=True)
-        (folder / "baseline" / "made.json").write_text(json.dumps({"commit": "before", "figures": baseline}))
-    command = [sys.executable, "-c", f"import sys\nsys.path.insert(0, {str(ROOT)!r})\n{PRELUDE}{code}", *arguments]
-    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
-    return done.returncode, done.stderr
+@pytest.fixture
+def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Run:
+    """A function that runs the program for one measure beside a baseline, and returns its status and errors."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(keep, "_state", lambda *_: "one state")
+
+    def measure(
+        figures: Mapping[str, Any] | Callable[[], Any],
+        bounds: Mapping[str, Bound],
+        *arguments: str,
+        baseline: Mapping[str, Any] | None = None,
+    ) -> tuple[int, str]:
+        if baseline is not None:
+            Path("baseline").mkdir(exist_ok=True)
+            Path("baseline/made.json").write_text(json.dumps({"commit": "before", "figures": baseline}))
+        made = Measure("made", figures if callable(figures) else lambda: figures, bounds)
+        return keep.main(arguments, {"made": made}, Path("baseline")), capsys.readouterr().err
+
+    return measure
 
 
-def keep(*arguments: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-m", "tools.keep", *arguments], cwd=ROOT, capture_output=True, text=True, check=False
-    )
+def fails(error: Exception) -> Callable[[], Any]:
+    def measure() -> None:
+        raise error
+
+    return measure
 
 
 @pytest.mark.parametrize(
     ("value", "bound", "error"),
     [
-        ("3", "equal()", ""),
-        ("4", "equal()", "found 4; the baseline has 3; expected equal"),
-        ("3.25", "within(0.25)", ""),
-        ("2.5", "within(0.25)", "found 2.5; the baseline has 3; expected within 0.25"),
-        ("float('nan')", "within(0.25)", "found nan; the baseline has 3"),
-        ("3", "at_most()", ""),
-        ("4", "at_most()", "found 4, and the limit is 3; expected at most the baseline"),
-        ("2", "at_most(1)", "found 2, and the limit is 1; expected at most 1"),
-        ("[0, 2, 1]", "at_most(1)", "found 2, and the limit is 1"),
-        ("2", "at_least(2)", ""),
-        ("'two'", "at_least(2)", "found two; expected at least 2"),
-        ("[3, 3]", "within(1)", "found 2 values; the baseline has 1"),
-        ("9", "reported()", ""),
+        (3, equal(), ""),
+        (4, equal(), "found 4; the baseline has 3; expected equal"),
+        (3.25, within(0.25), ""),
+        (2.5, within(0.25), "found 2.5; the baseline has 3; expected within 0.25"),
+        (float("nan"), within(0.25), "found nan; the baseline has 3"),
+        (3, at_most(), ""),
+        (4, at_most(), "found 4, and the limit is 3; expected at most the baseline"),
+        (2, at_most(1), "found 2, and the limit is 1; expected at most 1"),
+        ([0, 2, 1], at_most(1), "found 2, and the limit is 1"),
+        (2, at_least(2), ""),
+        ("two", at_least(2), "found two; expected at least 2"),
+        ([3, 3], within(1), "found 2 values; the baseline has 1"),
+        (9, reported(), ""),
     ],
 )
-def test_a_broken_bound_ends_with_status_1_and_a_sentence(value: str, bound: str, error: str, tmp_path: Path) -> None:
-    code = f"run({{'figure': {value}}}, {{'figure': {bound}}})"
-    status, told = run(tmp_path, code, "--out", "out.json", baseline={"figure": 3})
+def test_a_broken_bound_ends_with_status_1_and_a_sentence(value: Any, bound: Bound, error: str, run: Run) -> None:
+    status, told = run({"figure": value}, {"figure": bound}, "--out", "out.json", baseline={"figure": 3})
     assert status == bool(error)
     assert ("made, figure: " in told) == bool(error)
     assert error in told
-    figure = json.loads((tmp_path / "out.json").read_text())["measures"]["made"]["figures"]["figure"]
+    figure = json.loads(Path("out.json").read_text())["measures"]["made"]["figures"]["figure"]
     assert (figure["verdict"] == "held") == (not error)
     assert figure["baseline"] == 3
 
 
-def test_ranks_may_differ_where_the_baseline_s_gap_is_small_and_not_elsewhere(tmp_path: Path) -> None:
-    baseline: dict[str, object] = {"ranks": [1, 2, 5], "gaps": [0.1, 2e-6, 2.1e-6]}
-    code = "run({{'ranks': {}, 'gaps': [0, 0, 0]}}, {{'ranks': equal('gaps', 2e-6), 'gaps': reported()}})"
-    assert run(tmp_path, code.format([1, 3, 5]), baseline=baseline)[0] == 0
-    status, told = run(tmp_path, code.format([1, 3, 4]), baseline=baseline)
-    assert status == 1
-    assert "1 of 3 values differ; value 2 is 4, and the baseline has 5; expected equal where gaps > 2e-06" in told
+def test_ranks_may_differ_where_the_baseline_s_gap_is_small_and_not_elsewhere() -> None:
+    made = Measure("made", dict, {"ranks": equal("gaps", 2e-6), "gaps": reported()})
+    baseline: dict[str, Value] = {"ranks": [1, 2, 5], "gaps": [0.1, 2e-6, 2.1e-6]}
+    assert errors(made, {"ranks": [1, 3, 5], "gaps": [0, 0, 0]}, baseline) == {}
+    (told,) = errors(made, {"ranks": [1, 3, 4], "gaps": [0, 0, 0]}, baseline).values()
+    assert told == "1 of 3 values differ; value 2 is 4, and the baseline has 5; expected equal where gaps > 2e-06"
 
 
 @pytest.mark.parametrize(
@@ -86,88 +110,259 @@ def test_ranks_may_differ_where_the_baseline_s_gap_is_small_and_not_elsewhere(tm
         ({"one": 1.0, "two": 2.0}, "made, part *: the figure was not measured."),
     ],
 )
-def test_a_figure_without_its_bound_baseline_or_value_fails(
-    figures: dict[str, float], error: str, tmp_path: Path
-) -> None:
-    code = f"run({figures}, {{'one': at_most(1), 'two': at_least(2), 'part *': within(1)}})"
-    status, told = run(tmp_path, code, baseline={"one": 1, "two": 2})
+def test_a_figure_without_its_bound_baseline_or_value_fails(figures: dict[str, float], error: str, run: Run) -> None:
+    bounds = {"one": at_most(1), "two": at_least(2), "part *": within(1)}
+    status, told = run(figures, bounds, baseline={"one": 1, "two": 2})
     assert status == 1
     assert error in told
 
 
-def test_what_cannot_be_measured_is_told_and_what_fails_breaks(tmp_path: Path) -> None:
-    code = "def measure(): raise {}\nrun(measure, {{'one': equal()}})"
-    missing = code.format("NotMeasuredError('LPN_FLIGHTS is not set')")
-    status, told = run(tmp_path, missing, "--out", "out.json")
+def test_what_cannot_be_measured_is_told_and_what_fails_breaks(run: Run) -> None:
+    missing, bounds = fails(NotMeasuredError("LPN_FLIGHTS is not set")), {"one": equal()}
+    status, told = run(missing, bounds, "--out", "out.json")
     assert status == 0
     assert "made was not measured: LPN_FLIGHTS is not set." in told
-    assert "LPN_FLIGHTS" in json.loads((tmp_path / "out.json").read_text())["measures"]["made"]["not_measured"]
-    status, told = run(tmp_path, missing, "--accept", "made")
+    assert "LPN_FLIGHTS" in json.loads(Path("out.json").read_text())["measures"]["made"]["not_measured"]
+    status, told = run(missing, bounds, "--accept", "made")
     assert status == 1
     assert "nothing was measured, so its baseline stays as it is" in told
-    assert not (tmp_path / "baseline").exists()
-    status, told = run(tmp_path, code.format("KeyError('x')"))
+    assert not Path("baseline").exists()
+    status, told = run(fails(KeyError("x")), bounds)
     assert status == 1
     assert "made failed: KeyError: 'x'" in told
 
 
-def test_a_run_that_was_killed_goes_on_in_the_same_state(tmp_path: Path) -> None:
-    code = """
-def first():
-    with open("log", "a") as log:
-        log.write("first ")
-    return {"one": 1.0}
-def second():
-    if not Path("again").exists():
-        import os
-        os._exit(9)
-    return {"two": 2.0}
-measures = {"first": Measure("first", first, {"one": equal()}), "second": Measure("second", second, {"two": at_least(2)})}
-sys.exit(keep.main(["--out", "out.json"], measures, Path("baseline")))
-"""
-    assert run(tmp_path, code)[0] == 9
-    assert list(json.loads((tmp_path / "out.json").read_text())["measures"]) == ["first"]
-    (tmp_path / "again").touch()
-    (tmp_path / "baseline").mkdir()
-    (tmp_path / "baseline" / "first.json").write_text('{"commit": "before", "figures": {"one": 1.0}}')
-    assert run(tmp_path, code)[0] == 0  # measured figures are compared with the present baseline
-    assert (tmp_path / "log").read_text() == "first "
-    run(tmp_path, code.replace("sys.exit", 'keep._state = lambda *_: "another state"\nsys.exit'))
-    assert (tmp_path / "log").read_text() == "first first "
+@pytest.mark.usefixtures("run")
+def test_a_run_that_was_killed_goes_on_in_the_same_state(monkeypatch: pytest.MonkeyPatch) -> None:
+    measured = []
+
+    def first() -> dict[str, float]:
+        measured.append("first")
+        return {"one": 1.0}
+
+    def second() -> dict[str, float]:
+        if measured[-1] != "again":
+            raise KeyboardInterrupt
+        return {"two": 2.0}
+
+    both = {
+        "first": Measure("first", first, {"one": equal()}),
+        "second": Measure("second", second, {"two": at_least(2)}),
+    }
+    with pytest.raises(KeyboardInterrupt):
+        keep.main(["--out", "out.json"], both, Path("baseline"))
+    assert list(json.loads(Path("out.json").read_text())["measures"]) == ["first"]
+    measured.append("again")
+    Path("baseline").mkdir()
+    Path("baseline/first.json").write_text('{"commit": "before", "figures": {"one": 1.0}}')
+    # Measured figures are compared with the present baseline.
+    assert keep.main(["--out", "out.json"], both, Path("baseline")) == 0
+    assert measured == ["first", "again"]
+    monkeypatch.setattr(keep, "_state", lambda *_: "another state")
+    with pytest.raises(KeyboardInterrupt):
+        keep.main(["--out", "out.json"], both, Path("baseline"))
+    assert measured == ["first", "again", "first"]
 
 
-def test_accept_writes_the_baseline_of_the_named_measure(tmp_path: Path) -> None:
-    code = "run({'list': [1, 2.5], 'text': 'a'}, {'*': equal()})"
-    assert run(tmp_path, code, baseline={"list": [1, 2], "text": "a"})[0] == 1
-    assert run(tmp_path, code, "--accept", "made")[0] == 0
-    text = (tmp_path / "baseline" / "made.json").read_text()
-    assert json.loads(text) == {"commit": "one state", "figures": {"list": [1, 2.5], "text": "a"}}
+def test_accept_writes_the_baseline_of_the_named_measure(run: Run) -> None:
+    given: tuple[Any, ...] = ({"list": [1, 2.5], "text": "a"}, {"*": equal()})
+    assert run(*given, baseline={"list": [1, 2], "text": "a"})[0] == 1
+    assert run(*given, "--accept", "made")[0] == 0
+    text = Path("baseline/made.json").read_text()
+    assert json.loads(text) == {"commit": "one state", "figures": given[0]}
     assert '\n  "list": [1,2.5],\n' in text  # a line for each figure, so that a change can be read
-    assert run(tmp_path, code)[0] == 0
+    assert run(*given)[0] == 0
 
 
-def test_files_that_are_none_of_this_program_are_refused_and_stay(tmp_path: Path) -> None:
-    for content in ("[]", "{", '{"commit": "one state"}'):
-        (tmp_path / "out.json").write_text(content)
-        status, told = run(tmp_path, "run({'one': 1.0}, {'*': reported()})", "--out", "out.json")
-        assert status == 1
-        assert 'out.json is no JSON of tools.keep with "measures"' in told
-        assert "Traceback" not in told
-        assert (tmp_path / "out.json").read_text() == content
+@pytest.mark.parametrize("content", ["[]", "{", '{"commit": "one state"}'])
+def test_a_file_that_is_none_of_this_program_is_refused_and_stays(content: str, run: Run) -> None:
+    Path("out.json").write_text(content)
+    status, told = run({"one": 1.0}, {"*": reported()}, "--out", "out.json")
+    assert status == 1
+    assert 'out.json is no JSON of tools.keep with "measures"' in told
+    assert Path("out.json").read_text() == content
 
 
-def test_the_quick_measures_have_baselines_and_an_unknown_one_is_named() -> None:
-    done = keep("nothing")
-    assert done.returncode == 1
-    assert "There is no measure nothing; there are " in done.stderr
-    names = set(done.stderr.partition("there are ")[2].strip().rstrip(".").split(", "))
-    files = {file.stem: file.stat().st_size for file in (ROOT / "tools" / "keep" / "baseline").glob("*.json")}
-    assert {"ranks", "described", "explained", "matches", "imports", "published", "methods", "calls"} <= set(files)
-    assert set(files) <= names
+def test_the_quick_measures_have_baselines_and_an_unknown_one_is_named(capsys: pytest.CaptureFixture[str]) -> None:
+    assert keep.main(["nothing"]) == 1
+    assert "There is no measure nothing; there are " in capsys.readouterr().err
+    files = {file.stem: file.stat().st_size for file in keep.BASELINE.glob("*.json")}
+    assert {name for name, one in KNOWN.items() if not one.slow} <= set(files) <= set(KNOWN)
     assert sum(files.values()) < 150_000
 
 
 def test_the_demo_s_ranked_tiles_are_those_of_the_baseline() -> None:
-    done = keep("matches")
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.count("held") == 3
+    assert keep.main(["matches"]) == 0
+
+
+# The figures of slow measures, and their bounds.
+
+
+def test_surveyed_positions_have_a_row_for_the_camera_and_one_for_the_ground(tmp_path: Path) -> None:
+    flights.write_positions(DEMO_FLIGHT[0].with_name("truth.csv"), tmp_path / "positions.csv")
+    header, first, second, *others = (tmp_path / "positions.csv").read_text().splitlines()
+    assert header == "photo,latitude,longitude,point"
+    assert first == "LPN_0086.webp,46.203270150,-31.393268518,camera"
+    assert second == "LPN_0086.webp,46.203265177,-31.393271195,ground"
+    assert len(others) == 78
+
+
+def test_errors_of_the_rendered_flight_may_not_grow() -> None:
+    point = {
+        "photos": 34,
+        "median": 1.0,
+        "ce95": 1.7,
+        "largest": 3.0,
+        "within": {"1": 94.1, "2": 100.0, "3": 100.0},
+    }
+    measured = {"frames": 40, "surveyed": {"registration": {"camera": point, "ground": point}}}
+    figures = flights.rendered_figures(measured)
+    assert (figures["photos"], figures["placed"], figures["middle within 1 radii"]) == (40, 34, 94.1)
+    assert errors(KNOWN["rendered"], figures, figures) == {}
+    worse = {
+        "placed": 33,
+        "camera largest m": 5.1,
+        "middle within 2 radii": 93.0,
+        "camera within 3 radii": 97.1,
+    }
+    assert set(errors(KNOWN["rendered"], {**figures, **worse}, figures)) == set(worse)
+
+
+def track(*rows: tuple[str, object, object, str]) -> Mapping[str, Any]:
+    """The figures of a real flight of 30 photos, of which some are given by name, metres east and north, and state."""
+    filled = [(str(i), i, i, "accepted") for i in range(30 - len(rows))]
+    return flights.real_figures(
+        [
+            {"frame": name, "state": state, "easting_m": str(x), "northing_m": str(y), "radius_on_map_m": "6.0"}
+            for name, x, y, state in [*rows, *filled]
+        ]
+    )
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "wrong"),
+    [
+        ((108, 208, "accepted"), (300, 400, "accepted"), set()),  # 11.3 m off, and 2 radii are 12 m
+        ((109, 209, "accepted"), (300, 400, "accepted"), {"places"}),
+        ((float("nan"), 200, "accepted"), (300, 400, "accepted"), {"places"}),
+        ((100, 200, "accepted"), ("", "", "refused"), {"placed", "placed photos", "places"}),
+    ],
+)
+def test_places_of_the_real_flight_may_move_by_two_radii(first: Any, second: Any, wrong: set[str]) -> None:
+    before = track(("a", 100, 200, "accepted"), ("b", 300, 400, "contradicted"))
+    assert before["placed"] == 30
+    assert errors(KNOWN["real"], before, before) == {}
+    assert set(errors(KNOWN["real"], track(("a", *first), ("b", *second)), before)) == wrong
+
+
+@pytest.mark.parametrize(
+    ("elsewhere", "coarse", "beyond", "wrong"),
+    [
+        (0, 5, 0, set()),
+        (1, 4, 0, {"over caliterra accepted"}),
+        (0, 3, 0, {"own, 1 m a pixel accepted"}),
+        (0, 4, 1, {"own, 1 m a pixel beyond"}),
+    ],
+)
+def test_nothing_more_is_accepted_over_a_wrong_map(elsewhere: int, coarse: int, beyond: int, wrong: set[str]) -> None:
+    def figures(elsewhere: int, coarse: int, beyond: int) -> Mapping[str, Any]:
+        names = "brighton, mirrored", "caliterra", "own, 1 m a pixel"
+        counts = (0, 0), (elsewhere, elsewhere), (coarse, beyond)
+        return flights.wrong_map_figures(
+            [
+                {"map": name, "photos": 18, "accepted": {"registration": accepted}, "beyond": {"registration": off}}
+                for name, (accepted, off) in zip(names, counts, strict=True)
+            ]
+        )
+
+    before = figures(0, 4, 0)
+    assert errors(KNOWN["wrong-brighton"], before, before) == {}
+    assert set(errors(KNOWN["wrong-brighton"], figures(elsewhere, coarse, beyond), before)) == wrong
+
+
+def test_figures_of_trainings_are_those_of_three_seeds() -> None:
+    names = [f"{reading} {task}" for reading in training.READINGS for task in training.TASKS]
+    seeds: list[Mapping[str, float]] = [dict.fromkeys(names, value) for value in (82.5, 85.0, 83.75)]
+    figures = training.training_figures(seeds)
+    assert figures["CSLS drone-to-satellite mean"] == 83.75
+    assert figures["CSLS drone-to-satellite half range"] == 1.25
+    assert figures["calibrated satellite-to-drone by seed"] == [82.5, 85.0, 83.75]
+    assert errors(KNOWN["training"], figures, {}) == {}
+    worse = training.training_figures([{**seed, "CSLS satellite-to-drone": 82.4} for seed in seeds])
+    assert set(errors(KNOWN["training"], worse, {})) == {"CSLS satellite-to-drone mean"}
+
+
+def test_a_killed_measure_goes_on_with_its_rows_unless_the_code_has_changed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(_resumable, "_ROOT", tmp_path)
+    monkeypatch.setenv("LPN_CACHE", "the user's")
+    source = tmp_path / "lpn" / "one.py"
+    source.parent.mkdir()
+    source.write_text("1")
+    measured = []
+
+    def measure(name: str) -> list[str]:
+        measured.append(name)
+        return [name]
+
+    def rows(names: str, killed: bool = False) -> list[list[str]]:
+        with _resumable.resumable("rows") as work:
+            assert os.environ["LPN_CACHE"] == str(work / "cache")
+            found = [_resumable.keep_row(work / "rows.json", name, lambda name=name: measure(name)) for name in names]  # type: ignore[misc]
+            if killed:
+                raise KeyboardInterrupt
+        assert not work.exists()
+        return found
+
+    for _ in range(2):
+        with pytest.raises(KeyboardInterrupt):
+            rows("a", killed=True)
+    assert os.environ["LPN_CACHE"] == "the user's"
+    assert rows("ab") == [["a"], ["b"]]
+    assert measured == ["a", "b"]
+    with pytest.raises(KeyboardInterrupt):
+        rows("a", killed=True)
+    source.write_text("2")
+    rows("ab")
+    assert measured == ["a", "b", "a", "a", "b"], "rows of other code do not count"
+
+
+def test_a_command_that_fails_is_named_with_its_sentence(tmp_path: Path) -> None:
+    with pytest.raises(DataError, match=r"^lpn locate ended with status 2: .*none\.tif.*$"):
+        _resumable.run_lpn("locate", "--map", tmp_path / "none.tif", "--flight", tmp_path, "--out", tmp_path / "t.csv")
+
+
+def test_speeds_are_beside_their_peers_and_limits(monkeypatch: pytest.MonkeyPatch) -> None:
+    measured = [Figure("search 9 x 9", 2.0, "ms", 6.0, 1.6), Figure("memory", 1.23456, "GB")]
+    monkeypatch.setattr(bench, "measured", lambda _: measured)
+    figures = ratios("search")
+    assert figures == {
+        "search 9 x 9, ms": 2.0,
+        "search 9 x 9, times the peer": 3.0,
+        "search 9 x 9, of the limit": 1.25,
+        "memory, GB": 1.23,
+    }
+    assert errors(KNOWN["speed-search"], figures, {}) == {}
+    monkeypatch.setattr(bench, "measured", lambda _: [])
+    with pytest.raises(DataError, match=r"^python -m tools\.bench search measured nothing; run it to see why\.$"):
+        ratios("search")
+
+
+def test_as_many_photos_are_located_elsewhere_as_the_target_says(monkeypatch: pytest.MonkeyPatch) -> None:
+    for variable in ("LPN_FLIGHTS", "LPN_MINI_DATA"):
+        if variable not in os.environ:
+            pytest.skip(f"{variable} does not name the folder of the real data")
+    real = Path(os.environ["LPN_FLIGHTS"])
+    counts = {name: len(open_pair(name, real)[0].frames[::every]) for name, (every, _) in flights.WRONG_MAPS.items()}
+    assert counts == {"brighton": 18, "rendered": 40, "caliterra": 15, "seneca": 60}
+    photos = {"here": 0, "elsewhere": 0}
+
+    def count(_: str, **sides: Mapping[Path, int]) -> None:
+        for side, sources in sides.items():
+            photos[side] += sum(len(list(photos_of([source], every))) for source, every in sources.items())
+
+    monkeypatch.setattr(flights, "_single_photos", count)
+    for measure in (flights.shipped_photos, flights.flights_photos, flights.university_photos):
+        measure()
+    assert photos == {"here": 50, "elsewhere": 68}

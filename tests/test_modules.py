@@ -6,6 +6,9 @@ import ast
 import tomllib
 from pathlib import Path
 
+from tools.fixtures.imports import modules as modules_of
+from tools.fixtures.imports import nodes
+
 ROOT = Path(__file__).parents[1]
 # Modules that pyproject.toml names; tests run them as `lpn` and as `lpn explore`.
 ENTRY_POINTS = {"lpn.__main__", "explorer.cli", "lpn.flight.locate.source"}
@@ -13,17 +16,14 @@ ENTRY_POINTS = {"lpn.__main__", "explorer.cli", "lpn.flight.locate.source"}
 
 def modules() -> dict[str, Path]:
     """All modules of the library, the app, the tools, and the tests, by name."""
-    names = {}
-    for file in (file for top in ("lpn", "explorer", "tools", "tests") for file in (ROOT / top).rglob("*.py")):
-        parts = file.relative_to(ROOT).with_suffix("").parts
-        names[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = file
-    return names
+    tops = ("lpn", "explorer", "tools", "tests")
+    return {name: file for top in tops for name, file in modules_of(ROOT, top).items()}
 
 
 def imports(name: str, file: Path, known: dict[str, Path]) -> set[str]:
     """The modules that a module imports, anywhere in it, and the packages that hold them."""
     found = set()
-    for node in ast.walk(ast.parse(file.read_text())):
+    for node in nodes(file):
         if isinstance(node, ast.Import):
             found |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom):

@@ -19,6 +19,7 @@ from lpn import descriptors
 from lpn.cli import parsing
 from lpn.cli.compare import CompareCommand
 from lpn.cli.main import commands, main
+from lpn.core.demo import DEMO
 from lpn.core.views import views_of
 from lpn.datasets import open_dataset
 from lpn.flight.files import write_flight
@@ -84,6 +85,7 @@ def options(
         ("compare", "flight"): [*flown, *model, one_part_model_file],
         ("evaluate", "published"): [saved, "--n-parts", "4"],
         ("explore", "flight"): [*flown, *model, "--no-register"],
+        ("report", "flight"): [*flown, *model, "--no-register"],  # test_grades has a report with registration
     }
     (folder / "again.mat").write_bytes(saved.read_bytes())
     for side in ("query", "gallery"):
@@ -135,35 +137,21 @@ def test_each_command_takes_a_task_from_each_source(
         assert len(tables) == (command == "compare")
 
 
-def test_sources_of_one_model_have_the_same_figures(options: Callable[[str, str], list[str]], tmp_path: Path) -> None:
-    recalls, ranks = [], []
-    for source in ("data", "published", "arrays", "index"):
-        assert main(["evaluate", *options("evaluate", source), "--json", str(tmp_path / "figures.json")]) == 0
-        figures = json.loads((tmp_path / "figures.json").read_text())
-        recalls.append(
-            [figures["queries"], figures["gallery"], *(figures[f"recall@{k}"] for k in (1, 5, 10)), figures["ap"]]
-        )
-        assert main(["failures", *options("failures", source), "--csv", str(tmp_path / "f.csv"), "--sort", "name"]) == 0
-        lines = (tmp_path / "f.csv").read_text().splitlines()
-        column = lines[0].split(",").index("rank")
-        ranks.append([line.split(",")[column] for line in lines[1:]])
-    assert all(figures == recalls[0] for figures in recalls)
-    assert ranks[0] == ranks[1] == ranks[2] == ranks[3]
-
-
-@pytest.mark.parametrize("source", ["published", "arrays", "index"])
-def test_each_source_with_pictures_has_the_table_of_queries(
-    source: str, options: Callable[[str, str], list[str]], tmp_path: Path
+def test_sources_of_one_model_have_the_same_figures_and_tables_of_queries(
+    options: Callable[[str, str], list[str]], tmp_path: Path
 ) -> None:
-    rows = []
-    for one in ("data", source):
-        given = ["evaluate", *options("failures", one), "--per-query", str(tmp_path / "queries.csv")]
-        assert main([*given, "--task", TASK] if one == "data" else given) == 0
+    files = "--json", str(tmp_path / "figures.json"), "--per-query", str(tmp_path / "queries.csv")
+    found = []
+    for source in ("data", "published", "arrays", "index"):
+        given = ["evaluate", *options("failures", source), *files]
+        assert main([*given, "--task", TASK] if source == "data" else given) == 0
+        figures = json.loads((tmp_path / "figures.json").read_text())
         lines = (tmp_path / "queries.csv").read_text().splitlines()
-        rows.append([line.split(",")[1:3] for line in lines])
         assert len(lines) == 15
         assert lines[1].split(",")[3]
-    assert rows[0] == rows[1]
+        names = ("queries", "gallery", "recall@1", "recall@5", "recall@10", "ap")
+        found.append(([figures[name] for name in names], [line.split(",")[1:3] for line in lines]))
+    assert all(one == found[0] for one in found)
 
 
 def test_arrays_stand_beside_a_data_set(options: Callable[[str, str], list[str]], tmp_path: Path) -> None:
@@ -321,6 +309,13 @@ def test_queries_without_a_label_and_part_weights_do_not_count(tmp_path: Path) -
         ("doctor --kind dac", "--kind needs --model; give both, or leave it out."),
         ("locate --map FILE --flight FLIGHT --kind dac", "--kind needs --model; give both, or leave it out."),
         ("compare FOLDER --pooling mean", "--pooling needs --model; give both, or leave it out."),
+        ("explore --map a.tif --model m.onnx", "--map is of a source, and none is given; name it: lpn explore SOURCE."),
+        ("explore DEMO --no-register", "demo is a data set, and --no-register fits a flight; leave it out."),
+        ("explore FLIGHT --map a.tif --model m.onnx", "There is no file a.tif"),
+        (
+            "explore FLIGHT --map a.tif --model m.onnx --map-error -1",
+            "The map's error is -1 m; expected 0 or more metres.",
+        ),
         ("evaluate FLIGHT --map nowhere --rotate 10", "flight is a flight, whose queries are cut out of photos"),
     ],
 )
@@ -331,7 +326,7 @@ def test_a_source_that_cannot_be_opened_gets_one_sentence(
     (tmp_path / "folder").mkdir()
     (tmp_path / "flight").mkdir()
     (tmp_path / "flight" / "flight.json").touch()
-    names = {"FOLDER": "folder", "FILE": "file.mp4", "FLIGHT": "flight", "RESULT": "r.mat"}
+    names = {"FOLDER": "folder", "FILE": "file.mp4", "FLIGHT": "flight", "RESULT": "r.mat", "DEMO": DEMO}
     words = " ".join(str(tmp_path / names[word]) if word in names else word for word in words.split())
     assert main(words.split()) == 2
     said = capsys.readouterr().err

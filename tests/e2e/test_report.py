@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-import pytest
 from playwright.sync_api import Browser
 
 import lpn
@@ -16,15 +15,11 @@ from lpn.tasks.opening import describe_task
 from tests.e2e.conftest import empty_context
 
 
-@pytest.fixture
-def file(data: Path, model_file: Path, tmp_path: Path) -> Path:
-    """A report of two queries."""
-    task = describe_task(lpn.load(model_file), "model.onnx", open_dataset(data))
-    (tmp_path / "report.html").write_bytes(report.build(task, [0, 5], Options()))
-    return tmp_path / "report.html"
-
-
-def test_a_report_needs_nothing_else_and_prints_two_pages_a_query(browser: Browser, file: Path) -> None:
+def test_a_report_needs_nothing_else_fits_a_phone_and_prints_two_pages_a_query(
+    browser: Browser, data: Path, model_file: Path, tmp_path: Path
+) -> None:
+    task, file = describe_task(lpn.load(model_file), "model.onnx", open_dataset(data)), tmp_path / "report.html"
+    file.write_bytes(report.build(task, [0, 5], Options()))
     context = empty_context(browser, viewport={"width": 1100, "height": 900}, color_scheme="dark")
     page = context.new_page()
     requests, messages = [], []
@@ -42,12 +37,7 @@ def test_a_report_needs_nothing_else_and_prints_two_pages_a_query(browser: Brows
     printed = page.pdf(prefer_css_page_size=True, print_background=True)
     assert len(re.findall(rb"/Type\s*/Page\b", printed)) == 1 + 2 * 2
     assert re.search(rb"/MediaBox \[0 0 59[45][.\d]* 84[12]", printed)
-    context.close()
-
-
-def test_a_report_fits_a_phone(browser: Browser, file: Path) -> None:
-    context = empty_context(browser, viewport={"width": 390, "height": 800})
-    page = context.new_page()
-    page.goto(file.as_uri())
+    page.emulate_media(media="screen")
+    page.set_viewport_size({"width": 390, "height": 800})
     assert page.evaluate("document.documentElement.scrollWidth") <= 390
     context.close()

@@ -147,8 +147,6 @@ def test_filters_charts_and_marked_rows_narrow_the_table_and_the_address_keeps_t
     lab.open("?panel=lab")
     lab.lab.get_by_role("button", name="Missed").click()
     lab.expect_total(int(failed.sum()))
-    lab.lab.get_by_role("searchbox", name="Filter").fill("weather = rain")
-    lab.expect_total(int((failed & (weather == "rain")).sum()))
     lab.lab.get_by_role("searchbox", name="Filter").fill("weather >")
     expect(lab.lab.get_by_role("alert")).to_contain_text("weather")
     lab.lab.get_by_role("searchbox", name="Filter").fill("")
@@ -188,27 +186,17 @@ def test_a_lasso_on_the_map_picks_queries_and_a_point_opens_its_query(lab: LabPa
     place = box(plane)
     middle = place["x"] + place["width"] / 2
 
-    def drag(corners: list[tuple[float, float]]) -> None:
-        lab.page.mouse.move(*corners[0])
-        lab.page.mouse.down()
-        for corner in corners[1:]:
-            lab.page.mouse.move(*corner, steps=4)
-        lab.page.mouse.up()
-
     top, foot = place["y"] + 2, place["y"] + place["height"] - 2
-    drag([(middle, top), (place["x"] + 2, top), (place["x"] + 2, foot), (middle, foot)])
+    lab.page.mouse.move(middle, top)
+    lab.page.mouse.down()
+    for corner in ((place["x"] + 2, top), (place["x"] + 2, foot), (middle, foot)):
+        lab.page.mouse.move(*corner, steps=4)
+    lab.page.mouse.up()
     picked = lab.lab.get_by_role("button", name=re.compile(r"\d+ picked"))
     expect(picked).to_be_visible()
     left = int(re.match(r"\d+", picked.inner_text())[0])  # type: ignore[index]
     assert 0 < left < 13
     lab.expect_total(left)
-    picked.click()
-    lab.expect_total(13)
-    # The queries left and right of the middle are all queries.
-    drag(
-        [(middle, top), (place["x"] + place["width"] - 2, top), (place["x"] + place["width"] - 2, foot), (middle, foot)]
-    )
-    expect(picked).to_have_text(f"{13 - left} picked ✕")
     picked.click()
     lab.expect_total(13)
     lab.lab.get_by_role("button", name="Lasso").click()

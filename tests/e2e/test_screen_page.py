@@ -1,19 +1,19 @@
-"""The screen under hard conditions: keys alone, wrong addresses, storage denied, several tabs, and a server that starts again."""
+"""The screen under hard conditions: keys alone, wrong addresses, storage denied, and several tabs."""
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable
-from pathlib import Path
 
-from playwright.sync_api import BrowserContext, Page, expect
+from playwright.sync_api import BrowserContext, expect
 
-from tests.e2e.conftest import Running, RunningApp, Screen, started
-from tools.fixtures.processes import free_port
+from tests.e2e.conftest import Running, RunningApp, Screen
 
 
-def test_all_that_can_be_pressed_is_reached_by_tab_and_says_its_name(screen: Screen) -> None:
-    page = screen.open().page
+def test_all_that_can_be_pressed_is_reached_by_tab_and_says_its_name(
+    running: Running, contexts: Callable[..., BrowserContext]
+) -> None:
+    screen = Screen(contexts().new_page(), running.url).open()
+    page = screen.page
     reached = set()
     for _ in range(80):
         page.keyboard.press("Tab")
@@ -68,19 +68,10 @@ def test_two_tabs_of_one_browser_are_two_screens(running: Running, contexts: Cal
     other.expect_numbers(running.analysis(query=0, angle=15.0))
 
 
-def test_a_page_finds_its_server_again_as_it_was(app: RunningApp, tmp_path: Path, new_page: Callable[[], Page]) -> None:
-    port = free_port()
-    with started(app.data, app.model, tmp_path / "cache", port=port) as running:
-        screen = Screen(new_page(), running.url).open("?query=0009&angle=30")
-    expect(screen.headline.locator("h1")).to_have_text("Connection lost. Trying again.")
-    expect(screen.rows).to_have_count(4)
-    with started(app.data, app.model, tmp_path / "cache", port=port):
-        expect(screen.headline.locator("h1")).not_to_contain_text("Connection lost")
-        screen.rest("30")
-        expect(screen.page).to_have_url(re.compile("query=0009"))
-
-
-def test_without_positions_there_is_no_scene_of_a_place(app: RunningApp, new_page: Callable[[], Page]) -> None:
-    screen = Screen(new_page(), app.url).open()
+def test_without_positions_there_is_no_scene_of_a_place(
+    app: RunningApp, contexts: Callable[..., BrowserContext]
+) -> None:
+    screen = Screen(contexts().new_page(), app.url).open()
+    expect(screen.page.locator("#scene.ready iframe")).to_be_visible()
     expect(screen.page.locator("#scene [data-view=city]")).to_be_hidden()
     expect(screen.tiles).to_have_count(6)

@@ -9,11 +9,7 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import Browser, BrowserContext, Page, expect
 
-from explorer.app import App
-from explorer.opening import open_model
 from tests.e2e.conftest import Running, Screen, box, empty_context, expect_accessible
-from tools.fixtures import small_worlds
-from tools.fixtures.processes import free_port
 
 STEPS = [
     {"shows": "query=0003&scoring=plain", "caption": "<i>The first</i> photo", "notes": "Wait for questions"},
@@ -21,26 +17,13 @@ STEPS = [
 ]
 
 
-@pytest.fixture(scope="module")
-def served(tmp_path_factory: pytest.TempPathFactory, model_file: Path) -> Iterator[Running]:
-    folder = tmp_path_factory.mktemp("stories")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("LPN_CACHE", str(folder / "cache"))
-        data = small_worlds.map_dataset(small_worlds.make_dataset(folder / "places", train=1, test=8))
-        workspace = open_model(data, model_file)
-        app = App(workspace, "127.0.0.1", free_port(), stories=folder / "own.json")
-        yield Running(app, workspace)
-        app.close()
-
-
 @pytest.fixture
-def file(served: Running) -> Iterator[Path]:
+def file(running: Running, tmp_path: Path) -> Iterator[Path]:
     """The file of stories, which has one."""
-    file = served.workspace.stories
-    assert file is not None
-    file.write_text(json.dumps([{"name": "Two & more", "steps": STEPS}]))
-    yield file
-    file.unlink()
+    running.workspace.stories = tmp_path / "own.json"
+    running.workspace.stories.write_text(json.dumps([{"name": "Two & more", "steps": STEPS}]))
+    yield running.workspace.stories
+    running.workspace.stories = None
 
 
 def expect_state(page: Page, query: str, angle: str) -> None:
@@ -49,8 +32,8 @@ def expect_state(page: Page, query: str, angle: str) -> None:
     expect(page.locator("#photo .frame")).to_have_attribute("aria-valuenow", angle)
 
 
-def test_a_step_is_kept_by_s_and_renamed_in_place(served: Running, file: Path, new_page: Callable[[], Page]) -> None:
-    screen = Screen(new_page(), served.url).open("?query=0004&story=Two%20%26%20more")
+def test_a_step_is_kept_by_s_and_renamed_in_place(running: Running, file: Path, new_page: Callable[[], Page]) -> None:
+    screen = Screen(new_page(), running.url).open("?query=0004&story=Two%20%26%20more")
     page, place = screen.page, box(screen.rows.first)
     page.keyboard.press("s")
     expect(page.locator("#headline p")).to_contain_text("Step 3 of Two & more")
@@ -86,10 +69,10 @@ def screen_reason(page: Page) -> str:
 @pytest.mark.usefixtures("file")
 @pytest.mark.parametrize("size", [(1280, 720), (390, 844)])
 def test_a_story_is_told_by_keys_and_its_end_brings_back_what_was_shown(
-    served: Running, contexts: Callable[..., BrowserContext], size: tuple[int, int]
+    running: Running, contexts: Callable[..., BrowserContext], size: tuple[int, int]
 ) -> None:
     page = contexts(viewport={"width": size[0], "height": size[1]}).new_page()
-    screen = Screen(page, served.url).open("?query=0004&angle=15&panel=stories")
+    screen = Screen(page, running.url).open("?query=0004&angle=15&panel=stories")
     page.get_by_role("button", name="Tell").click()
     told = page.locator("#told")
     expect(told.locator("p").first).to_have_text("<i>The first</i> photo")
@@ -118,9 +101,9 @@ def test_a_story_is_told_by_keys_and_its_end_brings_back_what_was_shown(
 
 @pytest.mark.usefixtures("file")
 def test_a_story_and_an_answer_are_saved_as_pages_that_need_no_server(
-    served: Running, contexts: Callable[..., BrowserContext], browser: Browser, tmp_path: Path
+    running: Running, contexts: Callable[..., BrowserContext], browser: Browser, tmp_path: Path
 ) -> None:
-    screen = Screen(contexts(accept_downloads=True).new_page(), served.url).open("?query=0004&panel=stories")
+    screen = Screen(contexts(accept_downloads=True).new_page(), running.url).open("?query=0004&panel=stories")
     page = screen.page
     with page.expect_download() as story:
         page.get_by_role("button", name="Save as a page").click()

@@ -8,11 +8,10 @@ from collections.abc import Callable
 import pytest
 from playwright.sync_api import Page, expect
 
-from explorer.screen.panels.compare.pair import TilePair
 from explorer.workspace import LazyWorkspace, Workspace
 from lpn.core.errors import DataError
 from tests.e2e.conftest import Running, Screen, box, expect_accessible
-from tests.explorer.screen.test_result import result_of
+from tests.explorer.screen.test_why import mendable
 
 
 def test_the_verdict_opens_what_a_newcomer_needs(running: Running, screen: Screen) -> None:
@@ -37,11 +36,7 @@ def test_the_verdict_opens_what_a_newcomer_needs(running: Running, screen: Scree
 
 
 def test_weights_of_a_click_find_a_missed_photo(running: Running, screen: Screen) -> None:
-    ranks = running.workspace.rankings["drone-to-satellite"].ranks
-    tried = ((query, angle) for angle in (0, *range(-150, 181, 30)) for query in range(len(ranks)))
-    query, angle = next(
-        one for one in tried if TilePair.of(result_of(running.workspace, query=one[0], angle=one[1])).usable
-    )
+    query, angle = mendable(running.workspace)
     screen.open(f"?query=~{query}&angle={angle}&panel=compare")
     panel = screen.page.locator("#panel")
     expect(screen.headline).to_contain_text("Missed")

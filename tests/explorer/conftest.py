@@ -1,10 +1,11 @@
-"""The screen's computations without a server, and a workspace of places with known positions."""
+"""A workspace of places with known positions, an app on it, and the screen's computations without a server."""
 
 from __future__ import annotations
 
 import csv
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
+from http.client import HTTPConnection, HTTPMessage
 from itertools import cycle
 from pathlib import Path
 from queue import Queue
@@ -12,16 +13,20 @@ from typing import Any
 
 import pytest
 
+from explorer.app import App
 from explorer.opening import open_model
 from explorer.screen.fields import needs_answer
 from explorer.screen.result import ScreenResult
 from explorer.screen.session import Screens, ScreenSession
 from explorer.services import WorkspaceServices
-from explorer.workspace import Workspace
+from explorer.workspace import LazyWorkspace, Workspace
+from lpn.core.errors import DataError
 from tools.fixtures import small_worlds
+from tools.fixtures.screen_tab import ScreenTab
 from tools.fixtures.waiting import TIMEOUT
 
 TASK = "drone-to-satellite"
+TAB = "0123456789abcdef"
 
 
 class RefusedError(Exception):
@@ -80,3 +85,46 @@ def mapped_workspace(
         for ranking in opened.rankings.values():
             ranking.wait(opened, lambda *_: None)
         yield opened
+
+
+@pytest.fixture(scope="session")
+def workspace(
+    tmp_path_factory: pytest.TempPathFactory, model_file: Path, one_part_model_file: Path
+) -> Iterator[Workspace]:
+    with mapped_workspace(tmp_path_factory.mktemp("screen"), model_file, one_part_model_file) as opened:
+        yield opened
+
+
+@pytest.fixture(scope="session")
+def app(workspace: Workspace) -> Iterator[App]:
+    """The app on these places, which offers another one that does not open."""
+
+    def never() -> Workspace:
+        raise DataError("The map is not there; give another.")
+
+    others = {"broken": LazyWorkspace("a broken map", never)}
+    with closing(App(workspace, "127.0.0.1", 0, None, "places", others)) as served:
+        yield served
+
+
+class Tab(ScreenTab):
+    """A tab of an app in this process."""
+
+    def __init__(self, app: App, tab: str = TAB, protocol: str = "lpn-json", **options: Any) -> None:
+        super().__init__(f"http://127.0.0.1:{app.server.get_port()}", tab, protocol, **options)
+
+
+@pytest.fixture
+def tab(app: App) -> Iterator[Tab]:
+    with Tab(app) as connected:
+        yield connected
+
+
+def get(app: App, path: str = "/", **headers: str) -> tuple[int, HTTPMessage, bytes]:
+    """Return status, headers, and body of the response to a request; underscores of header names stand for dashes."""
+    connection = HTTPConnection("127.0.0.1", app.server.get_port(), timeout=TIMEOUT)
+    connection.request("GET", path, headers={name.replace("_", "-"): value for name, value in headers.items()})
+    answer = connection.getresponse()
+    body = answer.read()
+    connection.close()
+    return answer.status, answer.headers, body

@@ -41,11 +41,6 @@ class Owner:
     """A browser's window."""
 
 
-def test_names_in_a_list_hold_no_control_characters(feeds: Feeds) -> None:
-    listed = feeds.publish_list(Owner(), "names", 1, lambda *_: [{"names": ("a\x1b[31m\u202eb", 1.5)}])
-    assert fetch(feeds, f"{listed}0") == [{"names": ["a?[31m?b", 1.5]}]
-
-
 def test_a_list_is_served_in_pieces_until_its_owner_publishes_two_others_or_leaves(feeds: Feeds) -> None:
     me, you = Owner(), Owner()
     numbers = list(range(2 * CHUNK + 5))

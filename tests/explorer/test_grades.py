@@ -90,9 +90,6 @@ def test_reports_count_as_the_screen_does(tmp_path: Path, monkeypatch: pytest.Mo
     assert main([*command, "--matches", "1"]) == 0
     said = text((tmp_path / "r.html").read_text())
     assert "the worst of 4 failures, lowest margin first" in said
-    assert main([*command, "--matches", "1", "--no-register"]) == 0
-    said = text((tmp_path / "r.html").read_text())
-    assert "the worst of 5 failures, lowest margin first" in said, "without registration no judge is in doubt"
 
 
 def test_without_registration_no_judge_is_in_doubt(workspace: Workspace, monkeypatch: pytest.MonkeyPatch) -> None:

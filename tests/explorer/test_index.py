@@ -51,9 +51,13 @@ def ranked(result: ScreenResult) -> list[str]:
 
 
 def test_the_screen_shows_what_that_of_the_data_set_shows(workspace: Workspace, live: Workspace) -> None:
-    for query in (0, 7):
-        one, other = (answered(opened, query=query) for opened in (workspace, live))
+    own = live.tasks[TASK].queries[9].path.read_bytes()
+    for given in ({"query": 0}, {"query": 3, "angle": 40.0, "weights": [1, 1, 0, 1]}, {"own": own}):
+        one, other = (answered(opened, **given) for opened in (workspace, live))  # type: ignore[arg-type]
         assert ranked(one) == ranked(other)
+        for match, same in zip(one.analysis.matches, other.analysis.matches, strict=True):
+            np.testing.assert_allclose(match.contributions, same.contributions, atol=1e-5)
+            assert match.contributions.sum() == pytest.approx(match.distance2, abs=1e-5)
         shown, expected = one.message(), other.message()
         for part in ("headline", "rows", "rank", "nearest"):
             assert shown[part] == expected[part]
@@ -62,16 +66,6 @@ def test_the_screen_shows_what_that_of_the_data_set_shows(workspace: Workspace, 
     for name in ("recall@1", "recall@5", "recall@10", "ap"):
         assert results[name] == pytest.approx(live.rankings[TASK].results[name])
     assert workspace.tasks[TASK].tiles == 14
-
-
-def test_turns_weights_and_own_pictures_are_searched_as_in_memory(workspace: Workspace, live: Workspace) -> None:
-    own = live.tasks[TASK].queries[9].path.read_bytes()
-    for given in ({"query": 3, "angle": 40.0, "weights": [1, 1, 0, 1]}, {"own": own}):
-        one, other = (answered(opened, **given) for opened in (workspace, live))  # type: ignore[arg-type]
-        assert ranked(one) == ranked(other)
-        for match, expected in zip(one.analysis.matches, other.analysis.matches, strict=True):
-            np.testing.assert_allclose(match.contributions, expected.contributions, atol=1e-5)
-            assert match.contributions.sum() == pytest.approx(match.distance2, abs=1e-5)
 
 
 def test_a_link_names_a_tile_as_the_data_set_does(workspace: Workspace) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 import lpn
@@ -86,17 +85,6 @@ def test_contributions_and_evidence_add_up_to_what_is_ranked(
             assert (match.constants is not None) == (scoring == "csls")
 
 
-def test_shares_and_gains_add_up_as_they_are_shown(workspace: Workspace) -> None:
-    for query in range(22):
-        message = answered(workspace, query=query, scoring="csls").message()
-        tiles = message["tiles"]
-        for tile in tiles.values():
-            assert round(sum(tile["shares"]), 3) == float(tile["distance"])
-        gains = [(-1 if row["minus"] else 1) * float(row["gain"]) for row in message["rows"]]
-        lead = float(tiles[message["rival"]]["distance"]) - float(tiles[message["answer"]]["distance"])
-        assert round(sum(gains), 3) == round(lead, 3)
-
-
 def test_an_own_picture_is_described_as_the_task_is_calibrated(workspace: Workspace) -> None:
     task = workspace.tasks[TASK]
     own = task.queries[3].path.read_bytes()
@@ -119,7 +107,7 @@ def test_labels_never_choose_the_scoring_that_opens(
     calibrate: bool | None, csls: int, expected: str, wide: Path, model_file: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     recalls = []
-    for order in (slice(None), slice(None, None, -1), np.random.default_rng(3).permutation(22)):
+    for order in (slice(None), slice(None, None, -1)):
         # The labels of the queries alone are in another order, so that other scorings are the best by them.
         with monkeypatch.context() as patch:
             patch.setattr(

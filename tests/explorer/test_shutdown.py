@@ -1,8 +1,9 @@
-"""The explorer stops on Ctrl-C and SIGTERM, whatever it is doing, and says so; no write is lost."""
+"""The explorer as a process: it stops on Ctrl-C and SIGTERM, whatever it is doing; no write is lost, and no token is logged."""
 
 from __future__ import annotations
 
 import contextlib
+import http.client
 import re
 import shutil
 import socket
@@ -88,10 +89,22 @@ class Explorer(Process):
         return seconds
 
 
-@pytest.mark.parametrize("how", ["interrupt", "terminate"])
-def test_with_browsers_connected(how: str, places: Path, model_file: Path, tmp_path: Path) -> None:
+def get(explorer: Explorer, path: str = "") -> None:
+    """Open a connection, and ask for a path if there is one."""
+    connection = http.client.HTTPConnection("127.0.0.1", explorer.port, timeout=120)
+    connection.connect()
+    if path:
+        connection.request("GET", path)
+        connection.getresponse().read()
+    connection.close()
+
+
+def test_with_browsers_connected_it_is_quiet(places: Path, model_file: Path, tmp_path: Path) -> None:
     with Explorer(places, model_file, tmp_path / "cache") as explorer, explorer.browsers(4) as tabs:
-        getattr(explorer, how)()
+        tabs[0].turn(30)
+        tabs[0].socket.send("no JSON")
+        get(explorer)  # as browsers open a connection ahead, and port scans do
+        explorer.interrupt()
         explorer.stopped()
         assert all(tab.closed() for tab in tabs)
 
@@ -139,3 +152,33 @@ def test_while_pictures_are_described_before_it_is_ready(places: Path, model_fil
         assert status == 0
         assert explorer.out.endswith("Stopped.\n")
         assert "ready" not in explorer.out
+
+
+def test_what_is_refused_is_a_line_each_at_debug_and_no_token_is_in_them(
+    places: Path, model_file: Path, tmp_path: Path
+) -> None:
+    with Explorer(
+        places, model_file, tmp_path / "cache", LPN_LOG="debug", LPN_TOKEN="correct horse battery"
+    ) as explorer:
+        explorer.until(lambda: "ready: " in explorer.out)
+        for path in ("/?token=guessed+wrong", "/?token=correct+horse+battery"):
+            get(explorer, path)
+        with ScreenTab(f"http://127.0.0.1:{explorer.port}/?token=correct+horse+battery") as tab:
+            tab.open("?query=0003")
+            tab.socket.send("no JSON")
+            tab.turn(30)
+        explorer.interrupt()
+        assert explorer.ended()[0] == 0
+        found = explorer.err.splitlines()
+    assert all(
+        re.match(r"\d{4}-\d\d-\d\d [\d:.]{12} (DEBUG|INFO|WARNING) +(explorer|lpn)[.\w]+: ", line) for line in found
+    )
+    said = "\n".join(line.split(": ", 1)[1] for line in found)
+    for line in (
+        "A wrong token came from 127.0.0.1",
+        "Refused 127.0.0.1, 403: Wrong token",
+        "A message of a page is no JSON: 7 characters",
+    ):
+        assert line in said
+    for secret in ("guessed", "horse", "token="):
+        assert secret not in said + explorer.out.replace("token=<yours>", "")

@@ -16,7 +16,7 @@ from explorer.opening import open_flight_over
 from lpn.flight.files import write_flight
 from lpn.flight.locate.corrections import NAME, read_corrections
 from lpn.sources import ModelOptions
-from tests.explorer.screen.conftest import Tab
+from tests.explorer.conftest import Tab
 from tests.lpn.flight.locate.scenery import land, small_flight, write_map
 from tools.fixtures.waiting import TIMEOUT
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import gzip
-import http.client
 import json
 import re
 import threading
@@ -29,19 +28,10 @@ from lpn.core import images
 from lpn.core.errors import DataError
 from lpn.explain.occlusion import occlude
 from lpn.library.analyser import OwnPicture
-from tests.explorer.screen.conftest import TAB, Tab
+from tests.explorer.conftest import TAB, Tab, get
 from tools.fixtures.waiting import TIMEOUT, wait_until
 
 PAGE = Path(route.__file__).parent / "page"
-
-
-def get(app: App, path: str, **headers: str) -> tuple[int, http.client.HTTPMessage, bytes]:
-    connection = http.client.HTTPConnection("127.0.0.1", app.server.get_port(), timeout=TIMEOUT)
-    connection.request("GET", path, headers={name.replace("_", "-"): value for name, value in headers.items()})
-    answer = connection.getresponse()
-    body = answer.read()
-    connection.close()
-    return answer.status, answer.headers, body
 
 
 def test_the_page_and_its_files_are_served_with_a_policy_that_runs_only_its_own_scripts(app: App) -> None:
@@ -112,7 +102,7 @@ def test_a_page_opens_with_all_that_it_shows(app: App, tab: Tab, workspace: Work
 
 def test_fields_are_set_and_actions_done(tab: Tab) -> None:
     tab.open()
-    tab.send({"set": {"angle": 30.04}})
+    tab.set(angle=30.04)
     assert tab.result(angle=30.04)["angle"] == 30.04
     tab.act("step", by=1)
     assert tab.result(query=1)["angle"] == 0
@@ -120,17 +110,17 @@ def test_fields_are_set_and_actions_done(tab: Tab) -> None:
     tab.result(query=0)
     tab.act("random")
     assert tab.until(lambda last: last["result"]["state"]["query"] > 0)
-    tab.send({"set": {"angle": "x", "theme": "light"}})
-    assert "Angle: expected a number" in tab.until(lambda last: "error" in last)["error"]
+    tab.set(angle="x", theme="light")
+    tab.error("Angle: expected a number")
     assert tab.last["state"]["theme"] == "light"
-    tab.send({"set": {"model": "1"}})
+    tab.set(model="1")
     assert len(tab.result(model="1")["rows"]) == 1
     assert tab.last["page"]["parts"] == 1
 
 
 def test_the_missed_queries_stand_worst_first(app: App, tab: Tab, workspace: Workspace) -> None:
     tab.open()
-    tab.send({"set": {"filter": "missed"}})
+    tab.set(filter="missed")
     rail = tab.until(lambda last: "rail" in last and last["rail"]["worst_first"])["rail"]
     entries = json.loads(get(app, "/" + rail["address"] + rail["feed"] + "0")[2])
     ranks = [entry[2] for entry in entries]
@@ -153,7 +143,7 @@ def test_the_worst_missed_query_is_shown_once_a_long_ranking_knows_it(
     monkeypatch.setattr(ranking, "result", None)
     monkeypatch.setattr(ranking, "join", lambda _: SimpleNamespace(wait=wait))
     tab.open(f"?query=~{found}")
-    tab.send({"set": {"filter": "missed"}})
+    tab.set(filter="missed")
     rail = tab.until(lambda last: "rail" in last and last["rail"]["worst_first"])["rail"]
     assert (rail["total"], tab.last["state"]["query"]) == (0, found)
     done.set()
@@ -165,7 +155,7 @@ def test_the_curve_has_the_rank_of_each_angle_as_its_result_has(tab: Tab) -> Non
     curve = tab.until(lambda last: len(last.get("curve", {"points": []})["points"]) == 24)["curve"]
     assert curve["sequence"] == tab.last["result"]["curve"]
     for angle in (-180, 45):
-        tab.send({"set": {"angle": angle}})
+        tab.set(angle=angle)
         result = tab.result(angle=angle)
         point = next(one for one in curve["points"] if one[0] == angle)
         assert point == [angle, result["rank"], result["nearest"]]
@@ -187,7 +177,7 @@ def test_occlusion_is_measured_square_by_square_and_shown_again_at_once(tab: Tab
     cells = (np.frombuffer(b64decode(photo["heat"]), np.uint8).astype(float).reshape(size) - 128) / 127
     assert np.abs(cells - images.enlarge(lost, *size) / np.abs(lost).max()).max() < 0.02
     del tab.last["occlusion"]
-    tab.send({"set": {"compare": result["strip"][2]}})
+    tab.set(compare=result["strip"][2])
     again = tab.until(lambda last: "occlusion" in last)["occlusion"]
     assert again["done"] == 64
     assert again["photo"]["heat"] == photo["heat"]
@@ -195,9 +185,9 @@ def test_occlusion_is_measured_square_by_square_and_shown_again_at_once(tab: Tab
 
 def test_a_place_that_cannot_be_opened_is_named_and_the_page_stays(tab: Tab) -> None:
     tab.open()
-    tab.send({"set": {"place": "broken"}})
-    assert "The map is not there; give another." in tab.until(lambda last: "error" in last)["error"]
-    tab.send({"set": {"angle": 5}})
+    tab.set(place="broken")
+    tab.error("The map is not there; give another.")
+    tab.set(angle=5)
     assert tab.result(angle=5)["state"]["place"] == "data"
     other = tab.open("?show=broken&query=0003")
     assert other["state"]["place"] == "data"
@@ -208,7 +198,7 @@ def test_beside_a_baseline_stands_the_rank_of_the_other_model(tab: Tab, workspac
     for query in range(3):
         result = tab.open(f"?model=1&query=~{query}")
         assert result["beside"] == [[workspace.model_name, ranks[query]]]
-    tab.send({"set": {"angle": 30}})
+    tab.set(angle=30)
     assert tab.result(angle=30)["beside"] == [], "the ranks are those of upright photos"
 
 
@@ -217,9 +207,9 @@ def test_the_word_missed_lists_the_missed_queries_that_a_text_names(tab: Tab, wo
     ranking = workspace.rankings["drone-to-satellite"]
     missed = [name for name, rank in zip(ranking.task.query_names, ranking.ranks, strict=True) if rank > 0]
     assert 0 < len(missed) < len(ranking.ranks)
-    tab.send({"set": {"find": "Missed"}})
+    tab.set(find="Missed")
     tab.until(lambda last: last.get("rail", {"total": 0})["total"] == len(missed))
-    tab.send({"set": {"find": f"missed {missed[0]}"}})
+    tab.set(find=f"missed {missed[0]}")
     tab.until(lambda last: last["rail"]["total"] == 1)
 
 
@@ -235,7 +225,7 @@ def test_an_angle_of_the_curve_needs_no_further_pass_in_any_tab(
             result = one.open("?query=0006&angle=45")
             assert result["angle"] == 45
             assert result["photo"]["heat"]
-    tab.send({"set": {"angle": 46}})
+    tab.set(angle=46)
     assert tab.result(angle=46)["photo"]["heat"] != result["photo"]["heat"]
     other.socket.close()
 
@@ -260,7 +250,7 @@ def test_own_photos_are_listed_ranked_stepped_through_and_forgotten(app: App, ta
     assert get(app, "/" + first["photo"]["src"])[0] == 200
     assert "query" not in tab.last["state"]["address"]
     assert send_file(tab, "notes.txt", b"words", first=False) == 2
-    assert "notes.txt is not a picture" in tab.until(lambda last: "error" in last)["error"]
+    tab.error("notes.txt is not a picture")
     assert send_file(tab, "two.png", queries[5].path.read_bytes(), first=False) == 3
     yours = tab.last["yours"]
     assert [name for _, _, name in yours["photos"]] == ["one.png", "two.png"]
@@ -279,28 +269,26 @@ def test_own_photos_are_listed_ranked_stepped_through_and_forgotten(app: App, ta
     ]
     assert second["photo"]["heat"] != first["photo"]["heat"]
     tab.act("step", by=-1)
-    tab.send({"set": {"own": two}})
+    tab.set(own=two)
     tab.result(own=two)
     tab.act("step", by=1)
     tab.result(own="", query=0)
     tab.act("forget")
     tab.until(lambda last: not last["yours"]["photos"])
-    tab.send({"set": {"own": two, "angle": 7}})
+    tab.set(own=two, angle=7)
     tab.result(own="", angle=7)
 
 
 def test_files_that_are_no_pictures_or_too_large_are_refused_in_one_sentence(tab: Tab) -> None:
     tab.open()
     send_file(tab, "notes.txt", b"words")
-    assert "notes.txt is not a picture" in tab.until(lambda last: "error" in last)["error"]
-    del tab.last["error"]
+    tab.error("notes.txt is not a picture")
     tab.act("upload", name="large.jpg", size=40_000_000, first=False)
-    told = tab.until(lambda last: "error" in last)["error"]
-    assert told == "2 files are no photos that can be read: notes.txt, large.jpg."
+    assert tab.error() == "2 files are no photos that can be read: notes.txt, large.jpg."
     tab.act("upload", name="large.jpg", size=40_000_000)
-    assert "large.jpg has 40 MB; up to 30 MB" in tab.until(lambda last: last["error"] != told)["error"]
+    tab.error("large.jpg has 40 MB; up to 30 MB")
     tab.socket.send(b"these bytes belong to nothing")
-    tab.send({"set": {"angle": 9}})
+    tab.set(angle=9)
     tab.result(angle=9)
 
 
@@ -315,7 +303,7 @@ def test_the_server_holds_a_bounded_number_of_bytes_of_own_photos(
     send_file(one, "mine.png", file)
     one.until(lambda last: last["result"]["state"]["own"])
     send_file(other, "mine.png", file)
-    assert "mine.png finds no room" in other.until(lambda last: "error" in last)["error"]
+    other.error("mine.png finds no room")
     one.act("forget")
     one.result(own="")
     send_file(other, "mine.png", file)
@@ -358,7 +346,7 @@ def test_the_check_of_an_own_photo_comes_as_a_mark(
     go_on.set()
     ended = tab.until(lambda last: last["mark"]["text"] == "not checked")["mark"]
     assert ended["why"] == "The map cannot be read."
-    tab.send({"set": {"query": 2, "own": ""}})
+    tab.set(query=2, own="")
     tab.result(own="", query=2)
     wait_until(lambda: not jobs.shown)
 
@@ -386,7 +374,7 @@ def test_another_place_opens_a_panel_of_its_own(app: App, tab: Tab) -> None:
 
 
 def test_nothing_is_done_before_a_page_has_opened(tab: Tab) -> None:
-    tab.send({"set": {"angle": 3}})
+    tab.set(angle=3)
     tab.act("step", by=1)
     tab.act("upload", name="a.png", size=3)
     tab.socket.send(b"abc")

@@ -7,7 +7,6 @@ from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
-from urllib.request import urlopen
 
 import numpy as np
 import pytest
@@ -24,9 +23,7 @@ from explorer.workspace import Workspace
 from lpn.analysis import breakdown
 from lpn.core.errors import InputError
 from lpn.tasks.notes import Note
-from tests.explorer.conftest import mapped_workspace
-from tests.explorer.screen.conftest import Tab
-from tools.fixtures.waiting import TIMEOUT
+from tests.explorer.conftest import Tab, get, mapped_workspace
 
 TASK = "drone-to-satellite"
 WEATHERS = ("<b>rain", 'say "hi"', "sun and sea")
@@ -76,13 +73,6 @@ def told(tab: Tab, kind: str, /, **values: object) -> dict[str, Any]:
 
     found: dict[str, Any] = tab.until(holds)["panel"]["message"][kind]
     return found
-
-
-def fetched(app: App, address: str) -> bytes:
-    """Return the response to the page at a relative address."""
-    with urlopen(f"http://127.0.0.1:{app.server.get_port()}/{address}", timeout=TIMEOUT) as answer:
-        content: bytes = answer.read()
-    return content
 
 
 def test_picked_queries_are_a_text_of_their_task(findings: LabFindings, workspace: Workspace) -> None:
@@ -208,7 +198,7 @@ def test_the_map_has_all_places_and_a_lasso_picks_those_inside(workspace: Worksp
 def test_a_tab_walks_the_rows_of_its_table(tab: Tab, app: App, findings: LabFindings) -> None:
     tab.open("?panel=lab&rows=missed&sort=-rank")
     head = told(tab, "table", sort="rank", descending=True)
-    rows = [query for query, _ in json.loads(fetched(app, f"{head['address']}{head['feed']}0"))]
+    rows = [query for query, _ in json.loads(get(app, f"/{head['address']}{head['feed']}0")[2])]
     assert sorted(rows) == np.flatnonzero(findings.graded.failed).tolist()
     tab.act("lab.step", by=0)
     tab.result(query=rows[0])
@@ -245,7 +235,7 @@ def test_a_second_model_adds_its_ranks(tab: Tab, findings: LabFindings, workspac
     known = findings.graded.known
     assert head["counts"]["only A"] == int((findings.graded.hits & known & (ranked.ranks != 0)).sum())
     assert head["counts"]["only B"] == int((known & ~findings.graded.hits & (ranked.ranks == 0)).sum())
-    tab.send({"set": {"lab_where": "rank A > 1 and rank B = 1"}})
+    tab.set(lab_where="rank A > 1 and rank B = 1")
     assert told(tab, "table", where="rank A > 1 and rank B = 1")["total"] == head["counts"]["only B"]
 
 
@@ -269,15 +259,15 @@ def test_notes_are_kept_beside_the_data_and_a_change_of_others_is_told(
     assert refused["stored"] == {"tags": "day", "text": "bright"}
     tab.act("lab.note", **note, tags="mine", text="", before=refused["stored"])
     told(tab, "saved", good=True)
-    tab.send({"set": {"lab_where": "wind > 130"}})
+    tab.set(lab_where="wind > 130")
     count = told(tab, "table", where="wind > 130")["total"]
     tab.act("lab.tag", tags="high")
     told(tab, "saved", good=True, query=-1)
-    tab.send({"set": {"lab_where": "tags ~ high"}})
+    tab.set(lab_where="tags ~ high")
     assert told(tab, "table", where="tags ~ high")["total"] == count
     tab.act("lab.tag", tags="!")
     told(tab, "saved", good=False, query=-1)
     tab.act("lab.csv")
     file = told(tab, "file")
     assert file["name"].endswith(f"-{count}-queries.csv")
-    assert len(fetched(app, file["address"]).decode().strip().splitlines()) == count + 1
+    assert len(get(app, "/" + file["address"])[2].decode().strip().splitlines()) == count + 1

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import http.client
 from collections.abc import Iterator
 from contextlib import closing
 from importlib.util import find_spec
@@ -19,8 +18,7 @@ from explorer.screen.panels.stories.story import Step, Story
 from explorer.workspace import LazyWorkspace, Workspace
 from lpn.core.demo import DEMO, DEMO_MODEL
 from lpn.core.errors import DataError, InputError, OutputError
-from tests.explorer.screen.conftest import Tab
-from tools.fixtures.waiting import TIMEOUT
+from tests.explorer.conftest import Tab, get
 
 ONE = Story("Ünë <b>", (Step("query=a", 'Say "hi"\nto all', "noted"),))
 DEMO_CITY: Any = SimpleNamespace(root=DEMO, model_name=DEMO_MODEL.name, stories=None)
@@ -43,18 +41,16 @@ def panel(tab: Tab, holds: Any) -> dict[str, Any]:
 def downloaded(app: App, tab: Tab) -> tuple[str, str]:
     """Return the name and the text of the file that the browser saves."""
     last = tab.until(lambda last: "download" in last)
-    connection = http.client.HTTPConnection("127.0.0.1", app.server.get_port(), timeout=TIMEOUT)
-    connection.request("GET", "/" + last["download"]["address"])
-    answer = connection.getresponse()
-    assert (answer.status, answer.headers["Content-Type"]) == (200, "application/octet-stream")
-    return last["download"]["name"], answer.read().decode()
+    status, headers, body = get(app, "/" + last["download"]["address"])
+    assert (status, headers["Content-Type"]) == (200, "application/octet-stream")
+    return last["download"]["name"], body.decode()
 
 
 def test_s_keeps_what_is_shown_with_its_headline_while_no_panel_is_open(tab: Tab, file: Path) -> None:
     result = tab.open("?query=0004&angle=30&theme=light&find=00&weights=1,0,1,1")
     tab.act("stories.keep")
     assert "Step 1 of Story 1" in tab.until(lambda last: "note" in last)["note"]
-    tab.send({"set": {"panel": "stories"}})
+    tab.set(panel="stories")
     tab.act("stories.keep")
     tab.until(lambda last: "Step 2" in last["note"])
     (kept,) = files.read_stories(file)
@@ -74,7 +70,7 @@ def test_a_photo_of_one_s_own_is_no_step(tab: Tab, file: Path, workspace: Worksp
     tab.socket.send(photo)
     tab.until(lambda last: last["state"]["own"])
     tab.act("stories.keep")
-    assert "yours leaves with this tab" in tab.until(lambda last: "error" in last)["error"]
+    tab.error("yours leaves with this tab")
     assert not file.exists()
 
 
@@ -91,11 +87,11 @@ def test_the_panel_changes_the_steps_of_a_story_as_the_file_has_it(tab: Tab, fil
     tab.act("stories.step", story="Mine", at=0, shows=steps[0].shows, to=0, caption="A", notes="N")
     panel(tab, lambda message: message["steps"][0]["caption"] == "A")
     tab.act("stories.step", story="Mine", at=2, shows=steps[2].shows)
-    assert "changed meanwhile" in tab.until(lambda last: "error" in last)["error"], "the third step is another one"
+    tab.error("changed meanwhile"), "the third step is another one"
     tab.act("stories.step", story="Mine", at=1, shows=steps[2].shows)
     panel(tab, lambda message: len(message["steps"]) == 2)
     tab.act("stories.rename", story="Mine", name="Other")
-    tab.until(lambda last: "There is a story 'Other' already" in last["error"])
+    tab.error("There is a story 'Other' already")
     tab.act("stories.rename", story="Mine", name=" Yours ")
     panel(tab, lambda message: message["story"] == "Yours")
     assert files.read_stories(file)[0] == Story("Yours", (Step("query=0003", "A", "N"), steps[1]))
@@ -122,7 +118,7 @@ def test_a_saved_story_shows_each_step_and_needs_nothing_else(app: App, tab: Tab
     assert "turned by 40°" in page
     files.change(file, Story("Old", (Step("query=gone"),)), lambda one: one)
     tab.act("stories.export", story="Old")
-    assert "Step 1 cannot be shown: query" in tab.until(lambda last: "error" in last)["error"]
+    tab.error("Step 1 cannot be shown: query")
 
 
 def test_a_step_of_another_place_leads_back_there(workspace: Workspace, model_file: Path, tmp_path: Path) -> None:
@@ -134,14 +130,14 @@ def test_a_step_of_another_place_leads_back_there(workspace: Workspace, model_fi
     with closing(app):
         tab = Tab(app)
         tab.open("?theme=light")
-        tab.send({"set": {"place": "second"}})
+        tab.set(place="second")
         tab.result(place="second")
-        tab.send({"set": {"query": 3}})
+        tab.set(query=3)
         tab.result(query=3)
         assert tab.last["state"]["address"].startswith("show=second&"), "a reloaded page stays there"
         tab.act("stories.keep")
         tab.until(lambda last: "note" in last)
-        tab.send({"set": {"place": "data"}})
+        tab.set(place="data")
         tab.result(place="data")
         ((step,),) = (story.steps for story in files.read_stories(tmp_path / "own.json"))
         tab.act("open", search=step.shows)
@@ -160,7 +156,7 @@ def test_commands_save_reports_of_what_is_shown(app: App, tab: Tab, workspace: W
     assert name == "0005.html"
     assert result["headline"]["reason"].rstrip(".") in page
     del tab.last["download"]
-    tab.send({"set": {"find": "report"}})  # the words by which a person finds the command
+    tab.set(find="report")  # the words by which a person finds the command
     tab.act("report.worst")
     name, page = downloaded(app, tab)
     ranking = workspace.rankings["drone-to-satellite"]

@@ -25,7 +25,7 @@ from lpn.core.numbers import shown_difference
 from lpn.explain import sweeps
 from lpn.library.answer import Answer
 from lpn.retrieval import scoring
-from tests.explorer.screen.conftest import Tab
+from tests.explorer.conftest import Tab
 from tests.explorer.screen.test_result import result_of
 from tools.fixtures.waiting import TIMEOUT
 
@@ -46,7 +46,7 @@ def analysed(workspace: Workspace, region: tuple[int, ...] = (), **state: Any) -
 
 def panel_until(tab: Tab, pattern: str) -> str:
     """Return the HTML of the open panel once a pattern is found in it; a state that changes nothing has it sent again."""
-    tab.send({"set": {}})
+    tab.set()
     tab.until(lambda last: re.search(pattern, _html(last)))
     return _html(tab.last)
 
@@ -129,13 +129,13 @@ def test_weights_that_are_offered_put_the_truth_first_on_the_screen(workspace: W
     assert tab.open(f"?query=~{query}&angle={angle}&panel=compare")["headline"]["found"] is False
     weights = list(TilePair.of(result_of(workspace, query=query, angle=angle)).usable)
     panel_until(tab, "Use these weights")
-    tab.send({"set": {"compare_tried": "yes"}})
+    tab.set(compare_tried="yes")
     told = panel_until(tab, "R@1 goes from")
     task = workspace.tasks[TASK]
     effect = effect_on(task.with_fields(weights=scoring.part_weights(4)), weights)
     assert f"{len(effect.gained)} more are found" in told
     assert f"to {effect.after:.1f} %" in told
-    tab.send({"set": {"weights": weights}})
+    tab.set(weights=weights)
     assert tab.result(weights=[round(weight, 2) for weight in weights])["headline"]["found"] is True
 
 
@@ -220,7 +220,7 @@ def test_a_sweep_begins_at_the_photo_as_it_is_and_its_shares_add_up(workspace: W
 def test_a_sweep_follows_the_photo(tab: Tab) -> None:
     tab.open("?query=~1&panel=sweep&sweep=zoom")
     panel_until(tab, r"[3-9] of \d+ steps")
-    tab.send({"set": {"query": 5}})
+    tab.set(query=5)
     tab.result(query=5)
     panel_until(tab, r"\b1 of \d+ steps")
 

@@ -8,20 +8,16 @@ import pytest
 
 from explorer.server.auth import HttpRequest
 from explorer.server.connection_check import ConnectionCheck, is_websocket
+from tests.explorer.server.test_auth import request
 
 PAGE, HOST, SERVER = "https://maps.example.org", "maps.example.org", "127.0.0.1:8080"
 HOST_LINE = "proxy_set_header Host $http_host;"
 ADVICE = "If the page is yours, its proxy must pass Host as the browser sent it, and websockets. See docs/serving.md."
 
 
-def request(path: str, host: str, upgrade: bool = False, **headers: str) -> HttpRequest:
-    named = {name.replace("_", "-"): [value] for name, value in headers.items()}
-    return HttpRequest(path, {"host": [host], **named}, upgrade)
-
-
 def socket(host: str, upgrade: bool = True, protocol: str = "lpn-json", origin: str = PAGE) -> HttpRequest:
     headers = {"sec_websocket_protocol": protocol} if protocol else {}
-    return request("/maps/", host, upgrade, origin=origin, sec_websocket_key="x", **headers)
+    return request(host, "/maps/", upgrade, origin=origin, sec_websocket_key="x", **headers)
 
 
 @pytest.mark.parametrize(
@@ -60,17 +56,17 @@ def test_nothing_is_logged_of_what_is_right_or_no_browser(caplog: pytest.LogCapt
 def test_the_log_cannot_be_flooded_nor_its_lines_broken(caplog: pytest.LogCaptureFixture) -> None:
     check = ConnectionCheck()
     for number in range(200):
-        check.note(request("/", SERVER, True, origin=f"https://evil{number}.example\n\x1b[2J" + "x" * 500))
+        check.note(request(SERVER, "/", True, origin=f"https://evil{number}.example\n\x1b[2J" + "x" * 500))
     assert 1 <= len(caplog.records) <= 9
     assert all(record.getMessage().isprintable() and len(record.getMessage()) < 600 for record in caplog.records)
 
 
 def test_an_unknown_name_is_logged_for_browsers_only(caplog: pytest.LogCaptureFixture) -> None:
     check = ConnectionCheck()
-    check.note_name(request("/", "scanner.example"))
+    check.note_name(request("scanner.example"))
     assert not caplog.records
     for _ in range(2):
-        check.note_name(request("/", "explorer", accept="text/html,*/*"))
+        check.note_name(request("explorer", accept="text/html,*/*"))
     (record,) = caplog.records
     assert "asked for by the name explorer" in record.getMessage()
     assert HOST_LINE in record.getMessage()

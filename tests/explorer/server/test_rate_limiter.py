@@ -30,23 +30,22 @@ def test_an_address_is_blocked_after_too_many_wrong_tokens_and_recovers() -> Non
     assert limiter.blocked("1.2.3.4")
 
 
-def test_addresses_of_one_ipv6_network_count_as_one() -> None:
+@pytest.mark.parametrize(
+    ("guessing", "blocked", "free"),
+    [
+        ("2001:db8::{}", ["2001:db8::ffff:1"], "2001:db8:0:1::1"),
+        ("::ffff:1.2.3.{}", [], "::ffff:1.2.3.4"),  # addresses of IPv4 count alone
+        ("127.0.{}.9", ["127.0.0.1", "127.255.3.4", "::1", "::ffff:127.9.9.9"], "128.0.0.1"),
+    ],
+)
+def test_addresses_of_one_ipv6_network_and_of_this_machine_count_as_one(
+    guessing: str, blocked: list[str], free: str
+) -> None:
     limiter = RateLimiter(lambda: 0.0)
     for number in range(int(GUESSES)):
-        limiter.wrong_token(f"2001:db8::{number}")
-        limiter.wrong_token(f"::ffff:1.2.3.{number}")
-    assert limiter.blocked("2001:db8::ffff:1")
-    assert not limiter.blocked("2001:db8:0:1::1")
-    assert not limiter.blocked("::ffff:1.2.3.4"), "addresses of IPv4 count alone"
-
-
-def test_all_loopback_addresses_count_as_one() -> None:
-    for address in ("127.0.0.1", "127.255.3.4", "::1", "::ffff:127.9.9.9"):
-        limiter = RateLimiter(lambda: 0.0)
-        for number in range(int(GUESSES)):
-            limiter.wrong_token(f"127.0.{number}.9")
-        assert limiter.blocked(address)
-        assert not limiter.blocked("128.0.0.1")
+        limiter.wrong_token(guessing.format(number))
+    assert all(map(limiter.blocked, blocked))
+    assert not limiter.blocked(free)
 
 
 def test_few_addresses_are_remembered() -> None:
