@@ -11,6 +11,7 @@ import pytest
 
 from explorer.opening import open_model, open_source, open_tasks
 from explorer.workspace import Workspace
+from lpn.analysis import breakdown
 from lpn.core.errors import InputError
 from lpn.core.views import TaskName, views_of
 from lpn.datasets import open_dataset
