@@ -39,6 +39,7 @@ from lpn.library.answer import Answer
 from lpn.models.base import Model
 from lpn.models.contract import Contract
 from lpn.retrieval import DescribedPicture
+from lpn.tasks import query_outcomes
 from lpn.tasks.query_outcomes import Outcomes
 from lpn.tasks.task import Scoring, Task, scored_key
 
@@ -316,8 +317,8 @@ class Workspace:
         assert job.result is not None
         task = job.task
         try:
-            outcomes = task.outcomes_of(job.result.ranking)
-            return outcomes, task.tabulate(outcomes, self.part_names)
+            outcomes = query_outcomes.outcomes_of(task, job.result.ranking)
+            return outcomes, query_outcomes.table(task, outcomes, self.part_names)
         except LPNError:  # damaged metadata, which the failure laboratory reports
             return None
 

@@ -66,7 +66,7 @@ class RankingJob:
     def __init__(self, task: Task) -> None:
         self.task = task
         self.result: TaskRanking | None = None
-        self._ranking = task.ranking()
+        self._ranking = ranking_cache.ResumableRanking(task)
         self._jobs, self._rank_lock = BackgroundJobs(), threading.Lock()
         self._job: BackgroundJob[TaskRanking] | None = None
 

@@ -193,8 +193,8 @@ class Lab:
 
     def _build(self, ranking: RankingJob, progress: ReportProgress) -> None:
         task, part_names = ranking.task, self._workspace.part_names
-        outcomes = task.outcomes_of(ranking.wait(self, progress).ranking)
-        table = task.tabulate(outcomes, part_names)
+        outcomes = query_outcomes.outcomes_of(task, ranking.wait(self, progress).ranking)
+        table = query_outcomes.table(task, outcomes, part_names)
         with self._lock:
             try:
                 stored, error = notes.read_notes(self._notes), ""
