@@ -122,7 +122,7 @@ class App:
 
     def _opening(self, key: str) -> BackgroundJob[Workspace] | None:
         other = self._others.get(key)
-        return None if other is None or other.workspace is not None else other.open()
+        return None if other is None else other.opening()
 
     def _services_of(self, key: str) -> WorkspaceServices:
         if key not in self._services:
@@ -136,7 +136,7 @@ class App:
         return {key: services.workspace for key, services in list(self._services.items())}
 
     def _find_picture(self, path: str) -> Callable[[], EncodedPicture] | None:
-        computes = (services.find_picture(path) for services in list(self._services.values()))
+        computes = (services.feeds.find(path) for services in list(self._services.values()))
         return next((compute for compute in computes if compute is not None), None)
 
 

@@ -130,8 +130,7 @@ def _put_beside(workspace: Workspace, names: Sequence[str], opens: Sequence[Call
         workspace.beside.append(LazyWorkspace(name, _naming_files([], open_workspace)))
     if opens:
         first = opens[0]()
-        workspace.beside[0] = LazyWorkspace(names[0], lambda: first)
-        workspace.beside[0].open()
+        workspace.beside[0] = LazyWorkspace(names[0], lambda: first, first)
 
 
 def _names(models: Sequence[ModelOptions]) -> list[str]:

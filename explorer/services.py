@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 from explorer.feeds import Feeds
-from explorer.server.picture_route import EncodedPicture
 from explorer.workspace import Workspace
 
 
@@ -25,7 +23,3 @@ class WorkspaceServices:
     def of(cls, workspace: Workspace) -> WorkspaceServices:
         """Derive the services of a workspace."""
         return cls(workspace, Feeds(workspace))
-
-    def find_picture(self, path: str) -> Callable[[], EncodedPicture] | None:
-        """Return a function that computes the picture of a path below `PREFIX`, see `PictureSource`."""
-        return self.feeds.find(path)

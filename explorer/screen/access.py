@@ -12,7 +12,7 @@ from explorer.compute.request_context import RequestContext
 from explorer.screen.fields import ScreenState
 from explorer.screen.rail import ranks_of
 from explorer.services import WorkspaceServices
-from explorer.workspace import LazyWorkspace, Workspace, WorkspaceAnalyser
+from explorer.workspace import Workspace, WorkspaceAnalyser
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,8 +47,8 @@ class Access:
 
     def workspace(self, state: ScreenState) -> Workspace:
         """Return the workspace of the state's model, or the place's own until that is open."""
-        beside = self._beside(state)
-        return self.services(state).workspace if beside is None or beside.workspace is None else beside.workspace
+        base = self.services(state).workspace
+        return base.models[int(state.model)].workspace or base
 
     def ranking(self, state: ScreenState) -> RankingJob:
         """Return the ranking of the state's task, model, and scoring, or a replacement for a missing task or scoring."""
@@ -68,20 +68,18 @@ class Access:
 
     def ranks_beside(self, state: ScreenState) -> list[tuple[str, int]]:
         """Return label and upright rank of the truth for each other model that has ranked the state's query."""
-        base = self.services(state).workspace
-        opened = [(base.model_name, base), *((one.label, one.workspace) for one in base.beside)]
         ranks = []
-        for number, (label, workspace) in enumerate(opened):
+        for number, model in enumerate(self.services(state).workspace.models):
+            workspace = model.workspace
             if workspace is not None and str(number) != state.model and state.task in workspace.tasks:
                 ranking = self.ranking(replace(state, model=str(number)))
                 rank = int(ranks_of(workspace, ranking)[state.query])
-                ranks += [(label, rank)] if rank else []
+                ranks += [(model.label, rank)] if rank else []
         return ranks
 
     def opening(self, state: ScreenState) -> BackgroundJob[Workspace] | None:
         """Return the job that opens the state's model; None if it is open."""
-        beside = self._beside(state)
-        return None if beside is None or beside.workspace is not None else beside.open()
+        return self.services(state).workspace.models[int(state.model)].opening()
 
     def close(self) -> None:
         """Cancel the tab's requests."""
@@ -89,7 +87,3 @@ class Access:
             for opened in self._opened.values():
                 opened.requests.close()
                 opened.background.close()
-
-    def _beside(self, state: ScreenState) -> LazyWorkspace | None:
-        number = int(state.model)
-        return self.services(state).workspace.beside[number - 1] if number else None

@@ -91,7 +91,7 @@ class OwnPhotos:
         self._checks: dict[str, BackgroundJob[Any]] = {}
         self._checked: tuple[OwnPhotoJobs, OwnPicture, Answer] | None = None
         self._marked: ScreenMessage = {}
-        self._worker = Worker(self._follow, lambda _: None)
+        self._worker = Worker(self._follow)
 
     def __contains__(self, key: str) -> bool:
         return key in self._held

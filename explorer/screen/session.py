@@ -94,14 +94,14 @@ class ScreenSession:
         self._number, self._left, self._lock = 0, False, threading.RLock()
         # The wait before the newest request can be shown: its job, a sentence, and its handlers of success and failure.
         self._awaited: tuple[BackgroundJob[Any], str, tuple[Callable[[], None], Callable[[], None]]] | None = None
-        self._awaiting = Worker(self._await, lambda _: None)
+        self._awaiting = Worker(self._await)
         self._loop = Loop(self._answer, self._deliver, lambda: self._access.opened(self.state).requests, self._after)
         # Work behind an answer.
         self._rail, self._listed, self._listing = Rail(), False, threading.Lock()
         self._ranked: RankingJob | None = None
         # The photo that was shown when the missed ones were listed before the ranking knew them.
         self._unlisted: ScreenState | None = None
-        self._ranks = Worker(self._rank, lambda _: None)
+        self._ranks = Worker(self._rank)
         self._curve, self._occlusion = Curve(send, screens.held), Occlusion(send)
         self._own = OwnPhotos(screens.own, send)
         self.scene = TabScene(send, _lines)
@@ -326,8 +326,7 @@ class ScreenSession:
     # Waits for opening.
 
     def _opening(self, state: ScreenState) -> str:
-        base = self._access.services(state).workspace
-        return f"Opening {[base.model_name, *(one.label for one in base.beside)][int(state.model)]}"
+        return f"Opening {self._access.services(state).workspace.models[int(state.model)].label}"
 
     def _once(
         self,
@@ -494,7 +493,7 @@ class ScreenSession:
         task = self._access.ranking(state).task
         scorings = [name for name in SCORINGS if scored_key(state.task, name) in workspace.rankings]
         return {
-            "models": [base.model_name, *(other.label for other in base.beside)],
+            "models": [one.label for one in base.models],
             "places": dict(self._screens.places),
             "tasks": list(base.tasks),
             "scorings": scorings,
@@ -503,7 +502,7 @@ class ScreenSession:
             "word": workspace.contract.part_noun,
             "names": workspace.part_names,
             "tiles": task.tiles,
-            "photo": _noun(task.query_view, base.has_flight),
+            "photo": _noun(task.query_view, base.flight is not None),
             "turns": workspace.model is not None,
             "place": "City" if base.basemap is None else "Map",
             "panels": [

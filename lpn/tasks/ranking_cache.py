@@ -75,11 +75,6 @@ class ResumableRanking:
         return metrics.joined(self._steps, len(gallery))
 
 
-def multiplications(task: Task) -> int:
-    """Return the number of multiplications for the ranking of a task."""
-    return task.query_descriptors.size * task.tiles
-
-
 def cache_file(task: Task) -> Path | None:
     """Return the file of a task's ranking; None if descriptors have no identity, or there is no cache folder."""
     if not task.identity:

@@ -255,11 +255,6 @@ class Task:
         truth = [replace(one, known=one.known and i not in queries) for i, one in enumerate(self.truth)]
         return replace(self, truth=truth)
 
-    def check_truth(self) -> None:
-        """Raise InputError unless the truth of some query is known."""
-        if self.no_truth:
-            raise InputError(self.no_truth)
-
     def search(self, query: int, weights: npt.ArrayLike | None = None, change: Change = UNCHANGED) -> Ranking:
         """Rank the gallery for one query.
 

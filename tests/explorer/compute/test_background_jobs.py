@@ -72,7 +72,7 @@ def test_a_cancelled_job_stays_cancelled_when_others_leave() -> None:
     assert (again.value, again.error) == (5, None)
 
 
-def test_a_failed_job_has_one_sentence_and_starts_again_once_forgotten() -> None:
+def test_a_failed_job_has_one_sentence_and_starts_again() -> None:
     jobs = BackgroundJobs()
 
     def work(_: ReportProgress) -> int:
@@ -81,9 +81,9 @@ def test_a_failed_job_has_one_sentence_and_starts_again_once_forgotten() -> None
     job = jobs.join("k", 1, work)
     assert job.wait(TIMEOUT)
     assert job.error == "The file is damaged."
-    assert jobs.join("k", 1, work) is job
-    jobs.forget_failed("k")
-    assert jobs.join("k", 1, lambda _: 3) is not job
+    again = jobs.join("k", 1, lambda _: 3)
+    assert again.wait(TIMEOUT)
+    assert again.value == 3
 
 
 def test_another_process_returns_its_result_or_error_or_is_killed() -> None:
@@ -132,15 +132,3 @@ def test_a_cancelled_job_that_ends_late_leaves_alone_the_one_that_took_its_place
     assert second.value == 1
     jobs.leave(other)
     assert not jobs._jobs
-
-
-def test_a_failed_job_that_is_not_kept_starts_again() -> None:
-    jobs, client = BackgroundJobs(), object()
-
-    def fail(_: ReportProgress) -> int:
-        raise InputError("The file is damaged.")
-
-    assert jobs.join("a", client, fail, keep=False).wait(TIMEOUT)
-    again = jobs.join("a", client, lambda _: 3, keep=False)
-    assert again.wait(TIMEOUT)
-    assert again.value == 3

@@ -51,10 +51,8 @@ class SecondModel:
 
     def open_again(self) -> None:
         """Open the second model again after a failure."""
-        number = self._number(self._tab.state)
-        if number:
-            self._tab.services.workspace.beside[number - 1].open()
-            self._tab.set({})
+        self._tab.services.workspace.models[self._number(self._tab.state)].open()
+        self._tab.set({})
 
     def close(self) -> None:
         """Stop the work for the tab."""
@@ -67,7 +65,7 @@ class SecondModel:
         base, number = self._tab.services.workspace, self._number(result.state)
         if not base.beside:
             return ModelsMessage(None)
-        labels = [label.removesuffix(".onnx") for label in (base.model_name, *(one.label for one in base.beside))]
+        labels = [one.label.removesuffix(".onnx") for one in base.models]
         shown = {
             "labels": labels,
             "own": int(result.state.model),
@@ -77,17 +75,16 @@ class SecondModel:
             "again": False,
             "columns": [],
         }
-        lazy = base.beside[number - 1] if number else None
-        if lazy is not None and not lazy.asked:
+        lazy = base.models[number]
+        if not lazy.asked:
             lazy.open()
-        other = base if lazy is None else lazy.workspace
-        if lazy is not None and other is None:
+        other = lazy.workspace
+        if other is None:
             if lazy.error:
                 return ModelsMessage(shown | {"text": lazy.error, "again": True})
             done, total = lazy.progress
             counted = f": {done:,} of {total:,} pictures described" if total else ""
             return ModelsMessage(shown | {"text": f"Opening {lazy.label}{counted}."}, _INTERVAL)
-        assert other is not None
         if result.task.name not in other.tasks:
             return ModelsMessage(shown | {"text": f"{labels[number]} does not know the views of this task."})
         try:
