@@ -27,7 +27,6 @@ from explorer.server.page_server import (
     warn_of_listening,
 )
 from explorer.server.picture_route import EncodedPicture, PictureRoute
-from explorer.services import WorkspaceServices
 from explorer.workspace import LazyWorkspace, Workspace
 from lpn.core import images
 from lpn.core.resources import limit_malloc_arenas
@@ -76,11 +75,11 @@ class App:
         self.authenticator = authenticator or make_authenticator(host, None, False, ())
         self._others, self._lock = others or {}, threading.Lock()
         self._stories = stories
-        self._services: dict[str, WorkspaceServices] = {}
+        self._workspaces: dict[str, Workspace] = {}
         self._places = {DATA: label or DATA} | {key: other.label for key, other in self._others.items()}
         self._add(DATA, workspace)
         self._pictures = PictureRoute(self._find_picture)
-        self._channel = Channel(Screens(self._services_of, DATA, self._places, self._opening))
+        self._channel = Channel(Screens(self._workspace, DATA, self._places, self._opening))
         screen = Screen(route.respond, route.scene_of, self._channel.serve)
         self.server, self.gateway = open_server(host, port, self.authenticator, self._pictures, screen, embedders)
         # The tab of each scene, by the id of viser's client.
@@ -113,30 +112,26 @@ class App:
         if tab is not None:
             self._channel.detach(tab, client)
 
-    def _add(self, key: str, workspace: Workspace) -> WorkspaceServices:
-        if key not in self._services:
-            workspace.key, workspace.choices, workspace.opened = key, self._places, self._open_workspaces
-            workspace.stories = self._stories
-            self._services[key] = WorkspaceServices.of(workspace)
-        return self._services[key]
+    def _add(self, key: str, workspace: Workspace) -> None:
+        workspace.key, workspace.choices, workspace.opened = key, self._places, self._workspaces.copy
+        workspace.stories = self._stories
+        self._workspaces[key] = workspace
 
     def _opening(self, key: str) -> BackgroundJob[Workspace] | None:
         other = self._others.get(key)
         return None if other is None else other.opening()
 
-    def _services_of(self, key: str) -> WorkspaceServices:
-        if key not in self._services:
-            workspace = self._others[key].workspace
-            assert workspace is not None, key
-            with self._lock:
+    def _workspace(self, key: str) -> Workspace:
+        """Return an open workspace."""
+        with self._lock:
+            if key not in self._workspaces:
+                workspace = self._others[key].workspace
+                assert workspace is not None, key
                 self._add(key, workspace)
-        return self._services[key]
-
-    def _open_workspaces(self) -> dict[str, Workspace]:
-        return {key: services.workspace for key, services in list(self._services.items())}
+            return self._workspaces[key]
 
     def _find_picture(self, path: str) -> Callable[[], EncodedPicture] | None:
-        computes = (services.feeds.find(path) for services in list(self._services.values()))
+        computes = (workspace.feeds.find(path) for workspace in list(self._workspaces.values()))
         return next((compute for compute in computes if compute is not None), None)
 
 

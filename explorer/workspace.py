@@ -19,6 +19,7 @@ from explorer.compute.own_photos import OwnPhotoJobs
 from explorer.compute.ranking_job import RankingJob, TaskRanking
 from explorer.compute.request_context import QueuedModel, RequestContext
 from explorer.compute.scorings import Scorings
+from explorer.feeds import Feeds, Side
 from lpn.analysis import answer_context
 from lpn.analysis.answer_context import AnswerDistances
 from lpn.core import images
@@ -131,6 +132,8 @@ class Workspace:
         self._queries: SingleFlightCache[Hashable, DescribedPicture] = SingleFlightCache(
             QUERIES, QUERY_BYTES, lambda one: one.picture.nbytes + (0 if one.trace is None else one.trace.nbytes)
         )
+        # Serves lists and pictures to browsers.
+        self.feeds = Feeds(list(self.tasks.values()), self._picture_file)
         # A 64-pixel JPEG of a picture; plain grey for a picture that cannot be read.
         self.thumbnail_file = lru_cache(maxsize=4096)(self._make_thumbnail)
         self._outcomes = lru_cache(maxsize=8)(self._make_outcomes)
@@ -263,13 +266,17 @@ class Workspace:
         self.registration = BackgroundJob(work, self)
         return self.registration
 
-    def picture_file(self, picture: Picture, view: View, zoomed: bool) -> bytes:
-        """Return a JPEG of a picture as its parts are drawn, at most 800 pixels a side.
-
-        Args:
-            zoomed: draw the picture at its zoom, as a tile is shown; a query is zoomed by the page, which turns it.
-        """
-        whole = picture.load_zoomed() if zoomed else images.crop(self.load_picture(picture), picture.box, picture.name)
+    def _picture_file(self, task: Task, side: Side, index: int, large: bool) -> bytes:
+        """Return a JPEG of a picture: as its parts are drawn, at most 800 pixels a side, or a thumbnail."""
+        of_query = side == "query"
+        picture = (task.queries if of_query else task.gallery)[index]
+        if not large:
+            return self.thumbnail_file(picture)
+        # The page zooms a query, which it turns; a tile is drawn at its zoom.
+        whole = (
+            images.crop(self.load_picture(picture), picture.box, picture.name) if of_query else picture.load_zoomed()
+        )
+        view = task.query_view if of_query else task.gallery_view
         return images.jpeg(images.shrink(self.as_partitioned(whole, view), _SHOWN), 85)
 
     def as_partitioned(self, picture: UInt8Array, view: View) -> UInt8Array:

@@ -1,4 +1,4 @@
-"""One tab's access to the objects that its state names: services, the model's workspace, network, and ranking."""
+"""One tab's access to the objects that its state names: the place's workspace, the model's, its network, and its ranking."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ from explorer.compute.ranking_job import RankingJob
 from explorer.compute.request_context import RequestContext
 from explorer.screen.fields import ScreenState
 from explorer.screen.rail import ranks_of
-from explorer.services import WorkspaceServices
 from explorer.workspace import Workspace, WorkspaceAnalyser
 
 
@@ -34,20 +33,20 @@ class Access:
     """Finds the objects that states name.
 
     Args:
-        services: opens a place by its key; LPNError if that fails.
+        workspaces: returns the workspace of an open place by its key.
     """
 
-    def __init__(self, services: Callable[[str], WorkspaceServices]) -> None:
-        self._services, self._lock = services, threading.Lock()
+    def __init__(self, workspaces: Callable[[str], Workspace]) -> None:
+        self._workspaces, self._lock = workspaces, threading.Lock()
         self._opened: dict[Workspace, Opened] = {}
 
-    def services(self, state: ScreenState) -> WorkspaceServices:
-        """Return the services of a state's place, which must be open."""
-        return self._services(state.place)
+    def base(self, state: ScreenState) -> Workspace:
+        """Return the workspace of a state's place, which must be open."""
+        return self._workspaces(state.place)
 
     def workspace(self, state: ScreenState) -> Workspace:
         """Return the workspace of the state's model, or the place's own until that is open."""
-        base = self.services(state).workspace
+        base = self.base(state)
         return base.models[int(state.model)].workspace or base
 
     def ranking(self, state: ScreenState) -> RankingJob:
@@ -69,7 +68,7 @@ class Access:
     def ranks_beside(self, state: ScreenState) -> list[tuple[str, int]]:
         """Return label and upright rank of the truth for each other model that has ranked the state's query."""
         ranks = []
-        for number, model in enumerate(self.services(state).workspace.models):
+        for number, model in enumerate(self.base(state).models):
             workspace = model.workspace
             if workspace is not None and str(number) != state.model and state.task in workspace.tasks:
                 ranking = self.ranking(replace(state, model=str(number)))
@@ -79,7 +78,7 @@ class Access:
 
     def opening(self, state: ScreenState) -> BackgroundJob[Workspace] | None:
         """Return the job that opens the state's model; None if it is open."""
-        return self.services(state).workspace.models[int(state.model)].opening()
+        return self.base(state).models[int(state.model)].opening()
 
     def close(self) -> None:
         """Cancel the tab's requests."""

@@ -377,8 +377,8 @@ def witness(app: App, capfd: pytest.CaptureFixture[str]) -> Iterator[ScreenTab]:
 
 
 def app_workspace(app: App) -> Workspace:
-    (services,) = app._services.values()
-    return services.workspace
+    (workspace,) = app._workspaces.values()
+    return workspace
 
 
 @pytest.fixture

@@ -51,7 +51,7 @@ class SecondModel:
 
     def open_again(self) -> None:
         """Open the second model again after a failure."""
-        self._tab.services.workspace.models[self._number(self._tab.state)].open()
+        self._tab.base.models[self._number(self._tab.state)].open()
         self._tab.set({})
 
     def close(self) -> None:
@@ -62,7 +62,7 @@ class SecondModel:
 
     def message(self, result: ScreenResult) -> ModelsMessage:
         """Return the columns of both models, or the state of the work that the second one waits for."""
-        base, number = self._tab.services.workspace, self._number(result.state)
+        base, number = self._tab.base, self._number(result.state)
         if not base.beside:
             return ModelsMessage(None)
         labels = [one.label.removesuffix(".onnx") for one in base.models]

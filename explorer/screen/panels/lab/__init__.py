@@ -47,7 +47,7 @@ class LabPart(PanelPart):
             "csv": self._csv,
             "calibrate": self._calibrate,
         }
-        self._services, self._feeds, self._closed = tab.services, tab.services.feeds, False
+        self._base, self._feeds, self._closed = tab.base, tab.base.feeds, False
         # The laboratories whose computation this tab joined; the filter in force follows.
         # The map whose computation this tab joined.
         self._labs: set[Lab] = set()
@@ -194,11 +194,11 @@ class LabPart(PanelPart):
     # The second model.
 
     def _models(self) -> list[Workspace]:
-        return [one.workspace for one in self._services.workspace.models if one.workspace is not None]
+        return [one.workspace for one in self._base.models if one.workspace is not None]
 
     def _labels(self, state: ScreenState) -> dict[str, str]:
         """Return labels of the models that can be the second one, by their numbers."""
-        models = enumerate(self._services.workspace.models)
+        models = enumerate(self._base.models)
         return {str(number): model.label for number, model in models if str(number) != state.model}
 
     def _second(self, state: ScreenState, findings: LabFindings) -> LabFindings | None:
@@ -206,7 +206,7 @@ class LabPart(PanelPart):
         number = state[SECOND]
         if number not in self._labels(state):
             return None
-        model = self._services.workspace.models[int(number)]
+        model = self._base.models[int(number)]
         opening = model.opening()
         if opening is not None and not self._wait(opening, f"rank B: opening {model.label}", state):
             return None
@@ -326,7 +326,7 @@ class LabPart(PanelPart):
         shown, rows = self._shown, self._ordered
         if shown is not None:
             findings = shown.findings
-            data_name = self._services.workspace.data_name
+            data_name = self._base.data_name
             name = re.sub(r"[^\w-]+", "-", f"{data_name}-{findings.task.name}-{len(rows)}-queries")
             self.tab.download("Table", lambda _: (f"{name}.csv", findings.table.to_csv(rows)))
 

@@ -23,7 +23,7 @@ def save_story(tab: Tab, story: Story) -> None:
     """
     if not story.steps:
         raise InputError("The story has no step yet; S keeps what is shown as one.")
-    base, context = tab.services.workspace, tab.background
+    base, context = tab.base, tab.background
     shown = [_state(base, step.shows, number) for number, step in enumerate(story.steps, 1)]
 
     def make(progress: ReportProgress) -> tuple[str, bytes]:
