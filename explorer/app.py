@@ -27,7 +27,7 @@ from explorer.server.page_server import (
     warn_of_listening,
 )
 from explorer.server.picture_route import EncodedPicture, PictureRoute
-from explorer.workspace import LazyWorkspace, Workspace
+from explorer.workspace import LazyWorkspace, Workspace, Workspaces
 from lpn.core import images
 from lpn.core.resources import limit_malloc_arenas
 from lpn.core.served_page import ServedPage
@@ -136,28 +136,24 @@ class App:
 
 
 def serve(
-    open_workspace: Callable[[], Workspace],
+    opening: Workspaces,
     host: str = "127.0.0.1",
     port: int = 8080,
     authenticator: Authenticator | None = None,
-    others: Mapping[str, LazyWorkspace] | None = None,
-    label: str = "",
     stories: Path | None = None,
 ) -> None:
     """Open a workspace, print the address of the explorer, and serve it until KeyboardInterrupt.
 
     Args:
-        open_workspace: one of the functions of `opening`; called once the port is known to be free.
+        opening: what the page shows; the first workspace is opened once the port is known to be free.
         authenticator: the access rules; by default those of `App`.
-        label: its display name beside `others`.
-        others: further workspaces that a page offers, by the keys that an address gives them.
         stories: the file that keeps stories, see `App`.
 
     Raises:
         LPNError: when the workspace cannot be opened, or the address cannot be used.
     """
     host = host or "0.0.0.0"
-    app = _start(open_workspace, host, port, authenticator, others, label, stories=stories)
+    app = _start(opening, host, port, authenticator, stories=stories)
     gc.collect()
     gc.freeze()  # keeps the collection after each disconnect short
     warn_of_listening(host, port)
@@ -170,12 +166,10 @@ def serve(
 
 
 def serve_in_background(
-    open_workspace: Callable[[], Workspace],
+    opening: Workspaces,
     host: str = "127.0.0.1",
     port: int = 0,
     authenticator: Authenticator | None = None,
-    others: Mapping[str, LazyWorkspace] | None = None,
-    label: str = "",
 ) -> ServedPage:
     """Open a workspace, and serve it until the page is closed or the process ends; see `serve`.
 
@@ -186,22 +180,21 @@ def serve_in_background(
         LPNError: when the workspace cannot be opened, or the address cannot be used.
     """
     with no_cell_output():
-        app = _start(open_workspace, host or "0.0.0.0", port, authenticator, others, label, _NOTEBOOKS)
+        app = _start(opening, host or "0.0.0.0", port, authenticator, _NOTEBOOKS)
     # In a frame of another site's page, a browser sends no cookie, and so no proof of a token.
     return ServedPage(app.link, app.close, framed=app.authenticator.token is None)
 
 
 def _start(
-    open_workspace: Callable[[], Workspace],
+    opening: Workspaces,
     host: str,
     port: int,
     authenticator: Authenticator | None,
-    others: Mapping[str, LazyWorkspace] | None,
-    label: str,
     embedders: Sequence[str] = (),
     stories: Path | None = None,
 ) -> App:
     check_free(host, port)
     limit_malloc_arenas()
     images.use_all_cores()
-    return App(open_workspace(), host, port, authenticator, label, others, embedders, stories)
+    first = opening.open_workspace()
+    return App(first, host, port, authenticator, opening.label, opening.others, embedders, stories)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Hashable, Iterable, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
 from threading import Lock
@@ -382,6 +382,19 @@ class LazyWorkspace:
         with self._lock:
             self._job = self._jobs.join("open", self, lambda _: self._open())
             return self._job
+
+
+@dataclass(frozen=True)
+class Workspaces:
+    """The workspace that a page shows first, not opened yet, and further ones by the keys of their addresses.
+
+    Attributes:
+        label: display name of the first.
+    """
+
+    open_workspace: Callable[[], Workspace]
+    others: Mapping[str, LazyWorkspace] = field(default_factory=dict)
+    label: str = ""
 
 
 class WorkspaceAnalyser:

@@ -149,15 +149,6 @@ def test_where_nothing_is_false_or_all_is_junk_there_is_no_margin() -> None:
     assert listed.answer.tolist() == [-1, -1]
 
 
-def test_equal_scores_are_in_the_gallerys_order() -> None:
-    tile = descriptors(1)
-    gallery = np.concatenate([tile] * 4)
-    behind = build(tile, gallery, [1], [0, 0, 1, 1])
-    assert (behind.rank[0], behind.answer[0], behind.true[0], behind.false[0]) == (2, 0, 2, 0)
-    before = build(tile, gallery, [1], [1, 0, 1, 0])
-    assert (before.rank[0], before.answer[0], before.margin[0]) == (0, 0, 0.0)
-
-
 def test_progress_is_told_and_can_end_the_work(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(ranks, "_BLOCK_BYTES", 4 * 5 * 4)
     told: list[tuple[int, int]] = []
@@ -170,15 +161,6 @@ def test_progress_is_told_and_can_end_the_work(monkeypatch: pytest.MonkeyPatch) 
 
     with pytest.raises(InterruptedError, match="4 of 10"):
         metrics.retrieve(*sides, progress=stop)
-
-
-def test_descriptors_that_do_not_fit_are_refused() -> None:
-    with pytest.raises(InputError, match="same model and parts"):
-        build(descriptors(2), descriptors(2, n=2), [1, 2], [1, 2])
-    with pytest.raises(InputError, match="one integer for each"):
-        build(descriptors(2), descriptors(2), [1], [1, 2])
-    with pytest.raises(InputError, match="part weights"):
-        build(descriptors(2), descriptors(2), [1, 2], [1, 2], weights=[1, 2])
 
 
 def described(root: Path, model_file: Path) -> Task:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -28,17 +28,8 @@ OTHER = PanelField("compare_model", OneOf("models"), "", "beside")
 _TILES, _PHOTOS, _INTERVAL = 5, 4, 0.5
 
 
-@dataclass(frozen=True)
-class ModelsMessage:
-    """The section of both models.
-
-    Attributes:
-        values: JSON values; None without a second model.
-        again: seconds until the next update; None if nothing goes on.
-    """
-
-    values: dict[str, Any] | None
-    again: float | None = None
+# The section of both models as JSON, None without a second one; and seconds until the next update, None if nothing goes on.
+ModelsMessage = tuple[dict[str, Any] | None, float | None]
 
 
 class SecondModel:
@@ -64,7 +55,7 @@ class SecondModel:
         """Return the columns of both models, or the state of the work that the second one waits for."""
         base, number = self._tab.base, self._number(result.state)
         if not base.beside:
-            return ModelsMessage(None)
+            return None, None
         labels = [one.label.removesuffix(".onnx") for one in base.models]
         shown = {
             "labels": labels,
@@ -81,16 +72,16 @@ class SecondModel:
         other = lazy.workspace
         if other is None:
             if lazy.error:
-                return ModelsMessage(shown | {"text": lazy.error, "again": True})
+                return shown | {"text": lazy.error, "again": True}, None
             done, total = lazy.progress
             counted = f": {done:,} of {total:,} pictures described" if total else ""
-            return ModelsMessage(shown | {"text": f"Opening {lazy.label}{counted}."}, _INTERVAL)
+            return shown | {"text": f"Opening {lazy.label}{counted}."}, _INTERVAL
         if result.task.name not in other.tasks:
-            return ModelsMessage(shown | {"text": f"{labels[number]} does not know the views of this task."})
+            return shown | {"text": f"{labels[number]} does not know the views of this task."}, None
         try:
             return self._both(result, other, shown)
         except (LPNError, WorkCancelledError) as error:
-            return ModelsMessage(shown | {"text": str(error)})
+            return shown | {"text": str(error)}, None
 
     def _both(self, result: ScreenResult, other: Workspace, shown: dict[str, Any]) -> ModelsMessage:
         own = result.workspace
@@ -113,7 +104,7 @@ class SecondModel:
             for (one, of_one), ranking in zip(((own, analysis), (other, theirs)), rankings, strict=True)
         ]
         values = shown | {"text": failed, "columns": columns, "unlike": unlike, **self._changes(result, rankings)}
-        return ModelsMessage(values, _INTERVAL if waits else None)
+        return values, _INTERVAL if waits else None
 
     def _column(
         self, result: ScreenResult, workspace: Workspace, analysis: Answer, ranking: RankingJob
