@@ -299,6 +299,8 @@ def test_files_that_are_no_pictures_or_too_large_are_refused_in_one_sentence(tab
     assert told == "2 files are no photos that can be read: notes.txt, large.jpg."
     tab.act("upload", name="large.jpg", size=40_000_000)
     assert "large.jpg has 40 MB; up to 30 MB" in tab.until(lambda last: last["error"] != told)["error"]
+    tab.act("upload", name="none.jpg", size=0)
+    tab.until(lambda last: last["error"] == "none.jpg is empty; choose another file.")
     tab.socket.send(b"these bytes belong to nothing")
     tab.send({"set": {"angle": 9}})
     tab.result(angle=9)

@@ -49,7 +49,6 @@ class LabPart(PanelPart):
         }
         self._base, self._feeds, self._closed = tab.base, tab.base.feeds, False
         # The laboratories whose computation this tab joined; the filter in force follows.
-        # The map whose computation this tab joined.
         self._labs: set[Lab] = set()
         self._where = ""
         self._shown: LabSelection | None = None
