@@ -27,8 +27,7 @@ from explorer.server.page_server import (
     warn_of_listening,
 )
 from explorer.server.picture_route import EncodedPicture, PictureRoute
-from explorer.services import WorkspaceServices
-from explorer.workspace import LazyWorkspace, Workspace
+from explorer.workspace import LazyWorkspace, Workspace, Workspaces
 from lpn.core import images
 from lpn.core.resources import limit_malloc_arenas
 from lpn.core.served_page import ServedPage
@@ -76,11 +75,11 @@ class App:
         self.authenticator = authenticator or make_authenticator(host, None, False, ())
         self._others, self._lock = others or {}, threading.Lock()
         self._stories = stories
-        self._services: dict[str, WorkspaceServices] = {}
+        self._workspaces: dict[str, Workspace] = {}
         self._places = {DATA: label or DATA} | {key: other.label for key, other in self._others.items()}
         self._add(DATA, workspace)
         self._pictures = PictureRoute(self._find_picture)
-        self._channel = Channel(Screens(self._services_of, DATA, self._places, self._opening))
+        self._channel = Channel(Screens(self._workspace, DATA, self._places, self._opening))
         screen = Screen(route.respond, route.scene_of, self._channel.serve)
         self.server, self.gateway = open_server(host, port, self.authenticator, self._pictures, screen, embedders)
         # The tab of each scene, by the id of viser's client.
@@ -113,56 +112,48 @@ class App:
         if tab is not None:
             self._channel.detach(tab, client)
 
-    def _add(self, key: str, workspace: Workspace) -> WorkspaceServices:
-        if key not in self._services:
-            workspace.key, workspace.choices, workspace.opened = key, self._places, self._open_workspaces
-            workspace.stories = self._stories
-            self._services[key] = WorkspaceServices.of(workspace)
-        return self._services[key]
+    def _add(self, key: str, workspace: Workspace) -> None:
+        workspace.key, workspace.choices, workspace.opened = key, self._places, self._workspaces.copy
+        workspace.stories = self._stories
+        self._workspaces[key] = workspace
 
     def _opening(self, key: str) -> BackgroundJob[Workspace] | None:
         other = self._others.get(key)
-        return None if other is None or other.workspace is not None else other.open()
+        return None if other is None else other.opening()
 
-    def _services_of(self, key: str) -> WorkspaceServices:
-        if key not in self._services:
-            workspace = self._others[key].workspace
-            assert workspace is not None, key
-            with self._lock:
+    def _workspace(self, key: str) -> Workspace:
+        """Return an open workspace."""
+        with self._lock:
+            if key not in self._workspaces:
+                workspace = self._others[key].workspace
+                assert workspace is not None, key
                 self._add(key, workspace)
-        return self._services[key]
-
-    def _open_workspaces(self) -> dict[str, Workspace]:
-        return {key: services.workspace for key, services in list(self._services.items())}
+            return self._workspaces[key]
 
     def _find_picture(self, path: str) -> Callable[[], EncodedPicture] | None:
-        computes = (services.find_picture(path) for services in list(self._services.values()))
+        computes = (workspace.feeds.find(path) for workspace in list(self._workspaces.values()))
         return next((compute for compute in computes if compute is not None), None)
 
 
 def serve(
-    open_workspace: Callable[[], Workspace],
+    opening: Workspaces,
     host: str = "127.0.0.1",
     port: int = 8080,
     authenticator: Authenticator | None = None,
-    others: Mapping[str, LazyWorkspace] | None = None,
-    label: str = "",
     stories: Path | None = None,
 ) -> None:
     """Open a workspace, print the address of the explorer, and serve it until KeyboardInterrupt.
 
     Args:
-        open_workspace: one of the functions of `opening`; called once the port is known to be free.
+        opening: what the page shows; the first workspace is opened once the port is known to be free.
         authenticator: the access rules; by default those of `App`.
-        label: its display name beside `others`.
-        others: further workspaces that a page offers, by the keys that an address gives them.
         stories: the file that keeps stories, see `App`.
 
     Raises:
         LPNError: when the workspace cannot be opened, or the address cannot be used.
     """
     host = host or "0.0.0.0"
-    app = _start(open_workspace, host, port, authenticator, others, label, stories=stories)
+    app = _start(opening, host, port, authenticator, stories=stories)
     gc.collect()
     gc.freeze()  # keeps the collection after each disconnect short
     warn_of_listening(host, port)
@@ -175,12 +166,10 @@ def serve(
 
 
 def serve_in_background(
-    open_workspace: Callable[[], Workspace],
+    opening: Workspaces,
     host: str = "127.0.0.1",
     port: int = 0,
     authenticator: Authenticator | None = None,
-    others: Mapping[str, LazyWorkspace] | None = None,
-    label: str = "",
 ) -> ServedPage:
     """Open a workspace, and serve it until the page is closed or the process ends; see `serve`.
 
@@ -191,22 +180,21 @@ def serve_in_background(
         LPNError: when the workspace cannot be opened, or the address cannot be used.
     """
     with no_cell_output():
-        app = _start(open_workspace, host or "0.0.0.0", port, authenticator, others, label, _NOTEBOOKS)
+        app = _start(opening, host or "0.0.0.0", port, authenticator, _NOTEBOOKS)
     # In a frame of another site's page, a browser sends no cookie, and so no proof of a token.
     return ServedPage(app.link, app.close, framed=app.authenticator.token is None)
 
 
 def _start(
-    open_workspace: Callable[[], Workspace],
+    opening: Workspaces,
     host: str,
     port: int,
     authenticator: Authenticator | None,
-    others: Mapping[str, LazyWorkspace] | None,
-    label: str,
     embedders: Sequence[str] = (),
     stories: Path | None = None,
 ) -> App:
     check_free(host, port)
     limit_malloc_arenas()
     images.use_all_cores()
-    return App(open_workspace(), host, port, authenticator, label, others, embedders, stories)
+    first = opening.open_workspace()
+    return App(first, host, port, authenticator, opening.label, opening.others, embedders, stories)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from contextlib import ExitStack, closing
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, cast
@@ -27,23 +27,10 @@ from lpn.sources.kinds.data import DataSource
 
 if TYPE_CHECKING:
     from explorer.server.auth import Authenticator
-    from explorer.workspace import LazyWorkspace, Workspace
+    from explorer.workspace import Workspace, Workspaces
     from lpn.core.served_page import ServedPage
     from lpn.models.base import Model
     from lpn.tasks.task import Task
-
-
-@dataclass(frozen=True)
-class Workspaces:
-    """The workspace that a page shows first, not opened yet, and further ones by the keys of their addresses.
-
-    Attributes:
-        label: display name of the first.
-    """
-
-    open_workspace: Callable[[], Workspace]
-    others: Mapping[str, LazyWorkspace] = field(default_factory=dict)
-    label: str = ""
 
 
 @dataclass(kw_only=True)
@@ -150,8 +137,7 @@ class Explore(ModelsBeside, ServeOptions, SourceOptions):
         check_outputs((self.stories, ".json"))
         if self.stories is not None:
             read_stories(self.stories)
-        of_page = opening.others, opening.label, self.stories
-        serve(opening.open_workspace, self.host, self.port, authenticator, *of_page)
+        serve(opening, self.host, self.port, authenticator, self.stories)
 
     @staticmethod
     def in_background(
@@ -165,6 +151,7 @@ class Explore(ModelsBeside, ServeOptions, SourceOptions):
         """Serve until the page is closed or the process ends, see `lpn.explore`."""
         from explorer.app import serve_in_background
         from explorer.opening import open_model, open_tasks
+        from explorer.workspace import Workspaces
         from lpn.models.base import Model
         from lpn.tasks.task import Task
 
@@ -172,14 +159,14 @@ class Explore(ModelsBeside, ServeOptions, SourceOptions):
         if isinstance(source, Task):
             if data is not None or calibrate is not None or csls:
                 raise InputError("A task has its own data and scoring; leave the data set, calibrate, and csls out.")
-            return serve_in_background(partial(open_tasks, [source]), host, port, authenticator, {})
-        if isinstance(source, Model):
+            opening = Workspaces(partial(open_tasks, [source]))
+        elif isinstance(source, Model):
             query = DEMO_QUERY if data is None else None
-            opens = partial(open_model, data or DEMO, source, query, calibrate=calibrate, csls=csls)
-            return serve_in_background(opens, host, port, authenticator, {})
-        folder = None if data is None else str(data)
-        opening = Explore(source=folder, model=source, calibrate=calibrate, csls=csls).workspaces()
-        return serve_in_background(opening.open_workspace, host, port, authenticator, opening.others, opening.label)
+            opening = Workspaces(partial(open_model, data or DEMO, source, query, calibrate=calibrate, csls=csls))
+        else:
+            folder = None if data is None else str(data)
+            opening = Explore(source=folder, model=source, calibrate=calibrate, csls=csls).workspaces()
+        return serve_in_background(opening, host, port, authenticator)
 
     def opens_data(self) -> Callable[[], Workspace]:
         """Return a function that opens the data set, by default the demo's city, under the model.
@@ -220,6 +207,7 @@ class Explore(ModelsBeside, ServeOptions, SourceOptions):
             InputError: if an option does not fit the source, or lacks another one that it needs.
         """
         from explorer.opening import open_flight_over, open_source
+        from explorer.workspace import Workspaces
 
         if self.source is None:
             return self._demo()
@@ -235,6 +223,7 @@ class Explore(ModelsBeside, ServeOptions, SourceOptions):
 
     def _demo(self) -> Workspaces:
         from explorer.opening import OFFERED_OVERLAP, offered, open_flight_over
+        from explorer.workspace import Workspaces
 
         of_source = [one for one in self.of_source() if one not in ("--calibrate", "--csls")]
         of_source += [] if self.map_error is None else ["--map-error"]

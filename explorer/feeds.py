@@ -8,11 +8,10 @@ import secrets
 import threading
 from collections import OrderedDict, deque
 from collections.abc import Callable, Sequence
-from typing import Any, Literal
+from typing import Any, Literal, cast
 from weakref import WeakSet
 
 from explorer.server.picture_route import PREFIX, EncodedPicture
-from explorer.workspace import Workspace
 from lpn.core.files import TYPED, printable
 from lpn.tasks.task import Task
 
@@ -29,17 +28,19 @@ _CONTROL = re.compile(r'(\\["\\nt])|\\(?:[bfr]|u00[01][0-9a-f])')
 # Returns a piece of a feed by its number; None for an unknown number.
 Piece = Callable[[int], EncodedPicture | None]
 Side = Literal["query", "tile"]
+# Returns the JPEG of a query's or a tile's picture by its position in a task: a large one, or a thumbnail.
+PictureFile = Callable[[Task, Side, int, bool], bytes]
 
 
 class Feeds:
-    """The feeds of a workspace's browsers, and the thumbnails of its tasks; thread-safe.
+    """The feeds of a workspace's browsers, and the pictures of its tasks; thread-safe.
 
     Attributes:
         address: the folder of all feeds, relative to the page; it differs after each start of the app.
     """
 
-    def __init__(self, workspace: Workspace | None = None) -> None:
-        self._workspace, self._name = workspace, secrets.token_hex(4)
+    def __init__(self, tasks: Sequence[Task] = (), picture_file: PictureFile = lambda *_: b"") -> None:
+        self._tasks, self._picture_file, self._name = tasks, picture_file, secrets.token_hex(4)
         self.address = f"{PREFIX.lstrip('/')}{self._name}/"
         self._lock = threading.Lock()
         self._feeds: dict[str, Piece] = {}
@@ -47,7 +48,7 @@ class Feeds:
         self._left: WeakSet[Any] = WeakSet()
         # Keys of ended feeds; a page may still fetch their pieces.
         self._ended: deque[str] = deque(maxlen=_ENDED)
-        self._tasks = {name: number for number, name in enumerate(workspace.tasks if workspace else ())}
+        self._numbers = {task.name: number for number, task in enumerate(tasks)}
 
     def publish(self, owner: object, name: str, piece: Piece) -> str:
         """Serve a feed until the owner publishes two others of this name, or leaves. An owner that has left publishes nothing.
@@ -104,11 +105,11 @@ class Feeds:
 
     def thumbnails(self, task: Task, side: Side) -> str:
         """Return the folder of the thumbnails of a task's queries or tiles, relative to the page."""
-        return f"{self.address}thumb/{self._tasks[task.name]}/{side}/"
+        return f"{self.address}thumb/{self._numbers[task.name]}/{side}/"
 
     def pictures(self, task: Task, side: Side) -> str:
         """Return the folder of a task's query or tile pictures, on which parts are drawn, relative to the page."""
-        return f"{self.address}picture/{self._tasks[task.name]}/{side}/"
+        return f"{self.address}picture/{self._numbers[task.name]}/{side}/"
 
     def find(self, path: str) -> Callable[[], EncodedPicture] | None:
         """Return a function that computes the piece or thumbnail at an untrusted path; None if there is none.
@@ -119,7 +120,7 @@ class Feeds:
         if name != self._name:
             return None
         if match := _THUMBNAIL.fullmatch(rest):
-            return self._find_thumbnail(int(match[2]), match[3] == "query", int(match[4]), match[1] == "picture")
+            return self._find_picture(int(match[2]), cast(Side, match[3]), int(match[4]), match[1] == "picture")
         if not (match := _PIECE.fullmatch(rest)):
             return None
         with self._lock:
@@ -129,20 +130,13 @@ class Feeds:
         number = int(match[2])
         return None if feed is None else lambda: feed(number) or _NOTHING
 
-    def _find_thumbnail(
-        self, task: int, of_query: bool, index: int, large: bool
-    ) -> Callable[[], EncodedPicture] | None:
-        workspace = self._workspace
-        tasks = [] if workspace is None else list(workspace.tasks.values())
-        if workspace is None or task >= len(tasks):
+    def _find_picture(self, number: int, side: Side, index: int, large: bool) -> Callable[[], EncodedPicture] | None:
+        if number >= len(self._tasks):
             return None
-        pictures = tasks[task].queries if of_query else tasks[task].gallery
-        if index >= len(pictures):
+        task = self._tasks[number]
+        if index >= len(task.queries if side == "query" else task.gallery):
             return None
-        view = tasks[task].query_view if of_query else tasks[task].gallery_view
-        if large:
-            return lambda: EncodedPicture(workspace.picture_file(pictures[index], view, not of_query), "image/jpeg")
-        return lambda: EncodedPicture(workspace.thumbnail_file(pictures[index]), "image/jpeg")
+        return lambda: EncodedPicture(self._picture_file(task, side, index, large), "image/jpeg")
 
 
 _NOTHING = EncodedPicture(b"[]", "application/json")

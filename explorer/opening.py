@@ -81,14 +81,16 @@ def open_model(
     if beside_weathers and isinstance(own, ModelOptions):
         own = own.load()
     scoring = task, calibrate, csls
-    workspace, dataset = _open_one(data, own, name, scoring)
+    workspace = _open_one(data, own, name, scoring)
+    dataset = next(iter(workspace.tasks.values())).dataset
+    assert dataset is not None
     warn_left_out(dataset.root.name, dataset.unread(), "pictures are not read", "they are left out")
     workspace.choose_first_query(query)
     opens = []
     for options, other_name in zip(beside, names, strict=True):
         other = options.load()
         choose_task(other, dataset)
-        opens.append(_opens(data, other, other_name, scoring))
+        opens.append(partial(_open_one, data, other, other_name, scoring))
     _put_beside(workspace, names, opens)
     for weather in map(Weather, beside_weathers):
         assert isinstance(own, Model)
@@ -96,15 +98,9 @@ def open_model(
         workspace.beside.append(LazyWorkspace(label, partial(_in_weather, workspace, own, weather, label)))
     if baseline is not None and not beside:
         options = ModelOptions(model=baseline, provider=provider)
-        opens_it = _naming_files([baseline], _opens(data, options, baseline.name, scoring))
+        opens_it = _naming_files([baseline], partial(_open_one, data, options, baseline.name, scoring))
         workspace.beside.append(LazyWorkspace("the baseline (n = 1)", opens_it))
     return workspace
-
-
-def _opens(
-    data: Path, model: ModelOptions | Model, name: str, scoring: tuple[str | None, bool | None, int]
-) -> Callable[[], Workspace]:
-    return lambda: _open_one(data, model, name, scoring)[0]
 
 
 def _in_weather(workspace: Workspace, model: Model, weather: Weather, label: str) -> Workspace:
@@ -130,8 +126,7 @@ def _put_beside(workspace: Workspace, names: Sequence[str], opens: Sequence[Call
         workspace.beside.append(LazyWorkspace(name, _naming_files([], open_workspace)))
     if opens:
         first = opens[0]()
-        workspace.beside[0] = LazyWorkspace(names[0], lambda: first)
-        workspace.beside[0].open()
+        workspace.beside[0] = LazyWorkspace(names[0], lambda: first, first)
 
 
 def _names(models: Sequence[ModelOptions]) -> list[str]:
@@ -148,7 +143,7 @@ def _open_one(
     model: ModelOptions | Model,
     model_name: str,
     scoring: tuple[str | None, bool | None, int],
-) -> tuple[Workspace, Dataset]:
+) -> Workspace:
     """Open one model on a data set, see `open_model`; `scoring` holds its `task`, `calibrate`, and `csls`."""
     data_name = printable(data.resolve().name)
     with _status(f"Opening {model_name} and {data_name}"):
@@ -157,7 +152,7 @@ def _open_one(
     task, calibrate, csls = scoring
     workspace = _workspace(open_data(opened, model_name, dataset, task, False, every=True))
     _offer_scorings(workspace, opened, model_name, dataset, calibrate, csls)
-    return workspace, dataset
+    return workspace
 
 
 def _offer_scorings(
@@ -294,7 +289,7 @@ def open_flight_over(
     for options, other_name in zip(beside, names, strict=True):
         loaded = options.load()  # a model that cannot be loaded ends the start
         other = FlightSource(_over(map_path, flight_path, options))
-        opens.append(_opens_flown(other, other_name, overlap, loaded))
+        opens.append(partial(_open_flight_beside, other, other_name, overlap, loaded))
     _put_beside(workspace, names, opens)
     if register:
         _begin_registration(workspace, located, network, locating)
@@ -306,8 +301,8 @@ def _over(map_path: Path, flight_path: Path, model: ModelOptions) -> SourceOptio
     return SourceOptions(source=str(flight_path), map=map_path, **named)
 
 
-def _opens_flown(source: FlightSource, name: str, overlap: float, loaded: Model) -> Callable[[], Workspace]:
-    return lambda: _flight_workspace(_open_flown(source, name, overlap, loaded=loaded))
+def _open_flight_beside(source: FlightSource, name: str, overlap: float, loaded: Model) -> Workspace:
+    return _flight_workspace(_open_flown(source, name, overlap, loaded=loaded))
 
 
 def _flight_workspace(opened: OpenedFlight, map_error: float | None = None) -> Workspace:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Hashable, Iterable, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
 from threading import Lock
@@ -19,6 +19,7 @@ from explorer.compute.own_photos import OwnPhotoJobs
 from explorer.compute.ranking_job import RankingJob, TaskRanking
 from explorer.compute.request_context import QueuedModel, RequestContext
 from explorer.compute.scorings import Scorings
+from explorer.feeds import Feeds, Side
 from lpn.analysis import answer_context
 from lpn.analysis.answer_context import AnswerDistances
 from lpn.core import images
@@ -39,6 +40,7 @@ from lpn.library.answer import Answer
 from lpn.models.base import Model
 from lpn.models.contract import Contract
 from lpn.retrieval import DescribedPicture
+from lpn.tasks import query_outcomes
 from lpn.tasks.query_outcomes import Outcomes
 from lpn.tasks.task import Scoring, Task, scored_key
 
@@ -110,8 +112,9 @@ class Workspace:
             f"saved descriptors, n = {contract.n_parts}, no network" if model is None else model.describe()
         )
         self.first_query = 0
-        # Other models on the same data, from which a state selects one.
+        # Other models on the same data.
         self.beside: list[LazyWorkspace] = []
+        self._own = LazyWorkspace(model_name, lambda: self, self)
         # The labels of all workspaces of the app by their keys if there are several, and this one's key.
         self.choices: Mapping[str, str] = {}
         self.key = ""
@@ -120,22 +123,32 @@ class Workspace:
         # The file that keeps stories; None for the default beside the data.
         self.stories: Path | None = None
         self.registration: BackgroundJob[None] | None = None
-        self.part_names = self._part_names()
+        names = [contract.names(view) for view in contract.views]
+        # Such as "ring / strip" if a part's name differs between views (CVUSA).
+        self.part_names = [" / ".join(dict.fromkeys(of_part)) for of_part in zip(*names, strict=True)]
         self._tiles: SingleFlightCache[tuple[str, bool, int], DescribedPicture] = SingleFlightCache(
             TILES, TILE_BYTES, lambda tile: 0 if tile.trace is None else tile.trace.nbytes
         )
         self._queries: SingleFlightCache[Hashable, DescribedPicture] = SingleFlightCache(
             QUERIES, QUERY_BYTES, lambda one: one.picture.nbytes + (0 if one.trace is None else one.trace.nbytes)
         )
-        self._thumbnail = lru_cache(maxsize=4096)(self._make_thumbnail)
+        # Serves lists and pictures to browsers.
+        self.feeds = Feeds(list(self.tasks.values()), self._picture_file)
+        # A 64-pixel JPEG of a picture; plain grey for a picture that cannot be read.
+        self.thumbnail_file = lru_cache(maxsize=4096)(self._make_thumbnail)
         self._outcomes = lru_cache(maxsize=8)(self._make_outcomes)
         # The ungraded photos under each ranking of the newest flights.
         self._doubtful: SingleFlightCache[tuple[LocatedFlight, TaskRanking], BoolArray] = SingleFlightCache(4)
         self._answer_distances = lru_cache(maxsize=8)(self._measure_answer_distances)
-        self._fixed_areas = lru_cache(maxsize=8)(self._make_fixed_areas)
+        self._fixed_areas = lru_cache(maxsize=8)(lambda view: PartAreas.of(contract, view, map_sizes[view], None))
         self._mosaics: dict[str, UInt8Array] = {}
         self._mosaic_lock = Lock()
         self.load_picture = lru_cache(maxsize=64)(Picture.load)
+
+    @property
+    def models(self) -> list[LazyWorkspace]:
+        """All models on the data, from which a state selects one by its number: this workspace's, and those beside it."""
+        return [self._own, *self.beside]
 
     def choose_first_query(self, query: str | None) -> None:
         """Choose by name the query that a new browser shows first.
@@ -243,11 +256,6 @@ class Workspace:
         quick = len(task.queries) <= _QUICK_OUTCOMES
         return self._answer_distances(task.key) if ranked and quick else None
 
-    @property
-    def has_flight(self) -> bool:
-        """Return True if the queries are the frames of a flight."""
-        return self.flight is not None
-
     def register_flight(self, register: Callable[[ReportProgress], LocatedFlight]) -> BackgroundJob[None]:
         """Start the registration of the flight in the background; it replaces `flight` several times."""
 
@@ -258,17 +266,17 @@ class Workspace:
         self.registration = BackgroundJob(work, self)
         return self.registration
 
-    def thumbnail_file(self, picture: Picture) -> bytes:
-        """Return a 64-pixel JPEG of a picture; plain grey for a picture that cannot be read."""
-        return self._thumbnail(picture)
-
-    def picture_file(self, picture: Picture, view: View, zoomed: bool) -> bytes:
-        """Return a JPEG of a picture as its parts are drawn, at most 800 pixels a side.
-
-        Args:
-            zoomed: draw the picture at its zoom, as a tile is shown; a query is zoomed by the page, which turns it.
-        """
-        whole = picture.load_zoomed() if zoomed else images.crop(self.load_picture(picture), picture.box, picture.name)
+    def _picture_file(self, task: Task, side: Side, index: int, large: bool) -> bytes:
+        """Return a JPEG of a picture: as its parts are drawn, at most 800 pixels a side, or a thumbnail."""
+        of_query = side == "query"
+        picture = (task.queries if of_query else task.gallery)[index]
+        if not large:
+            return self.thumbnail_file(picture)
+        # The page zooms a query, which it turns; a tile is drawn at its zoom.
+        whole = (
+            images.crop(self.load_picture(picture), picture.box, picture.name) if of_query else picture.load_zoomed()
+        )
+        view = task.query_view if of_query else task.gallery_view
         return images.jpeg(images.shrink(self.as_partitioned(whole, view), _SHOWN), 85)
 
     def as_partitioned(self, picture: UInt8Array, view: View) -> UInt8Array:
@@ -280,9 +288,6 @@ class Workspace:
         fixed = self._fixed_areas(view)
         trace = None if described is None else described.trace
         return PartAreas.of(self.contract, view, self.map_sizes[view], trace) if fixed is None else fixed
-
-    def _make_fixed_areas(self, view: View) -> PartAreas | None:
-        return PartAreas.of(self.contract, view, self.map_sizes[view], None)
 
     @property
     def without_cells(self) -> str:
@@ -306,18 +311,13 @@ class Workspace:
                 self._mosaics[task.name] = drawn
             return self._mosaics[task.name]
 
-    def _part_names(self) -> list[str]:
-        """Return each part's name, such as "ring / strip" if its name differs between views (CVUSA)."""
-        names = [self.contract.names(view) for view in self.contract.views]
-        return [" / ".join(dict.fromkeys(of_part)) for of_part in zip(*names, strict=True)]
-
     def _make_outcomes(self, name: str) -> tuple[Outcomes, Table] | None:
         job = self.rankings[name]
         assert job.result is not None
         task = job.task
         try:
-            outcomes = task.outcomes_of(job.result.ranking)
-            return outcomes, task.tabulate(outcomes, self.part_names)
+            outcomes = query_outcomes.outcomes_of(task, job.result.ranking)
+            return outcomes, query_outcomes.table(task, outcomes, self.part_names)
         except LPNError:  # damaged metadata, which the failure laboratory reports
             return None
 
@@ -344,10 +344,11 @@ class LazyWorkspace:
     Args:
         label: display name, such as "the baseline (n = 1)".
         open_workspace: opens it; it may describe all pictures, whose progress is shown.
+        opened: the workspace if it is open already.
     """
 
-    def __init__(self, label: str, open_workspace: Callable[[], Workspace]) -> None:
-        self.label = label
+    def __init__(self, label: str, open_workspace: Callable[[], Workspace], opened: Workspace | None = None) -> None:
+        self.label, self._opened = label, opened
         self._open, self._jobs = open_workspace, BackgroundJobs()
         self._job: BackgroundJob[Workspace] | None = None
         self._lock = Lock()
@@ -355,7 +356,7 @@ class LazyWorkspace:
     @property
     def workspace(self) -> Workspace | None:
         """The workspace; None until it is open."""
-        return None if self._job is None else self._job.value
+        return self._job.value if self._opened is None and self._job is not None else self._opened
 
     @property
     def error(self) -> str:
@@ -370,14 +371,30 @@ class LazyWorkspace:
     @property
     def asked(self) -> bool:
         """True once its opening has begun."""
-        return self._job is not None
+        return self._opened is not None or self._job is not None
+
+    def opening(self) -> BackgroundJob[Workspace] | None:
+        """Return the job that opens it, see `open`; None if it is open."""
+        return self.open() if self.workspace is None else None
 
     def open(self) -> BackgroundJob[Workspace]:
         """Open it in the background, unless it is open or being opened; after a failure, try again."""
         with self._lock:
-            self._jobs.forget_failed("open")
             self._job = self._jobs.join("open", self, lambda _: self._open())
             return self._job
+
+
+@dataclass(frozen=True)
+class Workspaces:
+    """The workspace that a page shows first, not opened yet, and further ones by the keys of their addresses.
+
+    Attributes:
+        label: display name of the first.
+    """
+
+    open_workspace: Callable[[], Workspace]
+    others: Mapping[str, LazyWorkspace] = field(default_factory=dict)
+    label: str = ""
 
 
 class WorkspaceAnalyser:

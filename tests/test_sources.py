@@ -118,7 +118,7 @@ def test_each_command_takes_a_task_from_each_source(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     opened: list[Workspace] = []
-    monkeypatch.setattr(explorer.app, "serve", lambda open_workspace, *_: opened.append(open_workspace()))
+    monkeypatch.setattr(explorer.app, "serve", lambda opening, *_: opened.append(opening.open_workspace()))
     more, file = _output(command, source, tmp_path)
     arguments = [command, *options(command, source), *more, *([] if command == "explore" else [str(file)])]
     status = main(arguments)

@@ -99,7 +99,7 @@ class BackgroundJob(Generic[T]):
 class BackgroundJobs:
     """At most one job for each key; thread-safe.
 
-    Joining a cancelled job starts a new one. A failed job blocks its key until `forget_failed`.
+    Joining a cancelled or failed job starts a new one.
     """
 
     def __init__(self) -> None:
@@ -116,12 +116,11 @@ class BackgroundJobs:
         """Return the job of a key; start it if there is none.
 
         Args:
-            keep: False if the job is to be forgotten when its last client has left it; a failed one starts again.
+            keep: False if the job is to be forgotten when its last client has left it.
         """
         with self._lock:
             job = self._jobs.get(key)
-            ended = job is not None and job.wait(0) and job.error is not None and not keep
-            if job is None or ended or not job.join(client):
+            if job is None or (job.wait(0) and job.error is not None) or not job.join(client):
                 abandoned = (lambda _: None) if keep else partial(self._forget, key)
                 job = self._jobs[key] = BackgroundJob(work, client, abandoned)
             return job
@@ -129,13 +128,6 @@ class BackgroundJobs:
     def _forget(self, key: Hashable, job: BackgroundJob[Any]) -> None:
         with self._lock:
             if self._jobs.get(key) is job:  # a cancelled job must not remove its successor
-                del self._jobs[key]
-
-    def forget_failed(self, key: Hashable) -> None:
-        """Forget the job of a key if it failed, so that it can start again."""
-        with self._lock:
-            job = self._jobs.get(key)
-            if job is not None and job.error is not None:
                 del self._jobs[key]
 
     def leave(self, client: object, key: Hashable | None = None) -> None:

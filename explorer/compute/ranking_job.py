@@ -66,7 +66,7 @@ class RankingJob:
     def __init__(self, task: Task) -> None:
         self.task = task
         self.result: TaskRanking | None = None
-        self._ranking = task.ranking()
+        self._ranking = ranking_cache.ResumableRanking(task)
         self._jobs, self._rank_lock = BackgroundJobs(), threading.Lock()
         self._job: BackgroundJob[TaskRanking] | None = None
 
@@ -76,7 +76,7 @@ class RankingJob:
         Raises:
             InputError: when the task cannot be ranked.
         """
-        if ranking_cache.multiplications(self.task) <= QUICK_COST:
+        if self.task.query_descriptors.size * self.task.tiles <= QUICK_COST:
             self.result = self._result(self._ranking.finish(lambda *_: None))
         elif (cached := ranking_cache.load(self.task)) is not None:
             self.result = self._result(cached)
@@ -134,7 +134,6 @@ class RankingJob:
                 if not job.wait(0.2):
                     report(job.done, job.total)
                 elif job.error is not None and not job.cancelled:
-                    self._jobs.forget_failed("ranking")
                     raise LPNError(job.error)
         finally:
             self.leave(client)

@@ -34,7 +34,6 @@ class Scorings:
         with self._lock:
             if self._prepare is None:
                 return None
-            self._jobs.forget_failed("prepare")
             return self._jobs.join("prepare", client, self._work)
 
     def _work(self, report: ReportProgress) -> None:

@@ -19,7 +19,9 @@ class Worker:
         on_error: called with an exception of `work`; the worker continues.
     """
 
-    def __init__(self, work: Callable[[], float | None], on_error: Callable[[Exception], None]) -> None:
+    def __init__(
+        self, work: Callable[[], float | None], on_error: Callable[[Exception], None] = lambda _: None
+    ) -> None:
         self._work, self._on_error = work, on_error
         self._requested, self._lock = threading.Event(), threading.Lock()
         self._stopped = False

@@ -14,7 +14,7 @@ PANEL = Panel(
     key="w",
     place="full",
     fields=FIELDS,
-    offered=lambda workspace: workspace.has_flight,
+    offered=lambda workspace: workspace.flight is not None,
     mark=mark,
     lines=scene_lines,
 )

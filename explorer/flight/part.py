@@ -80,7 +80,7 @@ class FlightPart(PanelPart):
 
     def __init__(self, tab: Tab) -> None:
         super().__init__(tab)
-        self._shared, self._pictures = shared_flight(tab.services)
+        self._shared, self._pictures = shared_flight(tab.base)
         self._sent: dict[str, object] = {}
         self._saves = 0
         self._worker = Worker(self._work, self._fail)
@@ -96,7 +96,7 @@ class FlightPart(PanelPart):
         """Stop the work for the panel."""
         self._shared.watchers.unwatch(self._worker.wake)
         self._worker.stop()
-        if (jobs := self.tab.services.workspace.own_photos) is not None:
+        if (jobs := self.tab.base.own_photos) is not None:
             jobs.leave(self)
 
     def _fail(self, error: Exception) -> None:
@@ -105,7 +105,7 @@ class FlightPart(PanelPart):
         )
 
     def _work(self) -> float | None:
-        state, result, workspace = self.tab.state, self.tab.result, self.tab.services.workspace
+        state, result, workspace = self.tab.state, self.tab.result, self.tab.base
         job = workspace.registration
         running = job is not None and not job.wait(0)  # read before the flight, which the job replaces at its end
         seen, addresses = self._shared.snapshot(), self._pictures.addresses
@@ -131,7 +131,7 @@ class FlightPart(PanelPart):
 
     def _register(self, own: OwnPicture, result: ScreenResult) -> BackgroundJob[OwnPhoto] | None:
         """Return the job that registers an own photo; the check behind its mark may have begun it."""
-        jobs, analysis = self.tab.services.workspace.own_photos, result.analysis
+        jobs, analysis = self.tab.base.own_photos, result.analysis
         if jobs is not None and (self._registering is None or self._registering[0] != own.key):
             windows = likely_windows(analysis.task, analysis.ranking.order.tolist())
             self._registering = own.key, jobs.join(own, windows, self)

@@ -11,7 +11,6 @@ from pathlib import Path
 from explorer.compute.cache import SingleFlightCache
 from explorer.compute.watchers import Watchers
 from explorer.flight.pictures import FlightPicturesFeed
-from explorer.services import WorkspaceServices
 from explorer.workspace import Workspace
 from lpn.core.arrays import Float64Array
 from lpn.core.demo import own_file, own_file_place
@@ -135,16 +134,16 @@ class SharedFlight:
 
 
 # The flights of workspaces, with their pictures.
-_SHARED: SingleFlightCache[WorkspaceServices, tuple[SharedFlight, FlightPicturesFeed]] = SingleFlightCache(16)
+_SHARED: SingleFlightCache[Workspace, tuple[SharedFlight, FlightPicturesFeed]] = SingleFlightCache(16)
 
 
-def shared_flight(services: WorkspaceServices) -> tuple[SharedFlight, FlightPicturesFeed]:
+def shared_flight(workspace: Workspace) -> tuple[SharedFlight, FlightPicturesFeed]:
     """Return a workspace's flight and its pictures, which are made once for all tabs."""
 
     def make() -> tuple[SharedFlight, FlightPicturesFeed]:
-        flight = services.workspace.flight
+        flight = workspace.flight
         assert flight is not None
-        pictures = FlightPicturesFeed(services.feeds, lambda: services.workspace.flight or flight)
-        return SharedFlight(services.workspace), pictures
+        pictures = FlightPicturesFeed(workspace.feeds, lambda: workspace.flight or flight)
+        return SharedFlight(workspace), pictures
 
-    return _SHARED.get(services, make)
+    return _SHARED.get(workspace, make)

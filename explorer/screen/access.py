@@ -1,4 +1,4 @@
-"""One tab's access to the objects that its state names: services, the model's workspace, network, and ranking."""
+"""One tab's access to the objects that its state names: the place's workspace, the model's, its network, and its ranking."""
 
 from __future__ import annotations
 
@@ -11,8 +11,7 @@ from explorer.compute.ranking_job import RankingJob
 from explorer.compute.request_context import RequestContext
 from explorer.screen.fields import ScreenState
 from explorer.screen.rail import ranks_of
-from explorer.services import WorkspaceServices
-from explorer.workspace import LazyWorkspace, Workspace, WorkspaceAnalyser
+from explorer.workspace import Workspace, WorkspaceAnalyser
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,21 +33,21 @@ class Access:
     """Finds the objects that states name.
 
     Args:
-        services: opens a place by its key; LPNError if that fails.
+        workspaces: returns the workspace of an open place by its key.
     """
 
-    def __init__(self, services: Callable[[str], WorkspaceServices]) -> None:
-        self._services, self._lock = services, threading.Lock()
+    def __init__(self, workspaces: Callable[[str], Workspace]) -> None:
+        self._workspaces, self._lock = workspaces, threading.Lock()
         self._opened: dict[Workspace, Opened] = {}
 
-    def services(self, state: ScreenState) -> WorkspaceServices:
-        """Return the services of a state's place, which must be open."""
-        return self._services(state.place)
+    def base(self, state: ScreenState) -> Workspace:
+        """Return the workspace of a state's place, which must be open."""
+        return self._workspaces(state.place)
 
     def workspace(self, state: ScreenState) -> Workspace:
         """Return the workspace of the state's model, or the place's own until that is open."""
-        beside = self._beside(state)
-        return self.services(state).workspace if beside is None or beside.workspace is None else beside.workspace
+        base = self.base(state)
+        return base.models[int(state.model)].workspace or base
 
     def ranking(self, state: ScreenState) -> RankingJob:
         """Return the ranking of the state's task, model, and scoring, or a replacement for a missing task or scoring."""
@@ -68,20 +67,18 @@ class Access:
 
     def ranks_beside(self, state: ScreenState) -> list[tuple[str, int]]:
         """Return label and upright rank of the truth for each other model that has ranked the state's query."""
-        base = self.services(state).workspace
-        opened = [(base.model_name, base), *((one.label, one.workspace) for one in base.beside)]
         ranks = []
-        for number, (label, workspace) in enumerate(opened):
+        for number, model in enumerate(self.base(state).models):
+            workspace = model.workspace
             if workspace is not None and str(number) != state.model and state.task in workspace.tasks:
                 ranking = self.ranking(replace(state, model=str(number)))
                 rank = int(ranks_of(workspace, ranking)[state.query])
-                ranks += [(label, rank)] if rank else []
+                ranks += [(model.label, rank)] if rank else []
         return ranks
 
     def opening(self, state: ScreenState) -> BackgroundJob[Workspace] | None:
         """Return the job that opens the state's model; None if it is open."""
-        beside = self._beside(state)
-        return None if beside is None or beside.workspace is not None else beside.open()
+        return self.base(state).models[int(state.model)].opening()
 
     def close(self) -> None:
         """Cancel the tab's requests."""
@@ -89,7 +86,3 @@ class Access:
             for opened in self._opened.values():
                 opened.requests.close()
                 opened.background.close()
-
-    def _beside(self, state: ScreenState) -> LazyWorkspace | None:
-        number = int(state.model)
-        return self.services(state).workspace.beside[number - 1] if number else None

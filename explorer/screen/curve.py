@@ -84,7 +84,7 @@ class Curve:
         self._send, self._held = send, held
         # The photo and its sequence are assigned together, as another thread reads both.
         self._followed: tuple[Turning | None, str] = None, ""
-        self._worker = Worker(self._work, lambda _: None)
+        self._worker = Worker(self._work)
 
     def follow(self, turning: Turning | None, sequence: str) -> None:
         """Draw the curve of a photo, unless it is being drawn already.

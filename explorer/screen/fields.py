@@ -28,13 +28,13 @@ class FieldKind(Protocol):
         """Parse a text of an address or a JSON value; UnusableError if it is invalid."""
         ...
 
-    def write(self, value: Any, state: ScreenState, workspace: Workspace) -> str:
-        """Format a value as text of an address."""
-        ...
+    def write(self, value: Any, state: ScreenState, workspace: Workspace) -> str:  # noqa: ARG002
+        """Format a value as text of an address; a text stays as it is."""
+        return str(value)
 
 
 @dataclass(frozen=True)
-class NumberIn:
+class NumberIn(FieldKind):
     """A number from `low` to `high`."""
 
     low: float
@@ -51,10 +51,16 @@ class NumberIn:
 
 
 @dataclass(frozen=True)
-class OneOf:
-    """One of a few texts, which may depend on the workspace."""
+class OneOf(FieldKind):
+    """One of a few texts, which may depend on the workspace.
+
+    Attributes:
+        values: the texts, or what offers them.
+        optional: an empty text is valid, too.
+    """
 
     values: Sequence[str] | Literal["places", "tasks", "models", "scorings", "panels"]
+    optional: bool = False
 
     def choices(self, state: ScreenState, workspace: Workspace) -> Sequence[str]:
         """Return the texts that a workspace offers in a state."""
@@ -64,9 +70,9 @@ class OneOf:
             case "tasks":
                 return tuple(workspace.tasks)
             case "models":
-                return tuple(str(number) for number in range(len(workspace.beside) + 1))
+                return tuple(map(str, range(len(workspace.models))))
             case "panels":
-                return ("", *(name for name, offered in PANELS.items() if offered(workspace)))
+                return [name for name, offered in PANELS.items() if offered(workspace)]
             case "scorings":
                 rankings = _of_model(state, workspace).rankings
                 return [name for name in SCORINGS if scored_key(state.task, name) in rankings]
@@ -74,16 +80,13 @@ class OneOf:
 
     def read(self, value: object, state: ScreenState, workspace: Workspace) -> str:
         choices = self.choices(state, workspace)
-        if not isinstance(value, str) or value not in choices:
+        if not isinstance(value, str) or (value not in choices and (value or not self.optional)):
             raise UnusableError(f"expected {' or '.join(filter(None, choices))}.")
-        return value
-
-    def write(self, value: str, state: ScreenState, workspace: Workspace) -> str:  # noqa: ARG002
         return value
 
 
 @dataclass(frozen=True)
-class Line:
+class Line(FieldKind):
     """One line of text, with a maximum of letters."""
 
     longest: int = LONGEST_TEXT
@@ -93,12 +96,9 @@ class Line:
             raise UnusableError(f"expected {self.longest:,} letters at most that can be printed.")
         return value
 
-    def write(self, value: str, state: ScreenState, workspace: Workspace) -> str:  # noqa: ARG002
-        return value
-
 
 @dataclass(frozen=True)
-class PictureOf:
+class PictureOf(FieldKind):
     """A position among the task's queries or tiles: a number, a name, or "~" and a number where the name is ambiguous.
 
     Attributes:
@@ -137,7 +137,7 @@ def _first(pictures: Sequence[Picture], name: str) -> int | None:
 
 
 @dataclass(frozen=True)
-class Weights:
+class Weights(FieldKind):
     """The weight of each part, 0 to `MAX_WEIGHT`, not all 0; an empty value for equal ones."""
 
     def read(self, value: object, state: ScreenState, workspace: Workspace) -> tuple[float, ...]:
@@ -220,7 +220,7 @@ class ScreenState:
     find: str = _row(Line(), "", "find")
     view: str = _row(OneOf(("city", "apart")), "city", "view")
     theme: str = _row(OneOf(("dark", "light")), "dark", "theme")
-    panel: str = _row(OneOf("panels"), "", "panel")
+    panel: str = _row(OneOf("panels", optional=True), "", "panel")
     of_panels: Mapping[str, Any] = field(default_factory=dict)
 
     def __getitem__(self, row: PanelField[T]) -> T:
@@ -280,8 +280,7 @@ def same_page(one: ScreenState, other: ScreenState) -> bool:
 
 def _of_model(state: ScreenState, workspace: Workspace) -> Workspace:
     """Return the workspace of the state's model, or the place's own until that is open."""
-    number = int(state.model)
-    return (workspace.beside[number - 1].workspace if number else None) or workspace
+    return workspace.models[int(state.model)].workspace or workspace
 
 
 def _upright(state: ScreenState) -> ScreenState:

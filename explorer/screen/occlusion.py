@@ -43,7 +43,7 @@ class Occlusion:
         self._covering: Covering | None = None
         # The last complete measurement: another result of the same pair shows it at once.
         self._measured: tuple[Hashable, Float32Array] | None = None
-        self._worker = Worker(self._work, lambda _: None)
+        self._worker = Worker(self._work)
 
     def follow(self, covering: Covering | None) -> None:
         """Measure a result from now on; None measures nothing."""

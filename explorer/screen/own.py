@@ -91,7 +91,7 @@ class OwnPhotos:
         self._checks: dict[str, BackgroundJob[Any]] = {}
         self._checked: tuple[OwnPhotoJobs, OwnPicture, Answer] | None = None
         self._marked: ScreenMessage = {}
-        self._worker = Worker(self._follow, lambda _: None)
+        self._worker = Worker(self._follow)
 
     def __contains__(self, key: str) -> bool:
         return key in self._held
@@ -107,7 +107,8 @@ class OwnPhotos:
         if not 0 < size <= uploads.MAX_UPLOAD:
             self._incoming = None
             shown = printable(name)[:80]
-            self._leave_out(shown, f"{shown} has {size / 1e6:.0f} MB; up to 30 MB are taken.")
+            said = f"has {size / 1e6:.0f} MB; up to 30 MB are taken." if size else "is empty; choose another file."
+            self._leave_out(shown, f"{shown} {said}")
 
     def receive(self, part: bytes) -> str | None:
         """Take a part of the announced file; return the key of a photo to show, once its file is complete."""

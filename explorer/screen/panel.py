@@ -12,7 +12,6 @@ from explorer.screen.downloads import MakeFile
 from explorer.screen.fields import PanelField, ScreenState
 from explorer.screen.loop import ScreenMessage
 from explorer.screen.result import ScreenResult
-from explorer.services import WorkspaceServices
 from explorer.workspace import Workspace
 from lpn.core.arrays import Float64Array
 from lpn.drawing.theme import Colour
@@ -36,8 +35,8 @@ class Tab(Protocol):
         ...
 
     @property
-    def services(self) -> WorkspaceServices:
-        """The services of the state's place."""
+    def base(self) -> Workspace:
+        """The workspace of the state's place, whose feeds serve lists and pictures."""
         ...
 
     @property

@@ -31,7 +31,6 @@ from explorer.screen.rail import Rail, listed_queries
 from explorer.screen.result import STRIP, BarScale, ScreenResult, measured_scale
 from explorer.screen.scene.scene import views_of
 from explorer.screen.scene.tab import TabScene
-from explorer.services import WorkspaceServices
 from explorer.workspace import Workspace
 from lpn.core.errors import LPNError
 from lpn.core.files import printable
@@ -49,7 +48,7 @@ class Screens:
     """The state that all tabs share.
 
     Args:
-        services: returns the services of an open workspace, by its key.
+        workspace: returns an open workspace by its key.
         home: key of the workspace of a page without an address.
         places: labels of all workspaces by their keys.
         opening: returns the job that opens a workspace by its key; None if it is open.
@@ -57,12 +56,12 @@ class Screens:
 
     def __init__(
         self,
-        services: Callable[[str], WorkspaceServices],
+        workspace: Callable[[str], Workspace],
         home: str,
         places: Mapping[str, str],
         opening: Callable[[str], BackgroundJob[Workspace] | None] = lambda _: None,
     ) -> None:
-        self.services, self.home, self.places, self.opening = services, home, places, opening
+        self.workspace, self.home, self.places, self.opening = workspace, home, places, opening
         self._scales = SingleFlightCache[Task, BarScale](32)
         self.held = held_descriptors()
         self.own = OwnPhotoBytes()
@@ -88,20 +87,20 @@ class ScreenSession:
 
     def __init__(self, screens: Screens, send: Callable[[ScreenMessage], None]) -> None:
         self._screens, self._send = screens, send
-        self._access = Access(screens.services)
+        self._access = Access(screens.workspace)
         self._state: ScreenState | None = None
         self._result: ScreenResult | None = None
         self._number, self._left, self._lock = 0, False, threading.RLock()
         # The wait before the newest request can be shown: its job, a sentence, and its handlers of success and failure.
         self._awaited: tuple[BackgroundJob[Any], str, tuple[Callable[[], None], Callable[[], None]]] | None = None
-        self._awaiting = Worker(self._await, lambda _: None)
+        self._awaiting = Worker(self._await)
         self._loop = Loop(self._answer, self._deliver, lambda: self._access.opened(self.state).requests, self._after)
         # Work behind an answer.
         self._rail, self._listed, self._listing = Rail(), False, threading.Lock()
         self._ranked: RankingJob | None = None
         # The photo that was shown when the missed ones were listed before the ranking knew them.
         self._unlisted: ScreenState | None = None
-        self._ranks = Worker(self._rank, lambda _: None)
+        self._ranks = Worker(self._rank)
         self._curve, self._occlusion = Curve(send, screens.held), Occlusion(send)
         self._own = OwnPhotos(screens.own, send)
         self.scene = TabScene(send, _lines)
@@ -137,9 +136,9 @@ class ScreenSession:
         return None if result is None or not fields.same_page(result.state, self.state) else result
 
     @property
-    def services(self) -> WorkspaceServices:
-        """The services of the state's place."""
-        return self._access.services(self.state)
+    def base(self) -> Workspace:
+        """The workspace of the state's place."""
+        return self._access.base(self.state)
 
     @property
     def workspace(self) -> Workspace:
@@ -164,7 +163,7 @@ class ScreenSession:
                 text = f"Opening {self._screens.places[place]}"
                 self._once(self._screens.opening(place), text, lambda: self._go_to(place))
                 return
-            changed, problems = fields.changed(state, values, self.services.workspace)
+            changed, problems = fields.changed(state, values, self.base)
             opening = self._access.opening(changed) if changed.model != state.model else None
             if opening is not None:  # weights need an open model
                 self._once(opening, self._opening(changed), lambda: self.set(values))
@@ -190,7 +189,7 @@ class ScreenSession:
         missed = listed_queries(state, self._access.workspace(state), self._access.ranking(state)).tolist()
         if not missed or state.query in missed:
             return state
-        return fields.changed(state, {"query": missed[0]}, self.services.workspace)[0]
+        return fields.changed(state, {"query": missed[0]}, self.base)[0]
 
     def send(self, message: ScreenMessage) -> None:
         """Send a message to the open panel's module."""
@@ -212,7 +211,7 @@ class ScreenSession:
 
     def download(self, title: str, make: MakeFile) -> None:
         """Make a file on a thread of its own, and have the browser save it."""
-        feeds = self.services.feeds
+        feeds = self.base.feeds
         self._feeds.add(feeds)
         self._downloads.make(title, make, feeds, self)
 
@@ -237,7 +236,7 @@ class ScreenSession:
                 self._actions[name](arguments)
         elif name in _COMMANDS and self._state is not None:
             panel, command = _COMMANDS[name]
-            base = self.services.workspace
+            base = self.base
             if panel.offered(base) and command.offered(base):
                 self._try(lambda: command.act(self))
         elif (action := self._panel_action(name)) is not None and arguments is not None:
@@ -250,10 +249,10 @@ class ScreenSession:
         with self._lock:
             if self._state is None or self._left:
                 return
-            if self.services.workspace.model is None:
+            if self.base.model is None:
                 self._own.refuse("Saved descriptors cannot describe a photo of yours; open the data set with a model.")
             key = self._own.receive(part)
-            self._send(self._own.message(self.services.feeds))
+            self._send(self._own.message(self.base.feeds))
             if key is not None:
                 self.set({"own": key})
 
@@ -282,7 +281,7 @@ class ScreenSession:
         for feeds in list(self._feeds):
             feeds.leave(self)
         if self._state is not None:
-            self.services.feeds.leave(self._rail)
+            self.base.feeds.leave(self._rail)
 
     # Messages.
 
@@ -299,7 +298,7 @@ class ScreenSession:
 
     def _open_at(self, place: str, given: Mapping[str, str]) -> None:
         """Show the state of an address's values at an open place, once its model is open."""
-        workspace = self._screens.services(place).workspace
+        workspace = self._screens.workspace(place)
         if self._state is not None:
             given = {"theme": self._state.theme} | dict(given)
         state = replace(fields.from_values(given, workspace)[0], place=workspace.key)
@@ -318,7 +317,7 @@ class ScreenSession:
 
     def _go_to(self, place: str) -> None:
         """Show another place, which is open; an own photo stays shown."""
-        state, workspace = self.state, self._screens.services(place).workspace
+        state, workspace = self.state, self._screens.workspace(place)
         self._leave_place()
         own = "" if workspace.model is None else state.own
         self._show(replace(fields.opening(workspace), theme=state.theme, view=state.view, own=own), [], new_page=True)
@@ -326,8 +325,7 @@ class ScreenSession:
     # Waits for opening.
 
     def _opening(self, state: ScreenState) -> str:
-        base = self._access.services(state).workspace
-        return f"Opening {[base.model_name, *(one.label for one in base.beside)][int(state.model)]}"
+        return f"Opening {self._access.base(state).models[int(state.model)].label}"
 
     def _once(
         self,
@@ -378,7 +376,7 @@ class ScreenSession:
     def _leave_place(self) -> None:
         """Close everything that belongs to the left place, such as its panel; the next place may have a panel of equal name."""
         self._close_panel()
-        self.services.feeds.leave(self._rail)
+        self.base.feeds.leave(self._rail)
         self._rail = Rail()
 
     def _step(self, arguments: Mapping[str, Any]) -> None:
@@ -397,12 +395,12 @@ class ScreenSession:
 
     def _upload(self, arguments: Mapping[str, Any]) -> None:
         self._own.announce(arguments)
-        self._send(self._own.message(self.services.feeds))
+        self._send(self._own.message(self.base.feeds))
 
     def _forget(self, _: Mapping[str, Any]) -> None:
         self.set({"own": ""})
         self._own.forget()
-        self._send(self._own.message(self.services.feeds))
+        self._send(self._own.message(self.base.feeds))
 
     def _calibrate(self, _: Mapping[str, Any]) -> None:
         """Prepare the further scorings of the state's model, and show the calibrated one."""
@@ -413,7 +411,7 @@ class ScreenSession:
             self._once(job, "Calibrating", self._show_calibrated)
 
     def _show_calibrated(self) -> None:
-        state, problems = fields.changed(self.state, {"scoring": "calibrated"}, self.services.workspace)
+        state, problems = fields.changed(self.state, {"scoring": "calibrated"}, self.base)
         self._show(state, problems, new_page=True)
 
     # Panels' commands, and the open panel.
@@ -467,7 +465,7 @@ class ScreenSession:
             self.say(problems[0][:1].upper() + problems[0][1:])
         if new_page:
             self._listed = False
-            self._send(self._own.message(self.services.feeds))
+            self._send(self._own.message(self.base.feeds))
         else:
             self._show_rail()
         self._turn_to_panel(state.panel)
@@ -475,8 +473,7 @@ class ScreenSession:
 
     def _choices(self, state: ScreenState) -> ScreenMessage:
         """Return the state for the page, with its address and that of its photo's picture."""
-        services = self._access.services(state)
-        address = fields.to_address(state, services.workspace)
+        address = fields.to_address(state, self._access.base(state))
         if state.place != self._screens.home:
             address = f"show={quote(state.place)}&{address}"
         return state.values() | {
@@ -485,16 +482,16 @@ class ScreenSession:
         }
 
     def _photo(self, state: ScreenState) -> str:
-        feeds, task = self._access.services(state).feeds, self._access.ranking(state).task
+        feeds, task = self._access.base(state).feeds, self._access.ranking(state).task
         return self._own.address(feeds, state.own) if state.own else f"{feeds.pictures(task, 'query')}{state.query}"
 
     def _page(self, state: ScreenState) -> ScreenMessage:
         """Return the message that holds while the user looks at one model's task."""
-        base, workspace = self._access.services(state).workspace, self._access.workspace(state)
+        base, workspace = self._access.base(state), self._access.workspace(state)
         task = self._access.ranking(state).task
         scorings = [name for name in SCORINGS if scored_key(state.task, name) in workspace.rankings]
         return {
-            "models": [base.model_name, *(other.label for other in base.beside)],
+            "models": [one.label for one in base.models],
             "places": dict(self._screens.places),
             "tasks": list(base.tasks),
             "scorings": scorings,
@@ -503,7 +500,7 @@ class ScreenSession:
             "word": workspace.contract.part_noun,
             "names": workspace.part_names,
             "tiles": task.tiles,
-            "photo": _noun(task.query_view, base.has_flight),
+            "photo": _noun(task.query_view, base.flight is not None),
             "turns": workspace.model is not None,
             "place": "City" if base.basemap is None else "Map",
             "panels": [
@@ -523,7 +520,7 @@ class ScreenSession:
         with self._listing:
             if (state := self._state) is not None:
                 self._listed = True
-                ranking, feeds = access.ranking(state), access.services(state).feeds
+                ranking, feeds = access.ranking(state), access.base(state).feeds
                 self._send({"rail": self._rail.message(state, access.workspace(state), ranking, feeds)})
 
     def _rank(self) -> float | None:
@@ -553,19 +550,19 @@ class ScreenSession:
             self._show_rail()
 
     def _answer(self, state: ScreenState) -> ScreenMessage:
-        services, workspace = self._access.services(state), self._access.workspace(state)
+        base, workspace = self._access.base(state), self._access.workspace(state)
         own = self._own.find(state.own)
         if own is None:  # the photo may have been forgotten
             state = replace(state, own="")
         question = state.question(own)
         analysis = self._access.opened(state).analyser.analyse(self._access.ranking(state).task, question, STRIP)
         scale = self._screens.scale(analysis.task)
-        result = ScreenResult(workspace, services.feeds, state, question, analysis, scale, self._photo(state))
+        result = ScreenResult(workspace, base.feeds, state, question, analysis, scale, self._photo(state))
         key = _curve_key(state, analysis)
         if state.angle % STEP == 0 and workspace.model is not None:
             self._screens.held.get((key, int(state.angle)), lambda: analysis.query.descriptor)
         self._number += 1
-        marks = [] if state.own else [one.mark(services.workspace, state.query) for one in PANELS.values()]
+        marks = [] if state.own else [one.mark(base, state.query) for one in PANELS.values()]
         message = result.message() | {"scene": views_of(result), "number": self._number, "marks": marks}
         message["beside"] = [] if state.own or state.angle else self._access.ranks_beside(state)
         self._result = result

@@ -9,8 +9,10 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
+from lpn.core.consoles import wide_console
 from lpn.core.errors import InputError
-from lpn.core.files import distinct_names, printable
+from lpn.core.files import check_outputs, distinct_names, printable, write_atomic, write_json
+from lpn.core.text_tables import latex_page, markdown_page
 from lpn.core.texts import listed
 from lpn.core.views import TaskName
 from lpn.models.adapters import Kind
@@ -103,8 +105,6 @@ class CompareCommand:
 
     def run(self) -> None:
         from lpn.analysis.model_table import compare
-        from lpn.core.consoles import wide_console
-        from lpn.core.files import check_outputs
 
         for option, values in {"--kind": self.kind, "--pooling": self.pooling}.items():
             if values and not self.model:
@@ -213,7 +213,6 @@ class CompareCommand:
 
     def _measure_page(self, page: Path) -> None:
         from lpn.analysis.leaderboard import common_tasks, leaderboard
-        from lpn.core.files import check_outputs
         from lpn.datasets import open_dataset
         from lpn.models.shipped import model_file
         from lpn.tasks.measure import scored_name
@@ -268,8 +267,6 @@ def _check_count(sources: Sized, also: str = "") -> None:
 
 def _write(result: Leaderboard | ModelTable, page: Path | None, json: Path | None) -> None:
     """Write tables as HTML, LaTeX, CSV, or Markdown, and their figures as JSON."""
-    from lpn.core.files import write_atomic, write_json
-    from lpn.core.text_tables import latex_page, markdown_page
     from lpn.report import table_page
 
     if page is not None:

@@ -8,7 +8,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from lpn.cli.parsing import numbers
+from lpn.core.consoles import wide_console
 from lpn.core.errors import InputError
+from lpn.core.files import check_outputs, write_atomic, write_json
+from lpn.core.text_tables import TextTable
 from lpn.descriptors.weather import WeatherName
 from lpn.sources import Advanced, SourceOptions, source_of
 
@@ -46,7 +49,6 @@ class EvaluateCommand(SourceOptions):
     """File to write a line for each query to, as CSV: its rank, AP, and the names and scores of the ten nearest tiles."""
 
     def run(self) -> None:
-        from lpn.core.files import check_outputs, write_atomic, write_json
         from lpn.tasks.measure import measure
         from lpn.tasks.weathers import measure_weathers
 
@@ -95,8 +97,6 @@ class EvaluateCommand(SourceOptions):
 
 def _print_result(title: str, result: Result) -> None:
     """Print a table of recall and AP, and the protocol below it."""
-    from lpn.core.consoles import wide_console
-    from lpn.core.text_tables import TextTable
     from lpn.tasks.measure import WITHOUT
 
     of_group, rows = [result.group_name] if result.groups else [], []
@@ -129,8 +129,6 @@ def _print_result(title: str, result: Result) -> None:
 
 def _print_weathers(title: str, result: WeatherResult) -> None:
     """Print University-WX's table: a row for each weather, and their mean."""
-    from lpn.core.consoles import wide_console
-    from lpn.core.text_tables import TextTable
 
     head = ("weather", *(name for task in result.tasks for name in (f"{task}\nR@1", "\nAP")))
     rows = [

@@ -10,15 +10,17 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from lpn.cli.parsing import part_values
 from lpn.cli.sweep import Sweep
+from lpn.core.consoles import Console, wide_console
 from lpn.core.errors import InputError
-from lpn.core.files import printable
+from lpn.core.files import check_outputs, printable, write_atomic, write_json
 from lpn.core.numbers import signed
+from lpn.core.progress import tracked
+from lpn.core.text_tables import TextTable
 from lpn.core.views import View
 from lpn.sources import Advanced, SourceOptions, source_of
 from lpn.sources.opened import query_positions
 
 if TYPE_CHECKING:
-    from lpn.core.consoles import Console
     from lpn.datasets import Picture
     from lpn.explain import Evidence
     from lpn.library.answer import Answer
@@ -56,9 +58,6 @@ class ExplainCommand(SourceOptions):
     their parts and the evidence of each cell, and bars of the parts."""
 
     def run(self) -> None:
-        from lpn.core.consoles import wide_console
-        from lpn.core.files import check_outputs, write_atomic, write_json
-        from lpn.core.progress import tracked
         from lpn.drawing import pair_figure, verdicts
         from lpn.explain import occlusion
 
@@ -182,7 +181,6 @@ def _position(given: str, pictures: Sequence[Picture], data_name: str) -> int | 
 
 def _show(console: Console, answer: Answer, evidence: Evidence | None) -> None:
     """Print each part's share of the score."""
-    from lpn.core.text_tables import TextTable
 
     match, weights, names = answer.chosen, answer.ranking.weights, answer.task.part_names
     taken = f"CSLS takes {sum(match.constants):.4f}, " if match.constants else ""

@@ -7,7 +7,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
 from lpn.core.arrays import Int64Array
+from lpn.core.consoles import Console, wide_console
 from lpn.core.errors import InputError
+from lpn.core.files import check_outputs, write_atomic
 from lpn.core.text_tables import TextTable
 from lpn.core.views import TaskName
 from lpn.models.adapters import Kind
@@ -15,7 +17,6 @@ from lpn.sources import Advanced, SourceOptions, source_of
 from lpn.sources.opened import open_with_notes
 
 if TYPE_CHECKING:
-    from lpn.core.consoles import Console
     from lpn.core.tables import Table
     from lpn.tasks.task import Task
 
@@ -44,8 +45,6 @@ class FailuresCommand(SourceOptions):
     """Pooling of --beside, as --pooling is that of --model."""
 
     def run(self) -> None:
-        from lpn.core.consoles import wide_console
-        from lpn.core.files import check_outputs, write_atomic
         from lpn.datasets import metadata
         from lpn.tasks.query_outcomes import OUTCOME_COLUMNS, RANK_A, compared_ranks
 

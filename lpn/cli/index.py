@@ -9,9 +9,11 @@ from typing import TYPE_CHECKING, Any, Literal
 import lpn
 from lpn.cli.parsing import part_values
 from lpn.core.arrays import Float32Array
+from lpn.core.consoles import wide_console
 from lpn.core.errors import InputError
-from lpn.core.files import printable
+from lpn.core.files import check_outputs, printable, write_json
 from lpn.core.resources import ProviderName
+from lpn.core.text_tables import TextTable
 from lpn.core.views import View
 from lpn.sources import ModelOptions
 
@@ -130,7 +132,6 @@ class SearchCommand(ModelOptions):
     def run(self) -> None:
         from lpn import retrieval
         from lpn.core import images
-        from lpn.core.files import check_outputs, write_json
         from lpn.index import open_index
         from lpn.index.base import check_count
         from lpn.retrieval import scoring
@@ -186,8 +187,6 @@ def _matches(
 
 
 def _show(matches: list[dict[str, Any]], names: list[str]) -> None:
-    from lpn.core.consoles import wide_console
-    from lpn.core.text_tables import TextTable
 
     if not matches:
         print("There is no tile to compare with.")

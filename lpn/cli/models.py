@@ -8,8 +8,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
+from lpn.core.consoles import Console, wide_console
+from lpn.core.files import check_outputs, write_json
+from lpn.core.text_tables import TextTable
+
 if TYPE_CHECKING:
-    from lpn.core.consoles import Console
     from lpn.models.shipped import ModelCard
 
 
@@ -25,8 +28,6 @@ class ModelsCommand:
     def run(self) -> None:
         import msgspec
 
-        from lpn.core.consoles import wide_console
-        from lpn.core.files import check_outputs, write_json
         from lpn.models.shipped import model_card, model_cards
 
         check_outputs((self.json, ".json"))
@@ -44,7 +45,6 @@ class ModelsCommand:
 
 
 def _list(cards: tuple[ModelCard, ...], console: Console) -> None:
-    from lpn.core.text_tables import TextTable
 
     rows = []
     for card in cards:
@@ -57,7 +57,6 @@ def _list(cards: tuple[ModelCard, ...], console: Console) -> None:
 
 
 def _show(card: ModelCard, console: Console) -> None:
-    from lpn.core.text_tables import TextTable
 
     console.print(f"{card.name}: {card.summary}", markup=False, highlight=False)
     for what, lines in (

@@ -8,7 +8,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from lpn.cli.parsing import part_values
+from lpn.core.consoles import Console
 from lpn.core.errors import InputError
+from lpn.core.files import check_outputs, write_atomic
+from lpn.core.progress import report_progress
 from lpn.sources import Advanced, SourceOptions, source_of
 from lpn.sources.opened import open_with_notes, query_positions
 
@@ -42,9 +45,6 @@ class ReportCommand(SourceOptions):
 
     def run(self) -> None:
         from lpn import report
-        from lpn.core.consoles import Console
-        from lpn.core.files import check_outputs, write_atomic
-        from lpn.core.progress import report_progress
         from lpn.descriptors.transforms import Change
 
         if self.query and (self.failures is not None or self.where):

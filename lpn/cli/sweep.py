@@ -7,13 +7,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from lpn.cli.parsing import part_values
+from lpn.core.consoles import Console, wide_console
 from lpn.core.errors import InputError
+from lpn.core.files import check_outputs, write_atomic
 from lpn.core.numbers import signed
+from lpn.core.progress import tracked
+from lpn.core.text_tables import TextTable
 from lpn.sources import SourceOptions, open_source
 from lpn.sources.opened import query_positions
 
 if TYPE_CHECKING:
-    from lpn.core.consoles import Console
     from lpn.core.views import View
     from lpn.explain.sweeps import SweepPoint, SweepResult
     from lpn.models.base import Model
@@ -41,8 +44,6 @@ class Sweep(SourceOptions):
     """File to write the table to, as CSV."""
 
     def run(self) -> None:
-        from lpn.core.consoles import wide_console
-        from lpn.core.files import check_outputs, write_atomic
 
         check_outputs((self.csv, ".csv"))
         console = wide_console()
@@ -61,7 +62,6 @@ class Sweep(SourceOptions):
 
 
 def _swept(task: Task, model: Model, options: Sweep) -> SweepResult:
-    from lpn.core.progress import tracked
     from lpn.explain import sweeps
 
     if options.over == "weather" and task.query_view == "satellite":
@@ -80,7 +80,6 @@ def _swept(task: Task, model: Model, options: Sweep) -> SweepResult:
 
 def _print(profile: SweepResult, title: str, views: tuple[View, View], console: Console) -> None:
     """Print a row for each transform with its score as a bar, and the gain of the best one."""
-    from lpn.core.text_tables import TextTable
     from lpn.explain.sweeps import swept_label, swept_value
 
     blocks = str(console.encoding).lower().startswith("utf")

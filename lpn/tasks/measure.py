@@ -285,7 +285,8 @@ def measure(task: Task, depth: int = 0) -> Result:
     geometry = task.geometry
     if geometry is None or any(geometry.queries[row] is None for row in np.flatnonzero(counted).tolist()):
         geometry = None
-        task.check_truth()
+        if task.no_truth:
+            raise InputError(task.no_truth)
     groups = list(_groups(task))
     if task.neighbours:
         for where, count in [("", len(task.query_labels)), *((f" in {name}", len(rows)) for name, rows, _ in groups)]:

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -19,11 +19,14 @@ import numpy.typing as npt
 from lpn.core.arrays import BoolArray, Float32Array, Float64Array, Int64Array
 from lpn.core.errors import InputError
 from lpn.core.tables import Column, Table, number_column, text_column
-from lpn.datasets import Picture, Truth, geo, metadata
+from lpn.datasets import Truth, geo, metadata
 from lpn.datasets.metadata import NOTE, TAGS
 from lpn.retrieval import scoring
 from lpn.retrieval.metrics import Retrieval
 from lpn.tasks.gallery_geometry import GalleryGeometry
+
+if TYPE_CHECKING:
+    from lpn.tasks.task import Task
 
 _CHUNK_BYTES = 64_000_000
 # Columns of a table that compares two models: A is the table's own.
@@ -94,41 +97,24 @@ def weight_factors(descriptors: Float32Array, weights: npt.ArrayLike | None) -> 
     return None if weights is None else np.repeat(n * _normalised(n, weights), size)
 
 
-def outcomes_of(
-    ranking: Retrieval,
-    queries: Float32Array,
-    gallery: Float32Array,
-    weights: npt.ArrayLike | None = None,
-    known: BoolArray | None = None,
-) -> Outcomes:
-    """Return the outcomes of queries (Q, n, D) that are already ranked under these part weights.
-
-    Args:
-        known: the queries whose truth is known, (Q,); None for all.
-    """
+def outcomes_of(task: Task, ranking: Retrieval) -> Outcomes:
+    """Return the outcomes of a task's queries, which are already ranked under its part weights."""
+    queries, gallery = task.compared
     n = queries.shape[1]
-    used = _normalised(n, weights)
+    used = _normalised(n, task.weights)
     parts = _part_margins(queries, gallery, ranking.true, ranking.false, 2 * n * used)
     margin = parts.sum(axis=1)
     deciding_part = np.where(ranking.first == 0, np.argmax(parts, axis=1), np.argmin(parts, axis=1))
     deciding_part = np.where(np.isnan(margin), -1, deciding_part)
-    known = np.ones(len(parts), bool) if known is None else known
+    known = np.ones(len(parts), bool) if task.known is None else task.known
     ranks = ranking.first, ranking.best, ranking.true, ranking.false
     return Outcomes(*ranks, parts, margin, deciding_part, used, known)
 
 
-def table(
-    root: Path,
-    queries: Sequence[Picture],
-    gallery: Sequence[Picture],
-    outcomes: Outcomes,
-    part_names: Sequence[str] | None = None,
-    geometry: GalleryGeometry | None = None,
-    more: Sequence[Column] = (),
-) -> Table:
-    """Return a row for each query: its outcome, and the metadata of its picture (`lpn.datasets.metadata`).
+def table(task: Task, outcomes: Outcomes, part_names: Sequence[str]) -> Table:
+    """Return a row for each query of a task: its outcome, and the metadata of its picture (`lpn.datasets.metadata`).
 
-    Columns, followed by those of the metadata:
+    Columns, followed by those of `Task.columns`, `listed_columns`, and the metadata:
         name: of the query.
         rank: from 1; unknown without a true match.
         margin: in d².
@@ -137,38 +123,29 @@ def table(
         distance: metres from the query's place to the answer; only with positions.
         margin_1 .. margin_n: each part's term of the margin, in d².
 
-    Args:
-        root: the data set's folder.
-        queries, gallery: the pictures.
-        part_names: "1" .. "n" by default.
-        geometry: positions of the pictures.
-        more: further columns, which come before those of the metadata.
-
     Raises:
-        InputError: when the numbers of pictures and of outcomes differ.
         DataError: when a metadata file is damaged.
     """
-    if len(queries) != len(outcomes):
-        raise InputError(f"There are {len(queries)} queries and {len(outcomes)} outcomes; give those of one task.")
     n = outcomes.parts.shape[1]
     # Position -1 stands for none. It indexes the last entry, which is empty.
-    parts = np.array([*(part_names or [str(i + 1) for i in range(n)]), ""], object)
-    tiles = np.array([*(tile.name for tile in gallery), ""], object)
+    parts = np.array([*part_names, ""], object)
+    tiles = np.array([*(tile.name for tile in task.gallery), ""], object)
     columns = [
-        text_column("name", [query.name for query in queries]),
+        text_column("name", task.query_names),
         _rank_column("rank", outcomes.rank),
         number_column("margin", outcomes.margin),
         *([] if n == 1 else [Column("part", "text", parts[outcomes.deciding_part])]),
         Column("truth", "text", tiles[outcomes.true]),
         Column("answer", "text", tiles[outcomes.answer]),
         Column("false", "text", tiles[outcomes.false]),
-        *([] if geometry is None else [_distance(geometry, outcomes)]),
+        *([] if task.geometry is None else [_distance(task.geometry, outcomes)]),
         *(number_column(f"margin_{i + 1}", outcomes.parts[:, i]) for i in range(n) if n > 1),
-        *more,
+        *task.columns,
+        *listed_columns(outcomes, task.truth),
     ]
-    paths = geo.names_below(root, queries)
+    paths = geo.names_below(task.root, task.queries)
     taken = [*(column.name for column in columns), RANK_A, RANK_B]
-    return Table(paths, columns).with_columns(metadata.columns(root, paths, taken))
+    return Table(paths, columns).with_columns(metadata.columns(task.root, paths, taken))
 
 
 def compared_ranks(table: Table, rank: Int64Array) -> list[Column]:

@@ -11,16 +11,15 @@ from __future__ import annotations
 import hashlib
 import io
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from lpn.core.arrays import DAMAGED_ARRAY, AnyArray, Float32Array, Int64Array
+from lpn.core.arrays import DAMAGED_ARRAY, AnyArray
 from lpn.core.errors import OutputError
 from lpn.core.files import cache_folder, write_atomic
-from lpn.datasets import Truth
 from lpn.retrieval import metrics
 from lpn.retrieval.metrics import Retrieval
 from lpn.retrieval.ranks import Ranked
@@ -37,22 +36,13 @@ _COLUMNS = ("first", "true", "false", "precision", "gap")
 
 
 class ResumableRanking:
-    """The ranking of all queries in a gallery under equal part weights; not thread-safe.
+    """The ranking of all queries of a task under equal part weights; not thread-safe.
 
-    If `progress` stops `finish` by an exception, the next call of `finish` continues the ranking. The arguments are those
-    of `metrics.retrieve`.
+    If `progress` stops `finish` by an exception, the next call of `finish` continues the ranking.
     """
 
-    def __init__(
-        self,
-        queries: Float32Array,
-        gallery: Float32Array,
-        query_labels: Int64Array,
-        gallery_labels: Int64Array,
-        truth: Sequence[Truth] | None,
-    ) -> None:
-        self._queries, self._gallery = queries, gallery
-        self._query_labels, self._gallery_labels, self._truth = query_labels, gallery_labels, truth
+    def __init__(self, task: Task) -> None:
+        self._task = task
         self._steps: list[Ranked] = []
 
     def finish(self, progress: Callable[[int, int], None]) -> Retrieval:
@@ -64,7 +54,8 @@ class ResumableRanking:
         Raises:
             InputError: as for `metrics.retrieve`.
         """
-        total = len(self._queries)
+        task, (queries, gallery) = self._task, self._task.compared
+        total = len(queries)
         while (done := sum(len(step.first) for step in self._steps)) < total:
             progress(done, total)
             rows = slice(done, done + STEP)
@@ -73,20 +64,15 @@ class ResumableRanking:
                 progress(before + count, total)
 
             ranked = metrics.retrieve(
-                self._queries[rows],
-                self._query_labels[rows],
-                self._gallery,
-                self._gallery_labels,
-                None if self._truth is None else self._truth[rows],
+                queries[rows],
+                task.query_labels[rows],
+                gallery,
+                task.gallery_labels,
+                None if task.truth is None else task.truth[rows],
                 progress=on_progress,
             )
             self._steps.append(ranked)
-        return metrics.joined(self._steps, len(self._gallery))
-
-
-def multiplications(task: Task) -> int:
-    """Return the number of multiplications for the ranking of a task."""
-    return task.query_descriptors.size * task.tiles
+        return metrics.joined(self._steps, len(gallery))
 
 
 def cache_file(task: Task) -> Path | None:

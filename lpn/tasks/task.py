@@ -28,7 +28,6 @@ from lpn.tasks import notes, query_outcomes
 from lpn.tasks.gallery_geometry import GalleryGeometry
 from lpn.tasks.notes import Note
 from lpn.tasks.query_outcomes import Outcomes
-from lpn.tasks.ranking_cache import ResumableRanking
 
 if TYPE_CHECKING:
     from lpn.tasks.measure import Result
@@ -194,10 +193,6 @@ class Task:
         """The tiles' terms of CSLS, see `CslsTerms`, (G, n); None without it."""
         return -self.contract.n_parts * self.compared[1][..., -1] if self.neighbours else None
 
-    def ranking(self) -> ResumableRanking:
-        """A ranking of all queries under equal part weights that can be stopped and resumed."""
-        return ResumableRanking(*self.compared, self.query_labels, self.gallery_labels, self.truth)
-
     @cached_property
     def retrieved(self) -> Retrieval:
         """The ranking of the gallery for each query under the part weights."""
@@ -208,11 +203,7 @@ class Task:
     @cached_property
     def outcomes(self) -> Outcomes:
         """The outcome of each query under the part weights."""
-        return self.outcomes_of(self.retrieved)
-
-    def outcomes_of(self, ranking: Retrieval) -> Outcomes:
-        """Return the outcomes of all queries, ranked under the task's weights."""
-        return query_outcomes.outcomes_of(ranking, *self.compared, self.weights, self.known)
+        return query_outcomes.outcomes_of(self, self.retrieved)
 
     @cached_property
     def table(self) -> Table:
@@ -223,13 +214,8 @@ class Task:
         """
         if len(self.queries) < len(self.query_labels):
             raise no_pictures(self.data_name)
-        table = self.tabulate(self.outcomes, self.part_names)
+        table = query_outcomes.table(self, self.outcomes, self.part_names)
         return table.with_columns(notes.columns(self.notes, table.paths))
-
-    def tabulate(self, outcomes: Outcomes, part_names: Sequence[str]) -> Table:
-        """Return a row for each query, without tags and notes; see `query_outcomes.table`."""
-        columns = [*self.columns, *query_outcomes.listed_columns(outcomes, self.truth)]
-        return query_outcomes.table(self.root, self.queries, self.gallery, outcomes, part_names, self.geometry, columns)
 
     @cached_property
     def metrics(self) -> dict[str, float]:
@@ -268,17 +254,6 @@ class Task:
             return self
         truth = [replace(one, known=one.known and i not in queries) for i, one in enumerate(self.truth)]
         return replace(self, truth=truth)
-
-    def check_truth(self) -> None:
-        """Raise InputError unless the truth of some query is known."""
-        if self.no_truth:
-            raise InputError(self.no_truth)
-
-    def label_and_truth(self, query: int | None) -> tuple[int | None, Truth | None]:
-        """Return the label and the list of true matches of a query, each None if unknown."""
-        if query is None:
-            return None, None
-        return int(self.query_labels[query]), None if self.truth is None else self.truth[query]
 
     def search(self, query: int, weights: npt.ArrayLike | None = None, change: Change = UNCHANGED) -> Ranking:
         """Rank the gallery for one query.
@@ -326,7 +301,8 @@ class Task:
         # A region's score has no constants, and so no terms of CSLS.
         tiles = None if lengths is not None else self.csls_tiles
         terms = None if tiles is None else CslsTerms.of_query(cosines, tiles, self.neighbours)
-        label, truth = self.label_and_truth(query)
+        label = None if query is None else int(self.query_labels[query])
+        truth = None if query is None or self.truth is None else self.truth[query]
         last: tuple[bytes, Ranking] | None = None
 
         def rank(weights: Float32Array) -> Ranking:

@@ -18,7 +18,6 @@ from explorer.opening import open_model
 from explorer.screen.fields import needs_answer
 from explorer.screen.result import ScreenResult
 from explorer.screen.session import Screens, ScreenSession
-from explorer.services import WorkspaceServices
 from explorer.workspace import LazyWorkspace, Workspace
 from lpn.core.errors import DataError
 from tools.fixtures import small_worlds
@@ -39,8 +38,8 @@ def answered(workspace: Workspace, search: str = "", own: bytes = b"", **fields:
     Raises:
         RefusedError: with the sentence that the page shows instead.
     """
-    services, messages = WorkspaceServices.of(workspace), Queue[dict[str, Any]]()
-    screens = Screens(lambda _: services, workspace.key, {workspace.key: workspace.data_name})
+    messages = Queue[dict[str, Any]]()
+    screens = Screens(lambda _: workspace, workspace.key, {workspace.key: workspace.data_name})
     session = ScreenSession(screens, messages.put)
     try:
         session.receive({"do": "open", "args": {"search": search}})

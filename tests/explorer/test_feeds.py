@@ -24,7 +24,7 @@ def workspace(data: Path, model_file: Path) -> Workspace:
 
 @pytest.fixture
 def feeds(workspace: Workspace) -> Feeds:
-    return Feeds(workspace)
+    return workspace.feeds
 
 
 def below(feeds: Feeds, address: str) -> str:

@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from explorer.feeds import Feeds
 from explorer.opening import OFFERED_OVERLAP, open_flight_over
 from explorer.screen.rail import Rail
 from explorer.workspace import Workspace
@@ -58,7 +57,7 @@ def test_the_screen_counts_photos_whose_judge_is_in_doubt_neither_as_right_nor_a
     for query in (*DOUBTFUL, *WRONG, workspace.first_query):
         expected = None if query in DOUBTFUL else query not in WRONG
         assert answered(workspace, query=query).message()["headline"]["found"] is expected, query
-    rail = Rail().message(replace(answered(workspace).state, filter="missed"), workspace, ranking, Feeds(workspace))
+    rail = Rail().message(replace(answered(workspace).state, filter="missed"), workspace, ranking, workspace.feeds)
     assert (rail["total"], rail["missed"], rail["queries"]) == (len(WRONG), len(WRONG), PHOTOS)
     result, measured = ranking.result, workspace.results(ranking)
     assert result is not None

@@ -109,7 +109,7 @@ def test_the_kinds_of_both_models_may_be_named(
     data: Path, model_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     opened: list[Workspace] = []
-    monkeypatch.setattr(explorer.app, "serve", lambda open_workspace, *_: opened.append(open_workspace()))
+    monkeypatch.setattr(explorer.app, "serve", lambda opening, *_: opened.append(opening.open_workspace()))
     state = {key: value for key, value in small_vector("camp").items() if key.startswith("model_1.convnext.")}
     weights = tmp_path / "weights.pth"
     torch.save(state, weights)
@@ -192,7 +192,7 @@ def test_tokens_of_one_file_are_pooled_in_two_ways_beside_a_model(
     data: Path, model_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     opened: list[Workspace] = []
-    monkeypatch.setattr(explorer.app, "serve", lambda open_workspace, *_: opened.append(open_workspace()))
+    monkeypatch.setattr(explorer.app, "serve", lambda opening, *_: opened.append(opening.open_workspace()))
     network = timm_networks.named_network("test_vit", (32, 32), own_size=True)
     torch.save(network.state_dict(), tmp_path / "weights.pth")
     (tmp_path / "opts.yaml").write_text("h: 32\nw: 32\n")

@@ -337,15 +337,13 @@ def links(folder: Path) -> list[FuzzCase]:
     from explorer.opening import open_model
     from explorer.screen import fields
     from explorer.screen.session import Screens, ScreenSession
-    from explorer.services import WorkspaceServices
     from tools.fixtures import small_worlds
     from tools.fixtures.small_models import onnx_file
 
     os.environ["LPN_CACHE"] = str(folder / "cache")
     (folder / "model.onnx").write_bytes(onnx_file(sealed=True))
     workspace = open_model(small_worlds.make_dataset(folder / "places", train=1, test=3), folder / "model.onnx")
-    services = WorkspaceServices.of(workspace)
-    session = ScreenSession(Screens(lambda _: services, workspace.key, {workspace.key: "data"}), lambda _: None)
+    session = ScreenSession(Screens(lambda _: workspace, workspace.key, {workspace.key: "data"}), lambda _: None)
     addresses = [
         b"?task=drone-to-satellite&query=0003&with=0002&angle=-30.5&weights=1,0.5&scoring=plain&shows=evidence&panel=lab",
         b"query=~1&with=~2&model=0&only=missed&find=00&view=apart&theme=dark&show=data&lab_order=rank",

@@ -52,7 +52,7 @@ const channel = connect(
       view.state = state;
       if (moved || sent === null) view.angle = state.angle;
       showYours(find("#yours"), view.yours, state.own);
-      setTheme(state.theme);
+      for (const theme of ["light", "dark"]) document.documentElement.classList.toggle(theme, theme === state.theme);
       history.replaceState(null, "", state.address ? `?${state.address}` : location.pathname);
       soon();
     },
@@ -165,12 +165,6 @@ const set = (values) => {
 };
 const dragged = makeTurnable(photo, { photo: () => (view.page?.turns ? view.result?.photo : null), angle: () => view.angle, turn: turnTo, end: () => turnTo(view.angle) });
 
-const setTheme = (theme) => {
-  const root = document.documentElement;
-  if (root.classList.contains(theme)) return;
-  root.classList.remove("light", "dark");
-  root.classList.add(theme);
-};
 const flipTheme = () => {
   const theme = view.state.theme === "dark" ? "light" : "dark";
   kept = theme;
@@ -218,9 +212,7 @@ const draw = () => {
     showSums(sum, result);
     showStrip(strip, result);
   });
-  redraw("focus", [...from, view.colour, loaded, view.focus], () => {
-    for (const one of [rows, strip, sum]) markFocus(one, view.focus);
-  });
+  redraw("focus", [...from, view.colour, loaded, view.focus], () => focusShares(view.focus));
   drawTurn(view);
   redraw("scene", [...from, state.view], () => scene.show(result.scene, state.view, page.place));
   drawCurve(curve, view.curve?.points ?? [], result, view.angle, stale, view.hovered);
@@ -232,10 +224,13 @@ const focusOn = (hovered) => {
   const part = hovered < 0 ? view.pin : hovered;
   if (part !== view.focus && !dragged() && view.result && view.page.parts > 1 && !isStale()) light(part);
 };
+const focusShares = (part) => {
+  for (const one of [rows, strip, sum]) markFocus(one, part);
+};
 const light = (part) => {
   view.focus = part;
   channel.act("hover", { part });
-  for (const one of [rows, strip, sum]) markFocus(one, part);
+  focusShares(part);
   focusPictures(view, part);
 };
 /** Pin a part, or unpin it. */

@@ -27,9 +27,10 @@ export const connect = (receive, opened, lost) => {
       setTimeout(open, AGAIN);
     };
   };
-  const send = (message) => {
-    if (socket?.readyState === WebSocket.OPEN) socket.send(JSON.stringify(message));
+  const sendRaw = (data) => {
+    if (socket?.readyState === WebSocket.OPEN) socket.send(data);
   };
+  const send = (message) => sendRaw(JSON.stringify(message));
   open();
   return {
     set: (values) => send({ set: values }),
@@ -38,8 +39,7 @@ export const connect = (receive, opened, lost) => {
     sendFile: async (file, first) => {
       send({ do: "upload", args: { name: file.name, size: file.size, first } });
       for (let start = 0; start < file.size && file.size <= MOST; start += PART) {
-        const part = await file.slice(start, start + PART).arrayBuffer();
-        if (socket?.readyState === WebSocket.OPEN) socket.send(part);
+        sendRaw(await file.slice(start, start + PART).arrayBuffer());
       }
     },
   };

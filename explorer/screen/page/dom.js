@@ -48,6 +48,11 @@ export const load = async (name) => {
   return import(`../vendor/${name}.js`);
 };
 
+/** Entries of a list that the server sends at once. */
+export const PIECE = 100;
+/** @returns {Promise<any[]>} a piece of a list by its address; empty if the list has ended, or the connection is lost */
+export const fetchPiece = (address) => fetch(address).then((answer) => (answer.ok ? answer.json() : [])).catch(() => []);
+
 const variables = new Map();
 /** @returns {string} the value of a CSS variable that is a colour of the theme */
 export const variable = (name) => {

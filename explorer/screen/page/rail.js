@@ -1,9 +1,8 @@
 // The list of queries at the left. Only visible entries are in the page; the server sends the list in pieces.
 
-import { find, findAll, make } from "./dom.js";
+import { PIECE, fetchPiece, find, findAll, make } from "./dom.js";
 
 const ENTRY = 62; // pixels of an entry
-const PIECE = 100; // entries that the server sends at once
 
 /** A photo's button: its thumbnail, its mark, and perhaps its name. */
 const photoButton = (data, name, said, source, chosen, title, ...marks) =>
@@ -52,11 +51,8 @@ export class RailList {
 
   /** @returns {Promise<any[]>} the entries of a piece of the list */
   async piece(number) {
-    const rail = this.rail;
-    if (!this.pieces.has(number)) {
-      const loading = fetch(`${rail.address}${rail.feed}${number}`).then((answer) => (answer.ok && answer.status === 200 ? answer.json() : []));
-      this.pieces.set(number, loading.catch(() => []));
-    }
+    const { address, feed } = this.rail;
+    if (!this.pieces.has(number)) this.pieces.set(number, fetchPiece(`${address}${feed}${number}`));
     return this.pieces.get(number);
   }
 

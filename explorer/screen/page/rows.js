@@ -7,7 +7,7 @@ import { hide, tip } from "./terms.js";
 export const sign = (true_) => (true_ === null ? "" : make("i", { class: true_ ? "right" : "wrong", text: true_ ? "✓" : "✗" }));
 
 /** The stacked shares of a tile, as segments as wide as their shares on the one scale. */
-export const stack = (tile, total, least) => {
+const stack = (tile, total, least) => {
   const count = tile.shares.length;
   const sum = tile.shares.reduce((one, other) => one + other, 0);
   const segments = tile.shares.map((share, part) => {

@@ -61,7 +61,7 @@ export class SceneFrame {
 
   /** viser's page connects again by itself only while it has the focus, which this page keeps. */
   reload() {
-    this.box.classList.remove("ready");
+    this.away();
     this.frame?.setAttribute("src", this.frame.src); // the user cannot reload the browser's error page in it
   }
 

@@ -42,7 +42,7 @@ class TabScene:
         self._shown: tuple[ScreenResult, ScreenState] | None = None
         self._aspect = 1.0
         self._part: int | None = None
-        self._worker = Worker(self._draw, lambda _: None)
+        self._worker = Worker(self._draw)
 
     def attach(self, client: viser.ClientHandle | None) -> None:
         """Draw in a frame of viser's page from now on; None once it has gone."""

@@ -72,20 +72,16 @@ def test_a_cancelled_job_stays_cancelled_when_others_leave() -> None:
     assert (again.value, again.error) == (5, None)
 
 
-@pytest.mark.parametrize("keep", [True, False])
-def test_a_failed_job_has_one_sentence_and_starts_again_once_forgotten_or_if_it_is_not_kept(keep: bool) -> None:
+def test_a_failed_job_has_one_sentence_and_starts_again() -> None:
     jobs = BackgroundJobs()
 
     def work(_: ReportProgress) -> int:
         raise InputError("The file is damaged.")
 
-    job = jobs.join("k", 1, work, keep)
+    job = jobs.join("k", 1, work)
     assert job.wait(TIMEOUT)
     assert job.error == "The file is damaged."
-    if keep:
-        assert jobs.join("k", 1, work) is job
-        jobs.forget_failed("k")
-    again = jobs.join("k", 1, lambda _: 3, keep)
+    again = jobs.join("k", 1, lambda _: 3)
     assert again.wait(TIMEOUT)
     assert again.value == 3
 

@@ -10,7 +10,6 @@ import pytest
 
 from explorer.compute import ranking_job
 from explorer.compute.ranking_job import RankingJob
-from explorer.feeds import Feeds
 from explorer.opening import open_model
 from explorer.screen.fields import opening
 from explorer.screen.rail import Rail
@@ -68,7 +67,7 @@ def test_a_ranking_is_cached_until_a_picture_changes(data: Path, workspace: Work
 
 
 def test_nothing_is_marked_before_the_ranking_is_done(workspace: Workspace) -> None:
-    ranking, feeds = workspace.rankings[TASK], Feeds(workspace)
+    ranking, feeds = workspace.rankings[TASK], workspace.feeds
     state = opening(workspace)
     assert Rail().message(replace(state, filter="missed"), workspace, ranking, feeds)["total"] == 0
     assert not workspace.graded(ranking).any()

@@ -109,7 +109,7 @@ def test_a_correction_is_kept_for_all_tabs_and_forgotten(tab: PanelTab, flown: t
     tab.act("flight.positions", suffix=".csv")
     tab.until(lambda last: "download" in last)
     assert tab.last["download"]["name"] == "monday-positions.csv"
-    find = flown[0]._services_of(tab.last["state"]["place"]).feeds.find
+    find = flown[0]._workspace(tab.last["state"]["place"]).feeds.find
     content = find(tab.last["download"]["address"].removeprefix("pictures/"))
     assert content is not None
     assert content().data.decode("utf-8-sig").startswith("frame,")

@@ -287,6 +287,8 @@ def test_files_that_are_no_pictures_or_too_large_are_refused_in_one_sentence(tab
     assert tab.error() == "2 files are no photos that can be read: notes.txt, large.jpg."
     tab.act("upload", name="large.jpg", size=40_000_000)
     tab.error("large.jpg has 40 MB; up to 30 MB")
+    tab.act("upload", name="none.jpg", size=0)
+    assert tab.error() == "none.jpg is empty; choose another file."
     tab.socket.send(b"these bytes belong to nothing")
     tab.set(angle=9)
     tab.result(angle=9)

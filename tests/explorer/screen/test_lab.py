@@ -18,9 +18,9 @@ from explorer.screen.fields import ScreenState
 from explorer.screen.fragments import fragment
 from explorer.screen.panels.lab import charts, points, table
 from explorer.screen.panels.lab.selection import PICKED, WHERE, LabSelection, decode, encode
-from explorer.screen.panels.lab.service import LabFindings, chosen_places, lab_of
+from explorer.screen.panels.lab.service import LabFindings, lab_of
 from explorer.workspace import Workspace
-from lpn.analysis import breakdown
+from lpn.analysis import breakdown, embedding_map
 from lpn.core.errors import InputError
 from lpn.tasks.notes import Note
 from tests.explorer.conftest import Tab, get, mapped_workspace
@@ -185,7 +185,9 @@ def test_the_map_has_all_places_and_a_lasso_picks_those_inside(workspace: Worksp
     known = np.concatenate([findings.task.geometry.query_ground, findings.task.geometry.ground])
     np.testing.assert_allclose(plane * unit + origin, known, atol=1e-2)
     x, y = found.queries[4]
-    inside = chosen_places(found, np.array([[x - 1, y - 1], [x + 1, y - 1], [x + 1, y + 1], [x - 1, y + 1]]))
+    inside = embedding_map.inside(
+        found.queries, np.array([[x - 1, y - 1], [x + 1, y - 1], [x + 1, y + 1], [x - 1, y + 1]])
+    )
     assert 4 in inside.tolist()
     assert all(np.abs(found.queries[row] - found.queries[4]).max() <= 1 for row in inside)
     coloured = points.colours(findings, "weather")
@@ -268,6 +270,6 @@ def test_notes_are_kept_beside_the_data_and_a_change_of_others_is_told(
     tab.act("lab.tag", tags="!")
     told(tab, "saved", good=False, query=-1)
     tab.act("lab.csv")
-    file = told(tab, "file")
+    file = tab.until(lambda last: "download" in last)["download"]
     assert file["name"].endswith(f"-{count}-queries.csv")
     assert len(get(app, "/" + file["address"])[2].decode().strip().splitlines()) == count + 1

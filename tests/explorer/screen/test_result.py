@@ -12,7 +12,6 @@ import pytest
 from explorer.screen import fields, result
 from explorer.screen.fields import ScreenState
 from explorer.screen.result import STRIP, ScreenResult, measured_scale
-from explorer.services import WorkspaceServices
 from explorer.workspace import Workspace, WorkspaceAnalyser
 from lpn import explain
 from lpn.core import images
@@ -23,8 +22,9 @@ from lpn.retrieval import scoring
 def result_of(workspace: Workspace, **values: Any) -> ScreenResult:
     state: ScreenState = replace(fields.opening(workspace), **values)
     analysis = WorkspaceAnalyser(workspace).analyse(workspace.tasks[state.task], state.question(), STRIP)
-    feeds = WorkspaceServices.of(workspace).feeds
-    return ScreenResult(workspace, feeds, state, state.question(), analysis, measured_scale(analysis.task), "photo.jpg")
+    return ScreenResult(
+        workspace, workspace.feeds, state, state.question(), analysis, measured_scale(analysis.task), "photo.jpg"
+    )
 
 
 @pytest.mark.parametrize("query", range(8))

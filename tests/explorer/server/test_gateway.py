@@ -27,7 +27,7 @@ from explorer.server import gateway
 from explorer.server.auth import Authenticator
 from explorer.server.picture_route import PREFIX, EncodedPicture, PictureRoute
 from explorer.server.rate_limiter import GUESSES, RateLimiter, TokenBucket
-from explorer.workspace import Workspace
+from explorer.workspace import Workspace, Workspaces
 from lpn.core.errors import DataError, InputError, MissingPackageError
 from tests.explorer.conftest import TAB, answered, get
 from tools.fixtures import small_worlds
@@ -105,17 +105,19 @@ def test_the_page_may_load_from_and_connect_to_its_own_server_only(app: App) -> 
 
 
 def test_a_page_for_a_notebook_may_be_framed_by_this_machine_and_ends_when_it_is_closed(app: App) -> None:
-    page = serve_in_background(lambda: app_workspace(app))
+    page = serve_in_background(Workspaces(lambda: app_workspace(app)))
     with urllib.request.urlopen(page.url, timeout=60) as response:
         policy = response.headers["Content-Security-Policy"]
     assert "frame-ancestors 'self' http://localhost:* http://127.0.0.1:* " in policy
     assert page._repr_html_().startswith(f'<iframe src="{page.url}"')
     with pytest.raises(InputError, match="is in use"):
-        serve_in_background(lambda: app_workspace(app), port=urlsplit(page.url).port or 0)
+        serve_in_background(Workspaces(lambda: app_workspace(app)), port=urlsplit(page.url).port or 0)
     page.close()
     with pytest.raises(urllib.error.URLError, match="refused"):
         urllib.request.urlopen(page.url, timeout=60)
-    with serve_in_background(lambda: app_workspace(app), authenticator=Authenticator("127.0.0.1", TOKEN)) as other:
+    with serve_in_background(
+        Workspaces(lambda: app_workspace(app)), authenticator=Authenticator("127.0.0.1", TOKEN)
+    ) as other:
         assert "iframe" not in other._repr_html_()
 
 
@@ -353,8 +355,8 @@ def witness(app: App, capfd: pytest.CaptureFixture[str]) -> Iterator[ScreenTab]:
 
 
 def app_workspace(app: App) -> Workspace:
-    (services,) = app._services.values()
-    return services.workspace
+    (workspace,) = app._workspaces.values()
+    return workspace
 
 
 @pytest.fixture

@@ -19,7 +19,7 @@ from lpn.cli.main import main
 from lpn.core import images
 from lpn.core.arrays import Float32Array
 from lpn.core.errors import InputError
-from lpn.datasets import Picture, Truth, geo, labels_of, open_dataset
+from lpn.datasets import Picture, Truth, geo, open_dataset
 from lpn.datasets.layouts.university import University
 from lpn.descriptors.transforms import Change
 from lpn.descriptors.weather import WEATHERS, Weather
@@ -31,7 +31,7 @@ from lpn.retrieval.calibration import centred as without_mean
 from lpn.sources import SourceOptions, open_source
 from lpn.tasks import query_outcomes
 from lpn.tasks.changes import averaged, centred, changed, in_weather, turned, with_parts
-from lpn.tasks.measure import measure
+from lpn.tasks.measure import Figures, Result, measure
 from lpn.tasks.opening import lazy_task
 from lpn.tasks.query_outcomes import Outcomes
 from lpn.tasks.weathers import measure_weathers
@@ -46,6 +46,16 @@ def described(model: Model, pictures: list[Picture], view: str, angle: float = 0
     return model.descriptors(np.stack([images.prepare(p, model.input_size) for p in turned]), view)  # type: ignore[arg-type]
 
 
+def labels(pictures: Sequence[Picture]) -> list[int]:
+    return [picture.label for picture in pictures]
+
+
+def expect_figures(found: Figures | Result, *sides: object) -> None:
+    """Compare figures with those of queries, their labels, tiles, and their labels, and perhaps lists of true matches."""
+    expected, values = metrics.evaluate(*sides), found.to_dict()  # type: ignore[arg-type]
+    assert [values[key] for key in KEYS] == pytest.approx([expected[key] for key in KEYS])
+
+
 @pytest.mark.parametrize(
     ("task", "rotate", "parts"),
     [("drone-to-satellite", 0.0, None), ("satellite-to-drone", 30.0, [2]), ("drone-to-satellite", -90.0, [4, 1, 4])],
@@ -58,14 +68,8 @@ def test_figures_are_those_of_the_turned_queries_and_the_chosen_parts(
     query_view, gallery_view = task.split("-to-")
     queries, gallery = dataset.queries(query_view), dataset.gallery(gallery_view)
     index = [part - 1 for part in dict.fromkeys(parts)] if parts else list(range(4))
-    expected = metrics.evaluate(
-        described(model, queries, query_view, rotate)[:, index],
-        [picture.label for picture in queries],
-        described(model, gallery, gallery_view)[:, index],
-        [picture.label for picture in gallery],
-    )
-    for key in KEYS:
-        assert found.to_dict()[key] == pytest.approx(expected[key])
+    asked, tiles = described(model, queries, query_view, rotate), described(model, gallery, gallery_view)
+    expect_figures(found, asked[:, index], labels(queries), tiles[:, index], labels(gallery))
     assert found.parts == tuple(i + 1 for i in index)
 
 
@@ -78,10 +82,8 @@ def test_centred_figures_are_those_of_a_model_with_the_means_of_both_sides(data:
         for view, pictures in (("drone", queries), ("satellite", gallery))
     }
     moved = model.centred(means)  # type: ignore[arg-type]
-    expected = metrics.evaluate(
-        described(moved, queries, "drone"), labels(queries), described(moved, gallery, "satellite"), labels(gallery)
-    )
-    assert [found.to_dict()[key] for key in KEYS] == pytest.approx([expected[key] for key in KEYS])
+    asked, tiles = described(moved, queries, "drone"), described(moved, gallery, "satellite")
+    expect_figures(found, asked, labels(queries), tiles, labels(gallery))
     assert "each part normalised; the mean of the queries and that of the gallery subtracted" in found.sentence
     rows = np.arange(24, dtype=np.float32).reshape(3, 2, 4) ** 2
     rows /= np.linalg.norm(rows, axis=2, keepdims=True) * np.float32(np.sqrt(2))
@@ -102,10 +104,6 @@ def test_parts_that_are_no_parts_of_the_model_are_refused(data: Path, model_file
         lpn.evaluate(model_file, data, parts=parts)
 
 
-def labels(pictures: list[Picture]) -> list[int]:
-    return [picture.label for picture in pictures]
-
-
 def test_queries_are_scaled_before_the_resize_and_shifted_after_it(data: Path, model_file: Path) -> None:
     model, dataset = lpn.load(model_file), open_dataset(data)
     task = lazy_task(model, dataset, "drone-to-satellite")
@@ -119,8 +117,7 @@ def test_queries_are_scaled_before_the_resize_and_shifted_after_it(data: Path, m
         moved[:, :-7] = resized[:, 7:]
         made.append(images.normalise(moved))
     query = model.descriptors(np.stack(made), "drone")
-    expected = metrics.evaluate(query, labels(queries), described(model, gallery, "satellite"), labels(gallery))
-    assert [found.to_dict()[key] for key in KEYS] == pytest.approx([expected[key] for key in KEYS])
+    expect_figures(found, query, labels(queries), described(model, gallery, "satellite"), labels(gallery))
     assert "queries turned 20°, scaled by 0.8, shifted 7 px to the left" in found.sentence
     unchanged = measure(task)
     assert unchanged.ap != found.ap
@@ -139,9 +136,8 @@ def test_averaged_queries_are_one_per_place(tmp_path: Path, model_file: Path) ->
     parts = described(model, queries, "drone")
     mean = np.stack([parts[i : i + 3].mean(axis=0) for i in range(0, 18, 3)])
     mean /= 2 * np.linalg.norm(mean, axis=2, keepdims=True)
-    expected = metrics.evaluate(mean, labels(queries)[::3], described(model, gallery, "satellite"), labels(gallery))
     assert (len(queries), found.queries) == (18, 6)
-    assert [found.to_dict()[key] for key in KEYS] == pytest.approx([expected[key] for key in KEYS])
+    expect_figures(found, mean, labels(queries)[::3], described(model, gallery, "satellite"), labels(gallery))
     assert "the 18 query pictures averaged to one query per place" in found.sentence
 
 
@@ -152,8 +148,8 @@ def test_one_branch_can_describe_both_sides(data: Path, tmp_path: Path) -> None:
     found = {}
     for branch in ("satellite", "drone"):
         found[branch] = measure(lazy_task(model, dataset, "drone-to-satellite", branch=branch))  # type: ignore[arg-type]
-        sides = described(model, queries, branch), labels(queries), described(model, gallery, branch), labels(gallery)
-        assert found[branch].ap == pytest.approx(metrics.evaluate(*sides)["ap"])
+        asked, tiles = described(model, queries, branch), described(model, gallery, branch)
+        expect_figures(found[branch], asked, labels(queries), tiles, labels(gallery))
         assert f"both sides described by the {branch} branch" in found[branch].sentence
     assert found["satellite"].ap != found["drone"].ap
     with pytest.raises(InputError, match="no 'street' view"):
@@ -186,10 +182,9 @@ def test_landmarks_are_cropped_and_ranked_by_lists(data: Path, model_file: Path)
     whole = [images.load_picture(picture.path) for picture in dataset.queries("street")]
     cut = [picture[20 : round(90.7 - i), 10:60] for i, picture in enumerate(whole)]
     query = model.descriptors(np.stack([images.prepare(picture, model.input_size) for picture in cut]), "drone")
-    expected = metrics.evaluate(query, None, tiles, None, dataset.truth("street-to-street"))
     task = lazy_task(model, dataset, "street-to-street", branch="drone")
     found = measure(task)
-    assert [found.to_dict()[key] for key in KEYS] == pytest.approx([expected[key] for key in KEYS])
+    expect_figures(found, query, None, tiles, None, dataset.truth("street-to-street"))
     assert (found.to_dict()["cropped"], found.to_dict()["junk"]) == (True, "lists")
     assert "junk taken out of the ranking" in found.sentence
     assert "cropped" in found.sentence
@@ -215,8 +210,7 @@ def test_distractors_make_a_second_gallery_that_is_named(
     kept = [label if label in asked else -1 for label in labels(gallery)]
     query, tiles = described(model, queries, "drone"), described(model, gallery, "satellite")
     for figures, expected_labels in zip(found.galleries, (labels(gallery), kept), strict=True):
-        expected = metrics.evaluate(query, asked, tiles, expected_labels)
-        assert [figures.to_dict()[key] for key in KEYS] == pytest.approx([expected[key] for key in KEYS])
+        expect_figures(figures, query, asked, tiles, expected_labels)
     assert found.galleries[1].ap > found.ap
     assert main(["evaluate", str(root), "--model", str(model_file)]) == 0
     said = capsys.readouterr().out
@@ -236,6 +230,11 @@ def read_drawn(model: Model, pictures: Sequence[Picture], view: str, change: Cha
         )
         rows.append(place.standard_normal((model.n_parts, 6)) + 1.5 * own.standard_normal((model.n_parts, 6)))
     return normalise(np.array(rows, np.float32))
+
+
+def drawn_sides(model: Model, *sides: Sequence[Picture]) -> list[Float32Array]:
+    """Return the descriptors of pictures, each as one vector."""
+    return [read_drawn(model, pictures, "", Change()).reshape(len(pictures), -1) for pictures in sides]
 
 
 def outcomes_of(query: Float32Array, tiles: Float32Array, truth: Sequence[Truth] | None) -> Outcomes:
@@ -259,8 +258,7 @@ def test_sues_has_a_row_for_each_height_on_both_galleries(tmp_path: Path, model_
         kept = [label if label > 2 else -1 for label in labels(sides[1])]
         assert [one.gallery for one in galleries] == ([5, 3] if gallery_view == "satellite" else [10, 6])
         for figures, of_gallery in zip(galleries, (labels(sides[1]), kept), strict=True):
-            expected = metrics.evaluate(query, labels(sides[0]), tiles, of_gallery)
-            assert [figures.to_dict()[key] for key in KEYS] == pytest.approx([expected[key] for key in KEYS])
+            expect_figures(figures, query, labels(sides[0]), tiles, of_gallery)
     assert set(found.to_dict()["groups"]) == {"150", "300"}
 
 
@@ -268,9 +266,7 @@ def test_denseuav_is_measured_in_degrees(tmp_path: Path, model_file: Path) -> No
     model, dataset = lpn.load(model_file), open_dataset(layouts.denseuav(tmp_path / "DenseUAV"))
     found = measure(lazy_task(model, dataset, "drone-to-satellite", read_drawn))
     queries, gallery = dataset.queries("drone"), dataset.gallery("satellite")
-    query, tiles = (
-        read_drawn(model, pictures, "", Change()).reshape(len(pictures), -1) for pictures in (queries, gallery)
-    )
+    query, tiles = drawn_sides(model, queries, gallery)
     total, near = 0.0, 0
     for row, picture in zip(query, queries, strict=True):
         order = np.argsort(-(tiles.astype(float) @ row), kind="stable")
@@ -292,9 +288,7 @@ def test_gta_uav_and_visloc_are_measured_in_metres(tmp_path: Path, model_file: P
     model, dataset = lpn.load(model_file), open_dataset(layouts.gta(tmp_path / "GTA", degrees=degrees))
     found = measure(lazy_task(model, dataset, "drone-to-satellite", read_drawn))
     queries, gallery = dataset.queries("drone"), dataset.gallery("satellite")
-    query, tiles = (
-        read_drawn(model, pictures, "", Change()).reshape(len(pictures), -1) for pictures in (queries, gallery)
-    )
+    query, tiles = drawn_sides(model, queries, gallery)
     starts, ends = dataset.coordinates(queries), dataset.coordinates(gallery)
     sdm, distance, precision = 0.0, 0.0, 0.0
     for row, start, lists in zip(query, starts, dataset.truth("drone-to-satellite") or (), strict=True):
@@ -325,9 +319,7 @@ def test_vigor_has_a_hit_rate_and_a_row_for_each_city(tmp_path: Path, model_file
     found = measure(lazy_task(model, dataset, "street-to-satellite", read_drawn, "drone"))
     assert list(found.groups) == ["Chicago", "NewYork", "Seattle", "SanFrancisco"]
     queries, gallery = dataset.queries("street"), dataset.gallery("satellite")
-    query, tiles = (
-        read_drawn(model, pictures, "", Change()).reshape(len(pictures), -1) for pictures in (queries, gallery)
-    )
+    query, tiles = drawn_sides(model, queries, gallery)
     hits = 0
     for row, lists in zip(query, dataset.truth("street-to-satellite") or (), strict=True):
         scores = tiles.astype(float) @ row
@@ -417,13 +409,9 @@ def test_weather_falls_on_the_drone_pictures_of_the_gallery(data: Path, model_fi
     change = Change(weather=Weather("dark"))
     result = measure(changed(lazy_task(model, dataset, "satellite-to-drone"), change))
     tiles, photos = dataset.queries("satellite"), dataset.gallery("drone")
-    expected = metrics.evaluate(
-        np.stack([describe_picture(model, one.load(), "satellite").descriptor for one in tiles]),
-        labels_of(tiles),
-        np.stack([describe_picture(model, one.load(), "drone", change).descriptor for one in photos]),
-        labels_of(photos),
-    )
-    assert [result.recall["1"], result.ap] == pytest.approx([expected["recall@1"], expected["ap"]])
+    asked = np.stack([describe_picture(model, one.load(), "satellite").descriptor for one in tiles])
+    drawn = np.stack([describe_picture(model, one.load(), "drone", change).descriptor for one in photos])
+    expect_figures(result, asked, labels(tiles), drawn, labels(photos))
     assert "gallery pictures in the dark" in result.sentence
 
 

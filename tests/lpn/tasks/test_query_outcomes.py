@@ -17,11 +17,9 @@ from lpn.core.arrays import Float32Array
 from lpn.core.errors import DataError, InputError
 from lpn.core.tables import number_column, text_column
 from lpn.datasets import Picture, Truth, geo, labels_of, open_dataset
-from lpn.descriptors import cached_descriptors
 from lpn.models.base import normalise
 from lpn.retrieval import metrics, ranks, scoring
 from lpn.tasks import notes
-from lpn.tasks.gallery_geometry import GalleryGeometry
 from lpn.tasks.query_outcomes import (
     OUTCOME_COLUMNS,
     Outcomes,
@@ -29,6 +27,7 @@ from lpn.tasks.query_outcomes import (
     picture_columns,
     table,
 )
+from lpn.tasks.task import Task
 from tools.fixtures import small_worlds
 from tools.fixtures.tasks import descriptor_task
 
@@ -95,6 +94,14 @@ def build(
     return replace(task, weights=weights).outcomes
 
 
+def random_task(root: Path, n: int = 4) -> Task:
+    """A task of a data set's pictures with random descriptors."""
+    queries, gallery = open_dataset(root).queries("drone"), open_dataset(root).gallery("satellite")
+    sides = descriptors(len(queries), n), descriptors(len(gallery), n)
+    task = descriptor_task(*sides, labels_of(queries), labels_of(gallery))
+    return replace(task, root=root, queries=queries, gallery=gallery)
+
+
 @pytest.mark.parametrize("block", [64_000_000, 700])
 @pytest.mark.parametrize("weights", [None, [0.1, 0.0, 3, 1]])
 def test_outcomes_are_those_of_each_query_ranked_alone(
@@ -142,15 +149,6 @@ def test_where_nothing_is_false_or_all_is_junk_there_is_no_margin() -> None:
     assert listed.answer.tolist() == [-1, -1]
 
 
-def test_equal_scores_are_in_the_gallerys_order() -> None:
-    tile = descriptors(1)
-    gallery = np.concatenate([tile] * 4)
-    behind = build(tile, gallery, [1], [0, 0, 1, 1])
-    assert (behind.rank[0], behind.answer[0], behind.true[0], behind.false[0]) == (2, 0, 2, 0)
-    before = build(tile, gallery, [1], [1, 0, 1, 0])
-    assert (before.rank[0], before.answer[0], before.margin[0]) == (0, 0, 0.0)
-
-
 def test_progress_is_told_and_can_end_the_work(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(ranks, "_BLOCK_BYTES", 4 * 5 * 4)
     told: list[tuple[int, int]] = []
@@ -165,20 +163,8 @@ def test_progress_is_told_and_can_end_the_work(monkeypatch: pytest.MonkeyPatch) 
         metrics.retrieve(*sides, progress=stop)
 
 
-def test_descriptors_that_do_not_fit_are_refused() -> None:
-    with pytest.raises(InputError, match="same model and parts"):
-        build(descriptors(2), descriptors(2, n=2), [1, 2], [1, 2])
-    with pytest.raises(InputError, match="one integer for each"):
-        build(descriptors(2), descriptors(2), [1], [1, 2])
-    with pytest.raises(InputError, match="part weights"):
-        build(descriptors(2), descriptors(2), [1, 2], [1, 2], weights=[1, 2])
-
-
-def described(root: Path, model_file: Path) -> tuple[list[Picture], list[Picture], Outcomes]:
-    model, dataset = lpn.load(model_file), open_dataset(root)
-    queries, gallery = dataset.queries("drone"), dataset.gallery("satellite")
-    asked, tiles = cached_descriptors(model, queries, "drone"), cached_descriptors(model, gallery, "satellite")
-    return queries, gallery, build(asked, tiles, labels_of(queries), labels_of(gallery))
+def described(root: Path, model_file: Path) -> Task:
+    return lpn.open_task(root, model=model_file)
 
 
 def world_json(root: Path) -> None:
@@ -210,15 +196,9 @@ def known(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_a_table_has_a_row_for_each_query_and_a_column_for_all_that_is_known(known: Path, model_file: Path) -> None:
-    queries, gallery, outcomes = described(known, model_file)
-    made = table(
-        known,
-        queries,
-        gallery,
-        outcomes,
-        ["1 centre", "2", "3", "4 outer"],
-        GalleryGeometry.of_dataset(open_dataset(known), queries, gallery),
-    )
+    task = described(known, model_file)
+    queries, gallery, outcomes = task.queries, task.gallery, task.outcomes
+    made = table(task, outcomes, ["1 centre", "2", "3", "4 outer"])
     assert list(made.columns)[:8] == [name for name in OUTCOME_COLUMNS if name not in ("rank A", "rank B")][:8]
     of_pictures = [column.name for column in picture_columns(made)]
     assert of_pictures == [
@@ -244,23 +224,20 @@ def test_a_table_has_a_row_for_each_query_and_a_column_for_all_that_is_known(kno
 
 def test_metadata_may_have_columns_that_the_table_has_not(tmp_path: Path) -> None:
     root = small_worlds.make_dataset(tmp_path / "places", train=0)
-    queries, gallery = open_dataset(root).queries("drone"), open_dataset(root).gallery("satellite")
-    outcomes = build(descriptors(14)[:, :1], descriptors(14)[:, :1], labels_of(queries), labels_of(gallery))
+    task = random_task(root, 1)
     names = ["part", "distance", "overlap", "semi", "margin_1", "margin_9"]
-    path = queries[0].path.relative_to(root).as_posix()
+    path = task.queries[0].path.relative_to(root).as_posix()
     (root / "metadata.csv").write_text(f"path,{','.join(names)}\n{path},1,2,3,4,5,6\n")
-    made = table(root, queries, gallery, outcomes)
+    made = task.table
     assert [made.columns[name].values[0] for name in names] == [1, 2, 3, 4, 5, 6]
 
 
 def test_a_data_set_of_which_nothing_is_known_has_its_outcomes_only(data: Path, model_file: Path) -> None:
-    queries, gallery, outcomes = described(data, model_file)
-    made = table(data, queries, gallery, outcomes)
+    task = described(data, model_file)
+    made = table(task, task.outcomes, ["1", "2", "3", "4"])
     assert picture_columns(made) == []
     assert "distance" not in made.columns
     assert set(made.columns["part"].values) <= {"1", "2", "3", "4"}
-    with pytest.raises(InputError, match="those of one task"):
-        table(data, queries[1:], gallery, outcomes)
 
 
 @pytest.mark.parametrize(
@@ -283,16 +260,15 @@ def test_a_data_set_of_which_nothing_is_known_has_its_outcomes_only(data: Path, 
 )
 def test_metadata_that_cannot_be_used_is_one_sentence(tmp_path: Path, text: str, said: str) -> None:
     root = small_worlds.make_dataset(tmp_path / "places", train=0)
-    queries, gallery = open_dataset(root).queries("drone"), open_dataset(root).gallery("satellite")
-    outcomes = build(descriptors(14), descriptors(14), labels_of(queries), labels_of(gallery))
+    task = random_task(root)
     (root / "metadata.csv").write_bytes(text.encode("latin-1"))
     with pytest.raises(DataError) as error:
-        table(root, queries, gallery, outcomes)
+        _ = task.table
     assert said in str(error.value)
     (root / "metadata.csv").unlink()
     (root / "world.json").write_text('{"districts": [], "buildings": [{"id": 1}], "pictures": 3}')
     with pytest.raises(DataError, match="not the plan of a rendered world"):
-        table(root, queries, gallery, outcomes)
+        _ = task.table
 
 
 def outcomes_of(rank: list[int], first: list[int], decides: list[int]) -> Outcomes:
@@ -387,8 +363,8 @@ def test_the_command_lists_failures_and_writes_them(
     known: Path, model_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     own = tmp_path / "mine.csv"
-    queries, _, outcomes = described(known, model_file)
-    first = queries[3].path.relative_to(known).as_posix()
+    task = described(known, model_file)
+    first = task.queries[3].path.relative_to(known).as_posix()
     notes.set_note(own, first, "odd", "-1 for the roof")
     common = ["failures", str(known), "--model", str(model_file), "--notes", str(own)]
     out = tmp_path / "out" / "failures.csv"
@@ -402,7 +378,7 @@ def test_the_command_lists_failures_and_writes_them(
     rows = list(csv.DictReader(io.StringIO(out.read_text())))
     margins = [float(row["margin"]) for row in rows]
     assert margins == sorted(margins)
-    np.testing.assert_allclose(margins, np.sort(outcomes.margin), atol=1e-6)
+    np.testing.assert_allclose(margins, np.sort(task.outcomes.margin), atol=1e-6)
     by_path = {row["path"]: row for row in rows}
     assert (by_path[first]["tags"], by_path[first]["note"]) == ("odd", "'-1 for the roof")
     assert by_path[first]["weather"] in ("rain", "'=sun", "")
@@ -429,7 +405,7 @@ def test_the_command_lists_the_ranks_of_two_models(
     printed = capsys.readouterr().out
     assert "rank A" in printed
     assert "┃ rank ┃" not in printed
-    first, second = (described(known, file)[2].rank + 1 for file in (one_part_model_file, model_file))
+    first, second = (described(known, file).outcomes.rank + 1 for file in (one_part_model_file, model_file))
     expected = np.sort(first[(first > 1) & (second == 1)])
     assert len(expected)
     rows = list(csv.DictReader(io.StringIO(out.read_text())))
@@ -438,9 +414,9 @@ def test_the_command_lists_the_ranks_of_two_models(
 
 
 def test_ranks_of_other_queries_are_refused() -> None:
-    outcomes = build(descriptors(3), descriptors(4, seed=1), np.arange(3), np.arange(4))
+    task = descriptor_task(descriptors(3), descriptors(4, seed=1), np.arange(3), np.arange(4))
     pictures = [Picture(Path(f"/data/{i}.jpg"), i, str(i)) for i in range(4)]
-    made = table(Path("/data"), pictures[:3], pictures, outcomes)
+    made = replace(task, root=Path("/data"), queries=pictures[:3], gallery=pictures).table
     with pytest.raises(InputError, match="3 queries and 2 ranks"):
         compared_ranks(made, np.zeros(2, np.int64))
     other = compared_ranks(made, np.array([0, 5, -1]))[1]

@@ -39,7 +39,7 @@ def same(one: metrics.Retrieval, other: metrics.Retrieval) -> None:
 def test_a_ranking_that_was_stopped_goes_on_where_it_stood(task: Task, listed: bool) -> None:
     if listed:
         task = replace(task, truth=[Truth(np.array([i % 7]), np.array([(i + 3) % 7])) for i in range(10)])
-    ranking, told = task.ranking(), []
+    ranking, told = ranking_cache.ResumableRanking(task), []
 
     def stop(done: int, total: int) -> None:
         told.append((done, total))

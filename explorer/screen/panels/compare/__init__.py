@@ -35,9 +35,9 @@ class _Compare(PanelPart):
         if self._pair is None or self._pair.result.analysis is not result.analysis:
             self._pair = TilePair.of(result)
         self._show_pair(self._pair)
-        second = self._second.message(result)
-        self._send(models=second.values)
-        return second.again
+        models, again = self._second.message(result)
+        self._send(models=models)
+        return again
 
     def close(self) -> None:
         self._closed = True

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -28,17 +28,8 @@ OTHER = PanelField("compare_model", OneOf("models"), "", "beside")
 _TILES, _PHOTOS, _INTERVAL = 5, 4, 0.5
 
 
-@dataclass(frozen=True)
-class ModelsMessage:
-    """The section of both models.
-
-    Attributes:
-        values: JSON values; None without a second model.
-        again: seconds until the next update; None if nothing goes on.
-    """
-
-    values: dict[str, Any] | None
-    again: float | None = None
+# The section of both models as JSON, None without a second one; and seconds until the next update, None if nothing goes on.
+ModelsMessage = tuple[dict[str, Any] | None, float | None]
 
 
 class SecondModel:
@@ -51,10 +42,8 @@ class SecondModel:
 
     def open_again(self) -> None:
         """Open the second model again after a failure."""
-        number = self._number(self._tab.state)
-        if number:
-            self._tab.services.workspace.beside[number - 1].open()
-            self._tab.set({})
+        self._tab.base.models[self._number(self._tab.state)].open()
+        self._tab.set({})
 
     def close(self) -> None:
         """Stop the work for the tab."""
@@ -64,10 +53,10 @@ class SecondModel:
 
     def message(self, result: ScreenResult) -> ModelsMessage:
         """Return the columns of both models, or the state of the work that the second one waits for."""
-        base, number = self._tab.services.workspace, self._number(result.state)
+        base, number = self._tab.base, self._number(result.state)
         if not base.beside:
-            return ModelsMessage(None)
-        labels = [label.removesuffix(".onnx") for label in (base.model_name, *(one.label for one in base.beside))]
+            return None, None
+        labels = [one.label.removesuffix(".onnx") for one in base.models]
         shown = {
             "labels": labels,
             "own": int(result.state.model),
@@ -77,23 +66,22 @@ class SecondModel:
             "again": False,
             "columns": [],
         }
-        lazy = base.beside[number - 1] if number else None
-        if lazy is not None and not lazy.asked:
+        lazy = base.models[number]
+        if not lazy.asked:
             lazy.open()
-        other = base if lazy is None else lazy.workspace
-        if lazy is not None and other is None:
+        other = lazy.workspace
+        if other is None:
             if lazy.error:
-                return ModelsMessage(shown | {"text": lazy.error, "again": True})
+                return shown | {"text": lazy.error, "again": True}, None
             done, total = lazy.progress
             counted = f": {done:,} of {total:,} pictures described" if total else ""
-            return ModelsMessage(shown | {"text": f"Opening {lazy.label}{counted}."}, _INTERVAL)
-        assert other is not None
+            return shown | {"text": f"Opening {lazy.label}{counted}."}, _INTERVAL
         if result.task.name not in other.tasks:
-            return ModelsMessage(shown | {"text": f"{labels[number]} does not know the views of this task."})
+            return shown | {"text": f"{labels[number]} does not know the views of this task."}, None
         try:
             return self._both(result, other, shown)
         except (LPNError, WorkCancelledError) as error:
-            return ModelsMessage(shown | {"text": str(error)})
+            return shown | {"text": str(error)}, None
 
     def _both(self, result: ScreenResult, other: Workspace, shown: dict[str, Any]) -> ModelsMessage:
         own = result.workspace
@@ -116,7 +104,7 @@ class SecondModel:
             for (one, of_one), ranking in zip(((own, analysis), (other, theirs)), rankings, strict=True)
         ]
         values = shown | {"text": failed, "columns": columns, "unlike": unlike, **self._changes(result, rankings)}
-        return ModelsMessage(values, _INTERVAL if waits else None)
+        return values, _INTERVAL if waits else None
 
     def _column(
         self, result: ScreenResult, workspace: Workspace, analysis: Answer, ranking: RankingJob

@@ -17,16 +17,9 @@ from explorer.screen.fragments import fragment
 from explorer.screen.panel import Panel, PanelPart, Tab
 from explorer.screen.panels.lab import charts, points, table
 from explorer.screen.panels.lab.selection import COLOUR, FIELDS, MAP, PICKED, SECOND, SHOW, TAB, LabSelection, encode
-from explorer.screen.panels.lab.service import (
-    Lab,
-    LabFindings,
-    PlaneKind,
-    PlanePoints,
-    chosen_places,
-    lab_of,
-    map_kinds,
-)
+from explorer.screen.panels.lab.service import Lab, LabFindings, PlaneKind, PlanePoints, lab_of, map_kinds
 from explorer.workspace import Workspace
+from lpn.analysis import embedding_map
 from lpn.core import images
 from lpn.core.arrays import Int64Array
 from lpn.core.errors import LPNError
@@ -54,9 +47,8 @@ class LabPart(PanelPart):
             "csv": self._csv,
             "calibrate": self._calibrate,
         }
-        self._services, self._feeds, self._closed = tab.services, tab.services.feeds, False
+        self._base, self._feeds, self._closed = tab.base, tab.base.feeds, False
         # The laboratories whose computation this tab joined; the filter in force follows.
-        # The map whose computation this tab joined.
         self._labs: set[Lab] = set()
         self._where = ""
         self._shown: LabSelection | None = None
@@ -201,25 +193,23 @@ class LabPart(PanelPart):
     # The second model.
 
     def _models(self) -> list[Workspace]:
-        base = self._services.workspace
-        return [base, *(one.workspace for one in base.beside if one.workspace is not None)]
+        return [one.workspace for one in self._base.models if one.workspace is not None]
 
     def _labels(self, state: ScreenState) -> dict[str, str]:
         """Return labels of the models that can be the second one, by their numbers."""
-        base = self._services.workspace
-        labels = [base.model_name, *(one.label for one in base.beside)]
-        return {str(number): label for number, label in enumerate(labels) if str(number) != state.model}
+        models = enumerate(self._base.models)
+        return {str(number): model.label for number, model in models if str(number) != state.model}
 
     def _second(self, state: ScreenState, findings: LabFindings) -> LabFindings | None:
         """Wait for the second model's ranks, and return the findings with them; None without them."""
-        number, base = state[SECOND], self._services.workspace
+        number = state[SECOND]
         if number not in self._labels(state):
             return None
-        beside = base.beside[int(number) - 1] if number != "0" else None
-        opened = beside is None or beside.workspace is not None
-        if beside is not None and not (opened or self._wait(beside.open(), f"rank B: opening {beside.label}", state)):
+        model = self._base.models[int(number)]
+        opening = model.opening()
+        if opening is not None and not self._wait(opening, f"rank B: opening {model.label}", state):
             return None
-        other = base if beside is None else beside.workspace
+        other = model.workspace
         assert other is not None
         calibrated, job = self._calibrating or (None, None)
         if job is not None and calibrated is other and not self._wait(job, "rank B: calibrating", state):
@@ -267,7 +257,7 @@ class LabPart(PanelPart):
             return
         if np.isfinite(line).all():
             origin, unit = points.scale(found)
-            self._set_picked(chosen_places(found, line * unit + origin))
+            self._set_picked(embedding_map.inside(found.queries, line * unit + origin))
 
     def _pick(self, arguments: Mapping[str, Any]) -> None:
         """Pick the queries of chosen rows, given by their positions in the table."""
@@ -335,10 +325,9 @@ class LabPart(PanelPart):
         shown, rows = self._shown, self._ordered
         if shown is not None:
             findings = shown.findings
-            feed = self._feeds.publish_bytes(self, "csv", lambda: findings.table.to_csv(rows), "text/csv")
-            workspace = self._services.workspace
-            name = re.sub(r"[^\w-]+", "-", f"{workspace.data_name}-{findings.task.name}-{len(rows)}-queries")
-            self._send("file", {"address": f"{self._feeds.address}{feed}0", "name": f"{name}.csv"})
+            data_name = self._base.data_name
+            name = re.sub(r"[^\w-]+", "-", f"{data_name}-{findings.task.name}-{len(rows)}-queries")
+            self.tab.download("Table", lambda _: (f"{name}.csv", findings.table.to_csv(rows)))
 
     # Sending.
 

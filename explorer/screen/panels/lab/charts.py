@@ -96,8 +96,7 @@ class _Card:
         self.head: dict[str, Any] = {"title": title, "about": about, "term": term}
         self._where = selection.where
         for condition in conditions:
-            if condition in self._where:
-                self._where = _without(self._where, condition)
+            self._where = _without(self._where, condition)
         self.rows = selection.rows(self._where, any_outcome=True, any_picked=selection.state[PICKED] in codes)
 
     def add(self, line: dict[str, Any], condition: str, queries: Int64Array) -> None:

@@ -102,7 +102,6 @@ class Laboratory {
     else if (kind === "tip") this.map.tip(value);
     else if (kind === "busy") this.showBusy(value);
     else if (kind === "saved") this.showSaved(value);
-    else if (kind === "file") make("a", { href: value.address, download: value.name }).click();
   }
 
   draw(view) {

@@ -11,7 +11,7 @@ from functools import cached_property
 import numpy as np
 
 from explorer.parameters import UnusableError
-from explorer.screen.fields import Line, OneOf, PanelField, ScreenState
+from explorer.screen.fields import FieldKind, Line, OneOf, PanelField, ScreenState
 from explorer.screen.panels.lab.service import LabFindings
 from explorer.workspace import Workspace
 from lpn.core.arrays import BoolArray, Int64Array
@@ -32,7 +32,7 @@ _DEFAULT = ("altitude", "district", "verdict", "tags")
 
 
 @dataclass(frozen=True)
-class Picked:
+class Picked(FieldKind):
     """A set of queries as a short text, see `encode`; empty for no choice."""
 
     def read(self, value: object, state: ScreenState, workspace: Workspace) -> str:
@@ -45,27 +45,14 @@ class Picked:
         return value if len(value) <= _LONGEST_PICKED else ""
 
 
-@dataclass(frozen=True)
-class OtherModel:
-    """The number of a model of the place, as in `ScreenState.model`; empty for none."""
-
-    def read(self, value: object, state: ScreenState, workspace: Workspace) -> str:  # noqa: ARG002
-        models = ["", *map(str, range(len(workspace.beside) + 1))]
-        if not isinstance(value, str) or value not in models:
-            raise UnusableError(f"expected {' or '.join(models[1:])}.")
-        return value
-
-    def write(self, value: str, state: ScreenState, workspace: Workspace) -> str:  # noqa: ARG002
-        return value
-
-
 TAB = PanelField("lab_tab", OneOf(("table", "charts", "map")), "table", "lab")
 SHOW = PanelField("lab_show", OneOf(("all", "missed", "near", "found", "only A", "only B")), "all", "rows")
 WHERE = PanelField("lab_where", Line(_LONGEST), "", "where")
 PICKED = PanelField("lab_picked", Picked(), "", "picked")
 SORT = PanelField("lab_sort", Line(_LONGEST), "margin", "sort")
 COLUMNS = PanelField("lab_columns", Line(_LONGEST), "", "columns")
-SECOND = PanelField("lab_second", OtherModel(), "", "ranks-of")
+# The number of a model of the place, as in `ScreenState.model`.
+SECOND = PanelField("lab_second", OneOf("models", optional=True), "", "ranks-of")
 MAP = PanelField("lab_map", OneOf(("", "ground", "pca", "umap")), "", "points")
 COLOUR = PanelField("lab_colour", Line(_LONGEST), "", "colour")
 FIELDS = (TAB, SHOW, WHERE, PICKED, SORT, COLUMNS, SECOND, MAP, COLOUR)

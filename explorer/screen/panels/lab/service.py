@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Hashable, Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Literal, TypeVar
+from typing import Literal
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from explorer.compute.background_jobs import BackgroundJob, BackgroundJobs, Repo
 from explorer.compute.ranking_job import RankingJob
 from explorer.workspace import Workspace
 from lpn.analysis import embedding_map
-from lpn.core.arrays import BoolArray, Float64Array, Int64Array, UInt8Array
+from lpn.core.arrays import BoolArray, Float64Array, UInt8Array
 from lpn.core.demo import own_file, own_file_place
 from lpn.core.errors import LPNError
 from lpn.core.tables import Table
@@ -31,7 +31,6 @@ from lpn.tasks.query_outcomes import Outcomes
 from lpn.tasks.task import Scoring, Task
 
 PlaneKind = Literal["ground", "pca", "umap"]
-T = TypeVar("T")
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,16 +153,12 @@ class Lab:
 
     def build(self, task: str, client: object) -> BackgroundJob[None]:
         """Start or join the computation of a task's findings; a failed one starts again."""
-        return self._join(task, client, lambda progress: self._build(self._workspace.rankings[task], progress))
+        return self._jobs.join(task, client, lambda progress: self._build(self._workspace.rankings[task], progress))
 
     def points(self, kind: PlaneKind, task: str, client: object) -> BackgroundJob[PlanePoints]:
         """Start or join the computation of a map; `ground` requires that the task has places."""
         ranked = self._workspace.rankings[task].task
-        return self._join((kind, task), client, lambda progress: self._points(kind, ranked, progress))
-
-    def _join(self, key: Hashable, client: object, work: Callable[[ReportProgress], T]) -> BackgroundJob[T]:
-        self._jobs.forget_failed(key)
-        return self._jobs.join(key, client, work)
+        return self._jobs.join((kind, task), client, lambda progress: self._points(kind, ranked, progress))
 
     def leave(self, client: object, key: Hashable | None = None) -> None:
         """Stop waiting for a map, by its kind and task, or for all work; work without a waiting tab is cancelled."""
@@ -193,8 +188,8 @@ class Lab:
 
     def _build(self, ranking: RankingJob, progress: ReportProgress) -> None:
         task, part_names = ranking.task, self._workspace.part_names
-        outcomes = task.outcomes_of(ranking.wait(self, progress).ranking)
-        table = task.tabulate(outcomes, part_names)
+        outcomes = query_outcomes.outcomes_of(task, ranking.wait(self, progress).ranking)
+        table = query_outcomes.table(task, outcomes, part_names)
         with self._lock:
             try:
                 stored, error = notes.read_notes(self._notes), ""
@@ -223,8 +218,3 @@ class Lab:
 
 # The laboratories of open workspaces: a few places, each with a few models.
 lab_of = lru_cache(maxsize=16)(Lab)
-
-
-def chosen_places(points: PlanePoints, corners: Int64Array | Float64Array) -> Int64Array:
-    """Return the queries within a lasso of corners (C, 2) in the map's units, ascending."""
-    return embedding_map.inside(points.queries, np.asarray(corners, np.float64))

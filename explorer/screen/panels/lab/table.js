@@ -1,9 +1,8 @@
 // The table of queries: Tabulator draws the rows in sight, and the server sends them in pieces, sorted and filtered.
 
-import { find, load, make } from "../../page/dom.js";
+import { PIECE, fetchPiece, find, load, make } from "../../page/dom.js";
 
 const ROW = 33; // pixels without the line below; lab.css has the same height for rows that are still empty
-const PIECE = 100; // rows that the server sends at once
 const WIDTHS = { rank: 62, margin: 88, part: 84, answer: 104, number: 88, text: 112 };
 
 export class QueryTable {
@@ -124,8 +123,7 @@ export class QueryTable {
     for (let number = first; number <= last && number * PIECE < total; number++) {
       if (this.pieces.has(number)) continue;
       this.pieces.set(number, true);
-      const answer = await fetch(`${address}${feed}${number}`).catch(() => null);
-      const entries = answer?.ok && answer.headers.get("Content-Length") !== "0" ? await answer.json().catch(() => []) : [];
+      const entries = await fetchPiece(`${address}${feed}${number}`);
       if (feed !== this.head?.feed) return;
       if (!entries.length) {
         this.pieces.delete(number); // asked for again

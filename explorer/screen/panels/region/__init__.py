@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from explorer.parameters import UnusableError
-from explorer.screen.fields import PanelField, ScreenState
+from explorer.screen.fields import FieldKind, PanelField, ScreenState
 from explorer.screen.fragments import fragment
 from explorer.screen.panel import Panel, PanelPart
 from explorer.screen.result import ScreenResult
@@ -22,7 +22,7 @@ _RUNS = re.compile(r"\d{1,4}(-\d{1,4})?(,\d{1,4}(-\d{1,4})?)*", re.ASCII)
 
 
 @dataclass(frozen=True)
-class CellRuns:
+class CellRuns(FieldKind):
     """Cells of a feature map, row by row: a list of numbers, in an address as runs such as "3-6,19"; empty for none."""
 
     def read(self, value: object, state: ScreenState, workspace: Workspace) -> tuple[int, ...]:  # noqa: ARG002

@@ -1,6 +1,6 @@
 // Cells of the photo are painted; the tiles are ranked by them alone.
 
-import { make, makeSvg } from "../../page/dom.js";
+import { find, make, makeSvg } from "../../page/dom.js";
 import { listen, put } from "../../page/fragment.js";
 import { makePicture, rollPicture, showPicture } from "../../page/pictures.js";
 
@@ -10,7 +10,7 @@ export const open = (box, { set, act, view }) => {
   const figure = makePicture();
   const [mask, mark] = [makeSvg("path", { class: "mask" }), makeSvg("rect", { class: "at", width: 1, height: 1 })];
   const grid = makeSvg("svg", { class: "cells", preserveAspectRatio: "none", tabindex: 0, role: "application", "aria-label": "Cells of the photo: arrows move, Space paints or erases" }, mask, mark);
-  figure.querySelector(".pan").append(grid);
+  find(".pan", figure).append(grid);
   const [why, found] = [make("p"), make("div", { class: "fade" })];
   const clear = make("button", { class: "clear button", text: "Clear" });
   const page = make("div", { class: "region" }, figure, why, clear, found);

@@ -23,7 +23,7 @@ def save_story(tab: Tab, story: Story) -> None:
     """
     if not story.steps:
         raise InputError("The story has no step yet; S keeps what is shown as one.")
-    base, context = tab.services.workspace, tab.background
+    base, context = tab.base, tab.background
     shown = [_state(base, step.shows, number) for number, step in enumerate(story.steps, 1)]
 
     def make(progress: ReportProgress) -> tuple[str, bytes]:
@@ -51,7 +51,7 @@ def _state(base: Workspace, shows: str, number: int) -> tuple[Workspace, ScreenS
     state, problems = fields.from_values(given, workspace)
     if problems:
         raise InputError(f"Step {number} cannot be shown: {problems[0]} Remove the step, or keep it again.")
-    of_model = workspace.beside[int(state.model) - 1].workspace if state.model != "0" else workspace
+    of_model = workspace.models[int(state.model)].workspace
     if of_model is None:
         raise InputError(f"Step {number} shows a model that is not open yet; open that step, then save the story.")
     return of_model, state

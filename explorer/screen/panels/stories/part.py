@@ -30,7 +30,7 @@ def keep(tab: Tab) -> None:
         raise InputError(
             "A story shows photos of the data set, and yours leaves with this tab; choose one of the list."
         )
-    workspace = tab.services.workspace
+    workspace = tab.base
     stories = files.stories_of(workspace)
     name = tab.state[STORY] if tab.state[STORY] in stories.own else _free(stories.by_name)
     step = Step(_address(tab), _caption(tab)[:400])
@@ -46,7 +46,7 @@ def _free(names: Collection[str]) -> str:
 
 def _address(tab: Tab) -> str:
     """Return the address of the screen; it names place and scoring, as their defaults may change."""
-    state, workspace = tab.state, tab.services.workspace
+    state, workspace = tab.state, tab.base
     given = fields.parsed(fields.to_address(state, workspace))
     shown = {key: one for key, one in given.items() if key not in _LEFT_OUT and (key, one) != ("panel", "stories")}
     place = {"show": state.place} if workspace.choices else {}
@@ -78,7 +78,7 @@ class StoriesPart(PanelPart):
 
     def show(self) -> None:
         """Send the stories, and the steps of the chosen one."""
-        workspace = self.tab.services.workspace
+        workspace = self.tab.base
         stories = files.stories_of(workspace)
         chosen = self.tab.state[STORY] or next(iter(stories.by_name), "")
         story = stories.by_name.get(chosen, Story(chosen or "-"))
@@ -102,7 +102,7 @@ class StoriesPart(PanelPart):
             self.tab.send(message | {"html": fragment("stories/stories", **message)})
 
     def _story(self, given: Mapping[str, Any]) -> Story:
-        story = files.stories_of(self.tab.services.workspace).by_name.get(_text(given, "story"))
+        story = files.stories_of(self.tab.base).by_name.get(_text(given, "story"))
         if story is None:
             raise InputError("There is no such story any more; choose another one.")
         return story
@@ -111,7 +111,7 @@ class StoriesPart(PanelPart):
         """Return an action that changes a story in the file, and shows it."""
 
         def act(given: Mapping[str, Any]) -> None:
-            file = files.own_stories(self.tab.services.workspace)
+            file = files.own_stories(self.tab.base)
             changed = files.change(file, self._story(given), lambda now: edit(now, given))
             self.tab.set({STORY.name: "" if changed is None else changed.name})
 
@@ -120,11 +120,11 @@ class StoriesPart(PanelPart):
     def _picture(self, shows: str) -> str:
         """Return the address of a step's photo; empty if its place is another one, or no longer exists."""
         if shows not in self._pictures:
-            given, services = fields.parsed(shows), self.tab.services
-            state, problems = fields.from_values(given, services.workspace)
+            given, workspace = fields.parsed(shows), self.tab.base
+            state, problems = fields.from_values(given, workspace)
             there = not problems and given.get("show", state.place) == state.place
-            task = services.workspace.tasks[state.task]
-            self._pictures[shows] = services.feeds.thumbnail(task, "query", state.query) if there else ""
+            task = workspace.tasks[state.task]
+            self._pictures[shows] = workspace.feeds.thumbnail(task, "query", state.query) if there else ""
         return self._pictures[shows]
 
 
