@@ -34,7 +34,7 @@ class CameraPicture(OwnPicture):
 
 @dataclass(frozen=True, eq=False)
 class _Turn:
-    """A registration's place in the queue of a map; `key` is its job's."""
+    """A registration's place in a map's queue; `key` is the job's key."""
 
     key: str
 
@@ -92,7 +92,7 @@ class _Turns:
 class OwnPhotoJobs:
     """Registers own pictures on a map; thread-safe.
 
-    A job's key is its picture's, or else a digest of pixels and camera data. Each job runs once for all clients, and is
+    A job has its picture's key, or else a digest of pixels and camera data. Each job runs once for all clients, and is
     forgotten with its answer when its last client has left.
 
     Args:
@@ -106,7 +106,7 @@ class OwnPhotoJobs:
         self._jobs = BackgroundJobs()
 
     def join(self, picture: OwnPicture, windows: Sequence[Window], client: object) -> BackgroundJob[OwnPhoto]:
-        """Return the job that registers the picture that a client shows; it has ended if another client has its answer.
+        """Return the job that registers a client's picture; it has ended if another client has its answer.
 
         Args:
             windows: the most similar windows, see `register_own_photo`.

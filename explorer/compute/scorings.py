@@ -12,7 +12,7 @@ class Scorings:
     """Prepares the further scorings of a workspace.
 
     Args:
-        why_not: one sentence with the reason for which there are none; empty if there are, or can be.
+        why_not: the reason why there can be none, in one sentence; otherwise empty.
         prepare: ranks all tasks under the further scorings, and puts them into the workspace.
     """
 
@@ -22,7 +22,7 @@ class Scorings:
 
     @property
     def prepares(self) -> bool:
-        """They are not there yet, and can be prepared."""
+        """True if they can still be prepared."""
         return self._prepare is not None
 
     def prepare(self, client: object) -> BackgroundJob[None] | None:

@@ -20,8 +20,8 @@ from lpn.flight.locate.verdict import judge
 # Share of the flying height that is the depth of a camera's pyramid, and metres of borders above the ground.
 _DEPTH, _LIFT = 0.12, 2.0
 _LEGEND = (
-    "Lines in the scene: the cameras of the placed photos, and the way along them; in another colour this photo's camera, and "
-    "the ground that it shows."
+    "Lines in the scene: the cameras of the placed photos, and the way along them. This photo's camera and its ground have "
+    "another colour."
 )
 
 

@@ -27,7 +27,7 @@ _STATES = {"accepted": 0, "not verified": 1, "refused": 2}
 
 
 def data(seen: FlightSnapshot, addresses: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the data to draw of a flight.
+    """Return a flight as data to draw.
 
     Args:
         addresses: folders of the pictures, see `FlightPicturesFeed`.
@@ -80,7 +80,7 @@ def data(seen: FlightSnapshot, addresses: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _track(seen: FlightSnapshot, name: str) -> dict[str, Any]:
-    """Return x, y, state, and radius of each frame; the state is -1 before the stage has an answer, and a tag is accepted."""
+    """Return x, y, state, and radius of each frame; the state is -1 without an answer, and 0 of a tag or correction."""
     x, y, states, radii = list[float | None](), list[float | None](), list[int](), list[float | None]()
     for located in seen.flight.frames:
         answer = located.stages.get(name)
@@ -107,10 +107,10 @@ def spot(seen: FlightSnapshot, point: tuple[float, float]) -> dict[str, Any]:
 
 
 def chosen(seen: FlightSnapshot, frame: int, addresses: Mapping[str, Any], saves: int = 0) -> dict[str, Any]:
-    """Return the data to draw of the shown photo.
+    """Return the shown photo as data to draw.
 
     Args:
-        saves: the number of corrections that this tab has saved; it tells the script when its own is in effect.
+        saves: the number of this tab's saved corrections; the script waits for a change of it.
     """
     located = seen.flight.frames[frame]
     laid, ground = located.laid, ground_window(located, seen.verdicts[frame].stage)
@@ -132,7 +132,7 @@ def chosen(seen: FlightSnapshot, frame: int, addresses: Mapping[str, Any], saves
 
 
 def card(seen: FlightSnapshot, frame: int) -> dict[str, Any]:
-    """Return a photo's verdict and its grounds, one a line."""
+    """Return a photo's verdict and its reasons, by line."""
     flight, located, verdict = seen.flight, seen.flight.frames[frame], seen.verdicts[frame]
     answer = located.stages.get(verdict.stage or "")
     at = None if answer is None else answer.place
@@ -163,7 +163,7 @@ def card(seen: FlightSnapshot, frame: int) -> dict[str, Any]:
 
 
 def pins(laid: Float64Array, located: LocatedFrame) -> list[list[float]]:
-    """Return the positions of a laid photo's matched details, and from there those of the map's details, in metres."""
+    """Return the positions of a photo's matched details, and their offsets to the map's details, in metres."""
     answer = located.stages.get("registration")
     if answer is None or answer.details is None or answer.matrix is None:
         return []

@@ -31,7 +31,7 @@ class FlightSnapshot:
     Attributes:
         flight: its frames have the user's corrections.
         corrections: by the frame's name.
-        corrections_error: one sentence with the reason for which they cannot be used; empty if they can.
+        corrections_error: the reason why they cannot be used, in one sentence; empty if they can.
     """
 
     flight: LocatedFlight
@@ -57,7 +57,7 @@ class FlightSnapshot:
 
     @cached_property
     def measured(self) -> LocatedFlight:
-        """The flight with the tags that errors are measured against: corrected for their lag, if they have one."""
+        """The flight for measuring errors: its tags are corrected for their time lag."""
         return self.flight.without_lag()
 
     @property
@@ -77,7 +77,7 @@ class SharedFlight:
         self._workspace, self._lock = workspace, threading.RLock()
         self.watchers = Watchers()
         self._snapshot: FlightSnapshot | None = None
-        # The flight without corrections that the snapshot is of.
+        # The snapshot's flight before corrections.
         self._flight: LocatedFlight | None = None
 
     @property
@@ -111,8 +111,8 @@ class SharedFlight:
             corners: of the picture in metres of the map's frame, (4, 2).
 
         Raises:
-            LPNError: when the corners are not a picture's, another program has corrected the frame meanwhile, or the file
-                cannot be written; then nothing has changed.
+            LPNError: when no camera can see these corners, another program has corrected the frame, or the file cannot be
+                written; then nothing has changed.
         """
         with self._lock:  # otherwise an older state of the file could be assigned last
             seen = self.snapshot()
@@ -128,7 +128,7 @@ class SharedFlight:
         self.watchers.tell()
 
     def positions(self, suffix: str) -> bytes:
-        """Return a file of the format `suffix` with one position for each photo: its correction, else the deciding stage's."""
+        """Return a file of the format `suffix` with one position for each photo, by its correction or the deciding stage."""
         flight = self.snapshot().flight
         return track_bytes(suffix, flight.flight.name, best_track(flight))
 
@@ -138,7 +138,7 @@ _SHARED: SingleFlightCache[Workspace, tuple[SharedFlight, FlightPicturesFeed]] =
 
 
 def shared_flight(workspace: Workspace) -> tuple[SharedFlight, FlightPicturesFeed]:
-    """Return a workspace's flight and its pictures, which are made once for all tabs."""
+    """Return a workspace's flight and its pictures; all tabs share them."""
 
     def make() -> tuple[SharedFlight, FlightPicturesFeed]:
         flight = workspace.flight

@@ -1,4 +1,4 @@
-"""One tab's access to the objects that its state names: the place's workspace, the model's, its network, and its ranking."""
+"""One tab's access to the objects that its state names: workspaces of place and model, the network, and the ranking."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class Access:
         return self._workspaces(state.place)
 
     def workspace(self, state: ScreenState) -> Workspace:
-        """Return the workspace of the state's model, or the place's own until that is open."""
+        """Return the workspace of the state's model; that of the place until it is open."""
         base = self.base(state)
         return base.models[int(state.model)].workspace or base
 

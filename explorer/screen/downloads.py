@@ -1,4 +1,4 @@
-"""Slow files: a tab makes one of each kind at a time, with progress in the reason's place; the browser then saves it."""
+"""Slow files: a tab makes one of each kind at a time, and notes show the progress; the browser then saves it."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Downloads:
         self._jobs: dict[str, BackgroundJob[None]] = {}
 
     def make(self, title: str, make: MakeFile, feeds: Feeds, owner: object) -> None:
-        """Begin a file; if one of its kind is being made, cancel that instead.
+        """Begin a file, or cancel the file of its kind that is in progress.
 
         Args:
             title: the file's kind in the notes, such as "Report".

@@ -55,7 +55,7 @@ class OneOf(FieldKind):
     """One of a few texts, which may depend on the workspace.
 
     Attributes:
-        values: the texts, or what offers them.
+        values: the texts, or their source.
         optional: an empty text is valid, too.
     """
 
@@ -190,15 +190,15 @@ class ScreenState:
     Attributes:
         place: key of the workspace.
         task: name of its task.
-        model: "0" for the workspace's model, else the number of the one beside it.
+        model: "0" for the workspace's model, else the number of another model.
         scoring: how the gallery is ranked.
         query: position among the task's queries.
         own: the key of the own photo shown in place of the query; empty for none.
         angle: degrees counter-clockwise by which the photo is turned.
-        compare: gallery position of the tile that the user compares; None for the headline's.
+        compare: gallery position of the compared tile; None for the headline's tile.
         weights: the part weights; empty for equal ones.
         heat: the values of the cells: activation, evidence, or the loss of score by occlusion.
-        filter: which queries the rail lists.
+        filter: queries that the rail lists.
         find: a text that the listed queries' names contain.
         view: the scene's view.
         theme: of the page.
@@ -279,7 +279,7 @@ def same_page(one: ScreenState, other: ScreenState) -> bool:
 
 
 def _of_model(state: ScreenState, workspace: Workspace) -> Workspace:
-    """Return the workspace of the state's model, or the place's own until that is open."""
+    """Return the workspace of the state's model; that of the place until it is open."""
     return workspace.models[int(state.model)].workspace or workspace
 
 

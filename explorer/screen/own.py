@@ -26,7 +26,7 @@ from lpn.library.answer import Answer
 
 # Maximum of photos of one tab, and of bytes of all tabs.
 MOST, MOST_BYTES = 200, 1_000_000_000
-# A photo is stored as its own file if that is small, else as JPEG of this quality.
+# A small file is stored as it is, another photo as JPEG of this quality.
 _SMALL, _QUALITY = 1_000_000, 95
 # Pixels of the picture in the page, and of the thumbnail.
 _SHOWN, _THUMBNAIL = 800, 108
@@ -82,7 +82,7 @@ class OwnPhotos:
         self._held: dict[str, _Held] = {}
         self._numbers = count()
         self._opened: OwnPicture | None = None
-        # The file that is being received; the skipped files of its batch follow.
+        # The file being received, and the skipped files of its batch.
         self._incoming: tuple[str, int, bytearray] | None = None
         self._left_out: list[tuple[str, str]] = []
         self._taken, self._shows_next = 0, True
@@ -177,7 +177,7 @@ class OwnPhotos:
             feeds.leave(self)
 
     def check(self, jobs: OwnPhotoJobs | None, picture: OwnPicture | None, analysis: Answer) -> None:
-        """Compare the shown photo with a map, and send its mark as that goes on; checks of other photos go on, too."""
+        """Compare the shown photo with a map, and send its mark and each change; checks of other photos go on."""
         with self._lock:
             self._checked = None if jobs is None or picture is None else (jobs, picture, analysis)
             if jobs is not None and self._checked is None and self._checks:
@@ -195,7 +195,7 @@ class OwnPhotos:
             going = [key for key, one in self._checks.items() if one is not job and not one.wait(0)]
             for key in going[: max(len(going) - _MOST_CHECKS, 0)]:
                 self._checks.pop(key).leave(self)
-        ended = job.wait(0)  # read before its mark, which is then the last one
+        ended = job.wait(0)  # read first, so that the mark is then final
         sign, text, why = mark(job, analysis.task, analysis.matches[0].index)
         marked = {"own": picture.key, "sign": sign, "text": text, "why": why}
         if marked != self._marked:
@@ -206,7 +206,7 @@ class OwnPhotos:
     def _hold(self, name: str, content: bytes) -> str:
         """Read a file, and store its photo; LPNError gives the reason of a failure."""
         if len(self._held) >= MOST:
-            raise PictureError(f"{printable(name)[:80]} is left out: {MOST} photos are held, which is the most.")
+            raise PictureError(f"{printable(name)[:80]} is left out: a tab takes {MOST} photos at most.")
         read = uploads.read(name, content)
         small = len(content) <= _SMALL
         file = content if small else images.jpeg(read.picture, _QUALITY)

@@ -31,7 +31,7 @@ class Tab(Protocol):
 
     @property
     def result(self) -> ScreenResult | None:
-        """The newest result, perhaps of an older state; None before the first under the state's place, task, and model."""
+        """The newest result for the state's place, task, and model, perhaps of an older state; None before the first."""
         ...
 
     @property
@@ -59,7 +59,7 @@ class Tab(Protocol):
         ...
 
     def send(self, message: ScreenMessage) -> None:
-        """Send a message to the open panel's module; it replaces messages that wait, unlike `append`'s."""
+        """Send a message to the open panel's module in place of a waiting one; see `append`."""
         ...
 
     def append(self, kind: str, message: ScreenMessage) -> None:
@@ -83,7 +83,7 @@ class PanelPart:
     """A panel's part of one tab while the panel is open.
 
     Attributes:
-        actions: functions by the names that `context.act` of the panel's module takes.
+        actions: functions by name; the panel's module calls them by `context.act`.
     """
 
     def __init__(self, tab: Tab) -> None:
@@ -133,7 +133,7 @@ class Panel:
         title: of its command, and of its heading.
         part: makes its part of a tab; None for a panel of commands alone, which never opens.
         key: opens and closes it, in lower case; empty for none.
-        place: "beside" the rings in the rail's place, a "page" over the rings until another photo, or the "full" window.
+        place: "beside" the rings in the rail's place, a "page" over them until the photo changes, or the "full" window.
         fields: its fields of the state; their names begin with the panel's and "_".
         offered: whether a workspace has it, and its commands.
         commands: its commands in the palette and by keys.

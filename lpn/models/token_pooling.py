@@ -30,7 +30,7 @@ FORMS = "mean, gem, gem:POWER, cls, cls+mean, or rings:N"
 # Lower bound of a token's number in GeM, whose power needs positive numbers.
 EPSILON = 1e-6
 _MOST_RINGS, _POWERS = 64, (0.5, 100.0)
-# What the account of a pooling holds for each picture.
+# Held values in the account of each pooling.
 _HELD = {"gem": "the power means of GeM (Euler's split of its power)", "cls+mean": "the class token"}
 _WRITTEN = re.compile(r"(mean|cls|cls\+mean)|(gem)(?::([0-9]+(?:\.[0-9]+)?))?|(rings):([0-9]{1,4})")
 
@@ -94,7 +94,7 @@ class TokenPooling:
             size: (height, width) of pictures.
             channels: of the tokens.
             normalisation: mean and standard deviation.
-            norm: what a LayerNorm behind the mean holds; empty without one.
+            norm: words for held values of a LayerNorm; empty without one.
         """
         held = norm or _HELD.get(self.name, "")
         level: AccountLevel = "exact, with held" if held else "exact"

@@ -23,7 +23,7 @@ from lpn.tasks.task import Task
 
 # Pixels of a picture's height.
 _HIGH = 320
-# Maximum of width by height of a strip's crop, which is otherwise a line.
+# Limit of a crop's width by height; a whole strip looks thin.
 _MOST_WIDE = 2.5
 
 

@@ -1,6 +1,6 @@
 """The trainings of a reproduction, each in its own folder and resumable.
 
-Several processes may share the trainings: each takes one that no other process has, and finally waits for the others'.
+Several processes may share the trainings: each takes a free one, and finally waits for the other processes.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """The training set: the pictures of each place, and a cache of decoded pictures.
 
-A place is trained on in its existing views. It needs at least two, because one alone has nothing to compare.
+Training uses all views of a place. A place needs at least two, because one alone has nothing to compare.
 """
 
 from __future__ import annotations
@@ -180,7 +180,7 @@ class TrainingSet:
         return held
 
     def drawn_from(self) -> dict[str, list[list[Path]]]:
-        """Return `files` for batches with a picture of every set for each place: street and google replace each other.
+        """Return `files` for batches: pictures of google replace missing ones of the street, and the reverse.
 
         A place then lacks at most one view.
         """
@@ -214,7 +214,7 @@ class TrainingSet:
 
 
 def _filled(files: dict[str, list[list[Path]]]) -> dict[str, list[list[Path]]]:
-    """Return the sets with pictures of any place."""
+    """Return the sets that have any pictures."""
     return {name: places for name, places in files.items() if any(places)}
 
 
@@ -240,7 +240,7 @@ def named(labels: Sequence[int]) -> str:
 
 
 def paired_pictures(held: Mapping[int, Mapping[str, Sequence[Path]]]) -> dict[View, list[Picture]]:
-    """Return the drone pictures of places, or without any their street pictures, and the tiles of these places.
+    """Return the drone pictures of places, or else their street pictures, and the tiles of these places.
 
     Args:
         held: the files of each set of each place, see `TrainingSet.hold_out`.

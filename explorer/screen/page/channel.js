@@ -1,4 +1,4 @@
-// The channel to the server: JSON over one websocket. `set` fields or `do` an action up; each message down has one kind.
+// The channel to the server: JSON over one websocket. The page sends `set` or `do`, and gets values by their kinds.
 
 const PART = 512 * 1024;
 const AGAIN = 2000; // ms

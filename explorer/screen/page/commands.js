@@ -7,13 +7,13 @@ const SHOWN = 40;
 
 /**
  * @typedef {{label: string, act: () => void, key?: string, keys?: string[], hidden?: boolean}} Command
- * A user's action: `key` is shown, `keys` trigger it, and a hidden one is listed among the keys only.
+ * A user's action: `key` is shown, `keys` trigger it, and `hidden` lists it among the keys only.
  */
 
 export class Commands {
   /**
    * @param {any} dialog
-   * @param {any} list the rail's
+   * @param {any} list a RailList
    * @param {() => Command[]} commands
    * @param {() => any} yours the own photos
    * @param {(text: string) => void} search requests the list of photos that match a text

@@ -8,7 +8,7 @@ export const findAll = (selector, within = document) => [...within.querySelector
 /**
  * Make an element.
  * @param {string} name
- * @param {Record<string, any>} attributes of which `text` is its text, and `style` an object
+ * @param {Record<string, any>} attributes `text` sets the text, and `style` is an object
  * @param {...any} children
  * @returns {any}
  */
@@ -33,7 +33,7 @@ export const makeSvg = (name, attributes = {}, ...children) => {
 };
 
 const sheets = new Map();
-/** Add a style sheet once, behind or before the page's own ones. @returns {Promise<any>} resolves when it is loaded */
+/** Add a style sheet once, after or before those of the page. @returns {Promise<any>} resolves when it is loaded */
 export const addStyle = (address, before = false) => {
   if (!sheets.has(address)) {
     const sheet = make("link", { rel: "stylesheet", href: address });
@@ -42,7 +42,7 @@ export const addStyle = (address, before = false) => {
   }
   return sheets.get(address);
 };
-/** @returns {Promise<any>} an unchanged library of `vendor`, after its style sheet, which precedes the page's own */
+/** @returns {Promise<any>} an unchanged library of `vendor`, after its style sheet, inserted before the page's */
 export const load = async (name) => {
   await addStyle(`screen/vendor/${name}.css`, true);
   return import(`../vendor/${name}.js`);
@@ -60,7 +60,7 @@ export const variable = (name) => {
   if (!variables.has(key)) variables.set(key, getComputedStyle(document.documentElement).getPropertyValue(name).trim());
   return variables.get(key);
 };
-/** @returns {string} the colour of a part, of `count`; one part has none of its own */
+/** @returns {string} the colour of one of `count` parts; a single part is neutral */
 export const partColour = (part, count, on = "") => variable(count === 1 ? `--${on}soft` : `--${on}part${part % 4}`);
 /** @returns {string} the colour of a text on a part's colour */
 export const partInk = (part, count) => partColour(part, count, "on-");

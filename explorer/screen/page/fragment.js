@@ -1,5 +1,5 @@
-// A panel whose Python sends HTML, see `explorer/screen/fragments.py`. Its elements say what they do:
-// `data-set` sets fields, `data-field` sets one to the value chosen in it, `data-do` does an action, and `data-chart` is a chart.
+// A panel whose Python sends HTML, see `explorer/screen/fragments.py`. Attributes of its elements:
+// `data-set` sets fields, `data-field` sets one field to the chosen value, `data-do` runs an action, and `data-chart` is a chart.
 
 import { find, findAll, make } from "./dom.js";
 import { makePicture, rollPicture, showPicture } from "./pictures.js";
@@ -16,7 +16,7 @@ export const put = (box, html) => {
   if (focused >= 0) findAll(LIVE, box)[focused]?.focus({ preventScroll: true });
 };
 
-/** Do what the elements of a box say. */
+/** Handle events of a box's elements. */
 export const listen = (box, { set, act }) => {
   box.addEventListener("click", (event) => {
     const one = event.target.closest("[data-set], [data-do]");
@@ -62,7 +62,7 @@ export class Fragment {
   }
 }
 
-/** The panel of such HTML; `photo` of a message, which is drawn at `data-photo`, is laid over the photo of the result. */
+/** Open such a panel. At `data-photo` it draws the result's photo with the changes in a message's `photo`. */
 export const open = (box, { set, act, view }) => {
   const page = box.appendChild(make("div", { class: "fragment" }));
   const fragment = new Fragment(page, { set });

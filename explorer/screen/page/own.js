@@ -1,4 +1,4 @@
-// Photos of one's own: chosen, or dropped anywhere, one or several or a folder; they are sent one after the other.
+// The user chooses own photos, or drops files or a folder anywhere; they are sent one after the other.
 
 import { find } from "./dom.js";
 
@@ -13,7 +13,7 @@ export const makeOwnSender = (channel, say) => {
   /** @type {File[]} */
   let queue = [];
   let taken = 0;
-  /** @type {(value?: any) => void} the photo that was sent last is answered */
+  /** @type {(value?: any) => void} ends the wait for the last photo */
   let answered = () => {};
   const send = async (files) => {
     const running = queue.length > 0;
@@ -61,12 +61,12 @@ export const makeOwnSender = (channel, say) => {
       input.webkitdirectory = folder;
       input.click();
     },
-    /** The server has taken or left out so many files until now. */
+    /** Note how many files the server has handled. */
     received: (count) => {
       if (count > taken) answered();
       taken = count;
     },
-    /** The connection is lost, and with it what the server held. */
+    /** The connection is lost, and with it the server's photos. */
     lost: () => {
       [queue, taken] = [[], 0];
       answered();

@@ -1,7 +1,7 @@
-// Panels beside or over the rings. The server says which there are; script and style sheet of one are loaded when it opens.
+// Panels beside or over the rings. The server lists them; script and style sheet of a panel are loaded when it opens.
 //
-// A panel without a script of its own shows the HTML of its Python, see fragment.js. The script of another one has
-// `open(box, context)`, which returns `{receive(message), draw(view), close()}`: `receive` takes what its Python sends, `draw` is
+// A panel without a script shows the HTML of its Python, see fragment.js. The script of a panel has
+// `open(box, context)`, which returns `{receive(message), draw(view), close()}`: `receive` takes its Python's messages, `draw` is
 // called after each change of the view. `context` is `{set, go, act, say, view}`; `go` shows an address.
 
 import { addStyle, find } from "./dom.js";

@@ -4,7 +4,7 @@ import { find, isPhone, make, makeSvg, partColour, partInk, picture, variable } 
 import { cellsOf, isLight, paintHeat } from "./heat.js";
 
 const HEAT_SIDE = 320;
-const MOST_WIDE = 2.5; // width by height of a strip's crop, which is otherwise a line
+const MOST_WIDE = 2.5; // limit of a crop's width by height; a whole strip looks thin
 
 /** The CSS turn of the photo; the page turns it like the server. */
 export const photoTurn = (photo, angle) => (photo.around ? "none" : `rotate(${-angle}deg) scale(${photo.zoom})`);
@@ -93,7 +93,7 @@ const drawParts = (svg, described, count) => {
 
 const area = ([left, top, right, bottom]) => (right - left) * (bottom - top);
 
-/** Light one part of an element's descendants, or all for -1. */
+/** Highlight one part in an element, or all parts for -1. */
 export const markFocus = (element, focus) => {
   element.classList.toggle("focused", focus >= 0);
   for (const one of element.querySelectorAll("[data-part]")) one.classList.toggle("on", Number(one.dataset.part) === focus);

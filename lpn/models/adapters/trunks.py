@@ -21,7 +21,7 @@ VITS = {192: "ViT-Ti", 384: "ViT-S", 512: "ViT-M", 768: "ViT-B", 1024: "ViT-L"}
 _FSRA_HEADS = 8
 # Other vision transformers have heads of 64 numbers up to the large size. Wider ones have heads of several widths.
 _HEAD_WIDTH, _WIDEST = 64, 1024
-# DINOv2's code resamples positions with a scale for sides that are this much longer than the original ones.
+# DINOv2's code adds so many cells to each side of the grid before it computes the scale of positions.
 _LONGER = 0.1
 # Names of the original ConvNeXt by timm's names.
 _TIMM_NAMES = {
@@ -68,7 +68,7 @@ class Tokens(Trunk):
     The class token comes first, then the cells row by row.
 
     Args:
-        entries: with timm's names. The option `heads` is their number unless they have 64 numbers each.
+        entries: with timm's names. The option `heads` is the number of heads, else width / 64.
         wide_scale: FSRA's attention: 8 heads, and logits scaled by C^-0.5 in place of (C / 8)^-0.5.
     """
 
@@ -179,7 +179,7 @@ class ConvNeXt(Trunk):
 
 
 class ResNetMap(nn.Module):
-    """A bottleneck ResNet with torchvision's names, up to its map of stride 32, whose mean has no norm."""
+    """A bottleneck ResNet with torchvision's names, up to its map of stride 32, without a norm."""
 
     norm = None
 

@@ -20,7 +20,7 @@ from lpn.retrieval import Match, scoring
 
 # The lead of rounded distances differs from the cells' sum by less than this.
 _ROUNDED = 0.002
-# Steps along the change beyond its end, tried until weights of the screen's two digits put the truth first.
+# Factors of the change, tried in order until the weights, rounded to two digits, put the truth first.
 _FURTHER = (1.0, 1.01, 1.03, 1.1, 1.25, 1.5, 2.0)
 
 
@@ -30,7 +30,7 @@ class TilePair:
 
     Attributes:
         comparison: None without another tile.
-        usable: weights of two digits that put the truth first; none if it is first already, or no weights do.
+        usable: weights of two digits that put the truth first; empty if it is first, or if no weights do.
         effect: of these weights on all photos; None until it is computed.
     """
 
@@ -110,7 +110,7 @@ class TilePair:
         return f"The smallest change of part weights that puts the {followed} first is in the last column.{fine}"
 
     def _painted(self, compared: Comparison) -> dict[str, Any]:
-        """Return each cell's share of the truth's lead, and how much of the lead the cells hold together."""
+        """Return each cell's share of the truth's lead, and the sum of these shares in words."""
         analysis = self.result.analysis
         if analysis.query.trace is None:
             return {"photo": None}
@@ -143,7 +143,7 @@ class TilePair:
 
 
 def _usable(result: ScreenResult, compared: Comparison) -> list[float]:
-    """Return weights of two digits, near the smallest change, that put the truth first; none if there are none."""
+    """Return weights of two digits near the smallest change that put the truth first, or an empty list."""
     if compared.weights is None or compared.followed.rank == 1:
         return []
     now, new = result.analysis.ranking.weights, compared.weights

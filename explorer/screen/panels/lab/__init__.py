@@ -48,13 +48,13 @@ class LabPart(PanelPart):
             "calibrate": self._calibrate,
         }
         self._base, self._feeds, self._closed = tab.base, tab.base.feeds, False
-        # The laboratories whose computation this tab joined; the filter in force follows.
+        # The laboratories whose computation this tab joined, and the filter in force.
         self._labs: set[Lab] = set()
         self._where = ""
         self._shown: LabSelection | None = None
         self._ordered: Int64Array = np.zeros(0, np.int64)
         self._points: PlanePoints | None = None
-        # The findings with a second model's ranks, and what they were made of.
+        # The findings with a second model's ranks, and their inputs.
         self._compared: tuple[tuple[object, ...], LabFindings] | None = None
         # The map that this tab has waited for.
         self._map: tuple[Lab, tuple[PlaneKind, str]] | None = None
