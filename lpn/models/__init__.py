@@ -1,6 +1,6 @@
 """The Local Pattern Network: partition, architecture, the contract of a loaded model, checkpoints, ONNX, and quantization.
 
-It imports `core` and `datasets`. This face needs no torch; `network`, `checkpoints`, and `export` do.
+It imports `core` and `datasets`. This module needs no torch; the modules `lpn`, `checkpoints`, and `export` do.
 """
 
 from lpn.models.base import Model

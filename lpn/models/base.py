@@ -37,7 +37,7 @@ class Model(ABC):
         parallel: whether several threads can call it in parallel, each on one core.
         batch: the best batch size for `descriptors`.
         means: the mean descriptor of a view, (n, D), subtracted from each of its descriptors; see `centred`.
-        whitening: the matrix that then multiplies each part, (n, D, D); None for none.
+        whitening: the matrix that multiplies each centred part, (n, D, D); None for none.
         branches: the role of each view in the task of `for_task`; empty before.
     """
 
@@ -79,7 +79,7 @@ class Model(ABC):
 
     @property
     def embedding(self) -> int:
-        """The numbers D of a part."""
+        """The length D of a part."""
         return self.contract.embedding
 
     @property
@@ -135,7 +135,7 @@ class Model(ABC):
         return bound
 
     def in_role(self, view: View, role: Role | None) -> Self:
-        """Return this model for the pictures of one view, the queries or gallery of a task with another view.
+        """Return this model for pictures of one view, as queries or gallery of a task with another view.
 
         Its fingerprint equals that of `for_task`.
 
@@ -230,9 +230,9 @@ class Model(ABC):
         return moved
 
     def centring(self, raw: Float32Array, view: View) -> Float32Array:
-        """Return the summand of raw part embeddings (..., n, D), mirror included, before they are scaled: (..., n, D).
+        """Return the term that centring adds to raw part embeddings (..., n, D), mirror included: (..., n, D).
 
-        It is -sqrt(n) |e_i| m_i for an embedding e_i and the view's mean m_i, as q_i = e_i / (sqrt(n) |e_i|); 0 without a mean.
+        It is -sqrt(n) |e_i| m_i for an embedding e_i and the mean m_i, as e_i is then divided by sqrt(n) |e_i|; 0 without mean.
         """
         mean = self.means.get(view)
         if mean is None:

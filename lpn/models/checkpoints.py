@@ -47,7 +47,7 @@ log = logging.getLogger(__name__)
 
 FORMAT = "lpn-explorer/1"
 WeightType = Literal["float32", "float16", "int8"]
-# Suffix of the name of 8-bit kernels for the name of their scales.
+# The scales of 8-bit kernels have the kernels' name with this suffix.
 _SCALE = ".scale"
 _AGAIN = "copy it again from where it came, or make it again"
 
@@ -157,7 +157,7 @@ def _model(spec: ModelSpec, state: StateDict, path: Path, device: torch.device |
 
 
 def holds_safetensors(path: Path) -> bool:
-    """Return whether a file holds a `.safetensors` rather than a PyTorch file, whatever its ending.
+    """Return whether a file has the contents of a `.safetensors`, not of a PyTorch file, whatever its ending.
 
     Raises:
         ModelFileError: if it is missing, or is another kind of file, which the message names.
@@ -204,8 +204,8 @@ def save(network: LPN, path: str | Path, extra: dict[str, str] | None = None, st
 
     Args:
         extra: further metadata (recipe, figures).
-        storage: of the weights in the file. float16 stores matrices and kernels in half; int8 stores kernels in a quarter, with
-            a scale for each output channel, and matrices in half. Neither stores the class layers, which retrieval does not use.
+        storage: of the weights in the file. float16 halves matrices and kernels; int8 quarters kernels, with a scale for each
+            output channel, and halves matrices. Neither stores the class layers, which retrieval does not use.
 
     Raises:
         InputError: if a weight exceeds the range of float16.
@@ -373,8 +373,8 @@ def is_own(path: Path) -> bool:
 def read_state(path: Path) -> StateDict:
     """Read the state dict of a PyTorch or `.safetensors` file without the prefix `module.`; only tensors are unpickled.
 
-    A checkpoint may hold it beside other objects as `state_dict`, `model_state_dict`, `model`, or another usual name, or under
-    any name if nothing else in it is a dictionary of tensors. Numbers and texts between tensors are dropped.
+    In a checkpoint with other objects, the state dict may have a usual name, such as `state_dict` or `model`, or any name if
+    it is the only dictionary of tensors. Numbers and texts among the tensors are dropped.
 
     Raises:
         ModelFileError: if the file is missing, truncated, or holds no named tensors.

@@ -27,8 +27,8 @@ from lpn.models.partition import Partition
 AccountLevel = Literal["exact", "exact, with held", "parts only", "one vector"]
 Resize = Literal["bicubic", "linear", "area", "bilinear"]
 Mirror = Literal["sum", "none"]
-# Maxima of a side in pixels, and of parts, length of a part, height, and width, far beyond any sensible network. A larger claim
-# in a file would take all memory.
+# Maxima far beyond any sensible network: of a side in pixels; then of parts, length of a part, height, and width. A larger
+# claim in a file would take all memory.
 MAX_SIDE = 4096
 _MAXIMA = (256, 1 << 17, MAX_SIDE, MAX_SIDE)
 # Bounds of mean and std, far inside float32's range; for values 0 .. 255, the std is 1/255.
@@ -241,8 +241,8 @@ def check_shapes(contract: Contract, found: Mapping[str, Sequence[int]], channel
     """Refuse shapes that contradict the contract or each other.
 
     Args:
-        found: shapes by the names of `ForwardPass`, of "the heads' weight", "the heads' bias", and "the heads' cells", and
-            as "pictures" the number of pictures if it differs from the parts'.
+        found: shapes by name: the fields of `ForwardPass`, "the heads' weight", "the heads' bias", "the heads' cells", and
+            "pictures", (B,), which by default is the B of the parts.
         channels: whether to check the channels of the features.
 
     Raises:

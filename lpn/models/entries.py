@@ -1,4 +1,4 @@
-"""The entries of a checkpoint: by prefix, with their shapes checked, and reads recorded."""
+"""The entries of a checkpoint: selected by prefix, checked for their shapes, and recorded when they are read."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from lpn.core.errors import ModelFileError
 
 _EPSILON = 1e-5
 _BLOCK = re.compile(r"(?:.*\.)?(?:blocks|layers|stages)\.\d+(?=\.)")
-# Entries of layers that may be unused as a whole; one of them alone is no layer.
+# Entries of a layer. A layer may be unread as a whole, but not in part.
 _OF_LAYER = ("weight", "bias", "running_mean", "running_var", "gamma")
 
 
@@ -26,9 +26,9 @@ class Entries:
         name: of the file, for messages.
         state: the tensors.
         options: of `opts.yaml`; empty without one.
-        names: the file's names by the names of `state`, if they differ.
+        names: for each name in `state`, the name in the file, if it differs.
         prefix: the removed prefix of the names of `state`, for messages.
-        read: the file's names of all read tensors, shared with the entries that these are part of.
+        read: the names in the file of all tensors that were read; all `Entries` of one file share it.
     """
 
     name: str
@@ -47,7 +47,7 @@ class Entries:
         return any(key.startswith(prefix) for key in self.state)
 
     def under(self, prefix: str) -> Entries:
-        """Return the entries whose names begin with a prefix, without it."""
+        """Return the entries whose names begin with a prefix; the prefix is removed."""
         cut = {key[len(prefix) :]: value for key, value in self.state.items() if key.startswith(prefix)}
         names = {key: self.file_name(prefix + key) for key in cut}
         return replace(self, state=cut, names=names, prefix=self.prefix + prefix)
@@ -133,7 +133,7 @@ class Entries:
         return value
 
     def fill(self, network: nn.Module, optional: str = "num_batches_tracked$") -> None:
-        """Put the entries into a network of equal names, also one on the meta device; further entries are ignored.
+        """Load the entries into a network with entries of the same names, even on the meta device; ignore further entries.
 
         Args:
             optional: a pattern of entries that may be missing, and are 0 then.

@@ -99,8 +99,8 @@ def export(
     (docs/contract.md).
 
     Args:
-        storage: of the weights in the file. float16 halves the file; int8 stores convolutions in a quarter, with a scale for
-            each output channel, and the rest in half. Either is converted to float32 on opening, so neither is faster.
+        storage: of the weights in the file. float16 halves the file; int8 quarters convolutions, with a scale for each
+            output channel, and halves the rest. Either is converted to float32 on opening, so neither is faster.
         kind, pooling: see `lpn.load`.
 
     Returns:
@@ -127,7 +127,7 @@ def export(
 
 
 def difference(model: str | Path, exported: Path, kind: Kind | None = None, pooling: str | None = None) -> float:
-    """Return the largest difference between descriptors of an exported model and its own, for one picture of noise.
+    """Return the largest difference between the descriptors of a model and of its export, for one picture of noise.
 
     Args:
         model, kind, pooling: as for `export`.

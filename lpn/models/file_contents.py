@@ -24,7 +24,7 @@ _AGAIN = "download or copy the file again"
 _POINTER = re.compile(rb"version https://(git-lfs|hawser)")
 _PAGE = re.compile(rb"(?i)(\xef\xbb\xbf)?\s*(<\?xml[^>]*>\s*)?<(!doctype\s+html|html|head|body|script|!--|meta)")
 _TITLE = re.compile(rb"(?is)<title[^>]*>\s*(.*?)\s*</title>")
-# Bytes at the beginning of a file that are read, and bytes that a refusal shows.
+# The number of bytes read from the beginning of a file, and the number quoted in a refusal.
 _READ, _SHOWN = 1 << 16, 16
 
 

@@ -1,4 +1,4 @@
-"""The model file in a folder, chosen like in released code: the newest `net_*.pth` of the only run there."""
+"""The model file in a folder, chosen as in released code: the newest `net_*.pth` of the only run there."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _OWN = ("best.safetensors", "last.safetensors")
 _STATE = re.compile(
     r"state\.pt|(optimizer|scheduler|scaler|sampler|rng_state|random_states|training_args)(_\d{1,6})?\.(pt|pth|bin)"
 )
-# Depth of the searched folders below one, such as model/NAME in the released code's folder.
+# The number of levels searched below a folder, as for model/NAME in the released code's folder.
 _MAX_DEPTH = 2
 _SHOWN = 5
 
@@ -68,7 +68,7 @@ def _chosen(folder: Path, files: list[str]) -> Path:
 
 
 def _without_groups(files: list[str]) -> list[str]:
-    """Return the files without those of further views of an exported model, such as `lpn.street.onnx` beside `lpn.onnx`."""
+    """Leave out the files of an exported model's further views, such as `lpn.street.onnx` beside `lpn.onnx`."""
     others = [name for name in files if name.endswith(".onnx")]
     return [name for name in files if not (name in others and f"{Path(name).stem.rpartition('.')[0]}.onnx" in others)]
 

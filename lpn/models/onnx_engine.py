@@ -52,7 +52,7 @@ class Engine(Model):
     Args:
         path: the file written by `lpn export`; files of further view groups lie beside it.
         threads: threads per forward pass on the CPU; default: all usable cores.
-        provider: "auto" is LPN_PROVIDER if that is set, else CUDA if it works, else the CPU, which always computes 8-bit models.
+        provider: "auto" is LPN_PROVIDER if that is set, else CUDA for float32 models if it works, else the CPU.
             Another execution provider of ONNX Runtime is selected by its name.
 
     Raises:
@@ -60,7 +60,7 @@ class Engine(Model):
         InputError: if the named provider is missing or does not work.
     """
 
-    # What the file does not say about the model, for its fingerprint.
+    # Facts about the model that its file lacks, for its fingerprint.
     _pooled = ""
 
     def __init__(self, path: str | Path, threads: int | None = None, provider: ProviderName = "cpu") -> None:

@@ -1,4 +1,4 @@
-"""ONNX files that return tokens or a map: the unchanged graph, and a pooling by name in NumPy."""
+"""ONNX files that return tokens or a map: the unchanged graph, and a named pooling in NumPy."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ _MOST_IN_FRONT = 16
 
 
 class PooledEngine(Engine):
-    """A network on ONNX Runtime that returns tokens (B, T, C) or a map (B, C, h, w), with a pooling by name.
+    """A network on ONNX Runtime that returns tokens (B, T, C) or a map (B, C, h, w), with a named pooling.
 
     The size of pictures is the graph's, else `h` and `w` of an opts.yaml beside the file, else that of a
     preprocessor_config.json, else 224 x 224. Mean and standard deviation come from the latter file, else from ImageNet.
@@ -151,7 +151,7 @@ def _tokens(session: ort.InferenceSession, name: str, size: tuple[int, int], bat
 
 
 def _grid(shape: tuple[int, ...], size: tuple[int, int]) -> tuple[tuple[int, int], int]:
-    """Return the (h, w) of an output's cells, and the number of prefix tokens; of several patch sizes, the fewest of these."""
+    """Return the (h, w) of an output's cells, and the number of prefix tokens, the fewest that fit a patch size."""
     if len(shape) == 4:
         return (shape[2], shape[3]), 0
     grids = [(size[0] // side, size[1] // side) for side in _PATCHES if size[0] % side == size[1] % side == 0]

@@ -76,7 +76,7 @@ def invalid(key: str, value: Any, expected: str) -> ModelFileError:
 def picture_size(
     options: Mapping[str, Any], name: str, default: tuple[int, int], tell: bool = False, step: int = 1
 ) -> tuple[int, int]:
-    """Return the input size (height, width): `h` and `w` of the options, and the default for what they lack.
+    """Return the input size (height, width): `h` and `w` of the options, each with its default.
 
     Args:
         name: of the model's file, for messages.

@@ -44,8 +44,8 @@ class Partition:
             code does; "area" divides by the ring's own area, as the paper states. Strips and the whole map are plain means.
         outside_in: number rings from the outermost (part 0) to the centre, as the released CVUSA/CVACT models do
             for the satellite; otherwise part 0 is the centre.
-        align_corners: of the bilinear resize of a map too small for n rings (true for the University-1652 models,
-            false for CVUSA/CVACT).
+        align_corners: this option of the bilinear resize that enlarges a map too small for n rings (true for the
+            University-1652 models, false for CVUSA/CVACT).
     """
 
     kind: PartShape = "rings"
@@ -63,7 +63,7 @@ class Partition:
             raise InputError(f"A {self.kind!r} partition cannot have {self.n} parts; use n = 1, or rings or strips.")
 
     def grid(self, height: int, width: int) -> tuple[int, int]:
-        """Return rows and columns of the grid of `labels`: the map, with too short sides resized."""
+        """Return rows and columns of the grid of `labels`: those of the map, or more where they are too few for n parts."""
         if height < 1 or width < 1:
             raise InputError(f"The feature map is {height} x {width}; expected at least 1 x 1.")
         rings = 2 * self.n if self.kind == "rings" and self.n > 1 else 1
@@ -73,7 +73,7 @@ class Partition:
     def labels(self, height: int, width: int) -> Int64Array:
         """Return the part of each grid cell: (rows, columns) of `grid`, values 0 .. n-1, each present at least once.
 
-        If strips do not divide the map, adjacent strips share a row or column. Its label is the strip that contains its middle.
+        If strips do not divide the map, adjacent strips share a row or column, labelled by the strip at its middle.
         """
         rows, columns = self.grid(height, width)
         if self.kind in ("rows", "columns", "windows"):

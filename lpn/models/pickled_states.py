@@ -77,7 +77,7 @@ def unpickle(path: Path) -> Any:
     try:
         with warnings.catch_warnings(), _ALLOWING, torch.serialization.safe_globals(stand_ins):
             warnings.simplefilter("ignore")
-            # torch decides by this ending.
+            # By this ending torch would choose another reader.
             file = io.BytesIO(path.read_bytes()) if path.suffix == ".safetensors" else path
             return torch.load(file, map_location="cpu", weights_only=True)
     except Exception as error:  # the unpickler may raise anything

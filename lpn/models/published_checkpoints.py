@@ -23,7 +23,7 @@ StateDict = dict[str, Tensor]
 # Words in the options of models trained on panoramas.
 _PANORAMAS = ("cvusa", "cvact")
 
-# Entries of layers that the published code contains but does not use, and of training.
+# Entries of layers that the published code contains but does not use, and entries for training alone.
 UNUSED = (
     r"^model_\d\.model\.(fc|classifier|avgpool2?|maxpool2)\.|^classifier\d*\.classifier\."
     r"|^model_\d\.model\.(network\.)?(head|_fc|_bn1|_conv_head)\.|^logit_scale$"
@@ -33,12 +33,12 @@ UNUSED = (
 def infer_spec(state: StateDict, options: dict[str, Any], name: str = "the file") -> ModelSpec:
     """Infer the architecture of a published state dict from its keys and the options of its `opts.yaml`.
 
-    Three branches are University-1652's. Model_1 and model_3 are satellite and drone, with University-1652's rings; see also
-    `with_named_branch`. Model_1 and model_2 are
+    Three branches are University-1652's. The two branches model_1 and model_3 are satellite and drone, with University-1652's
+    rings; see also `with_named_branch`. The two branches model_1 and model_2 are
     - one network for all three views, with University-1652's rings, if they are equal;
     - else satellite and street with the layout "cvusa" of the released CVUSA and CVACT models, since the released code trains
-      no other LPN of two views. Equal branches are read so, too, if the options `data_dir` or `name` mention these data sets,
-      `model_2` says street, or `share` is false.
+      no other LPN of two views. Equal branches, too, are satellite and street if the options `data_dir` or `name` mention
+      these data sets, `model_2` says street, or `share` is false.
 
     Readings without a confirming option are logged, and so is a default input size.
 

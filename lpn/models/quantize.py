@@ -1,9 +1,9 @@
 """Quantization of an exported float32 model to 8-bit integers, calibrated on real pictures.
 
 Convolutions, linear layers, and operations between convolutions are quantised: weights by output channel, activations by their
-range on the calibration pictures. That ends at the trunk's maps or tokens, from which all outputs are computed. Pooling,
-regions, gates, norms of pooled values, and heads after it stay in float32. So parts and their account come from equal
-numbers, and evidence stays exact.
+range on the calibration pictures. Quantization ends at the trunk's maps or tokens. Pooling, regions, gates, norms of pooled
+values, and heads after the trunk stay in float32. So parts and their account come from the same maps or tokens, and evidence
+stays exact.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ class Agreement(NamedTuple):
 
     Attributes:
         cosines: for each view, the mean cosine (-1 .. 1) between both models' descriptors of a picture.
-        same_first: share (0 .. 1) of the queries for which both models rank one gallery picture first; None if the pictures
+        same_first: share (0 .. 1) of the queries for which both models rank the same gallery picture first; None if the pictures
             have only one view.
         queries, gallery: numbers of pictures behind `same_first`; 0 without it.
     """
@@ -70,7 +70,7 @@ def quantize(
         dataset: the source of calibration pictures, see `calibration_pictures`.
         out: the file to write; further view groups get files beside it.
         pictures: the number of calibration pictures for each group of views.
-        least_cosine: nothing is written if a view's mean cosine is below it, from -1 (never) to 1.
+        least_cosine: from -1 to 1; nothing is written if a view's mean cosine is below it.
 
     Returns:
         The written files, and their agreement with the model on calibration pictures.

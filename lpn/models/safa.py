@@ -1,4 +1,4 @@
-"""The parts of SAFA (Shi et al. 2019) and SAFA + LPN: sums over each strip's cells, under weights from the picture itself."""
+"""The parts of SAFA (Shi et al. 2019) and SAFA + LPN: sums over each strip's cells, with weights computed from the picture."""
 
 from __future__ import annotations
 

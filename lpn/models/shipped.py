@@ -108,8 +108,8 @@ def model_card(name: str) -> ModelCard:
 def model_file(model: str | Path, trained: bool = False) -> Path:
     """Return the file of a path, or of a shipped model's name; an existing file comes first.
 
-    A folder stands for the model in it, see `file_in`. A shipped model's name comes before a folder of that name, which is
-    `./NAME`.
+    A folder stands for the model in it, see `file_in`. A shipped model's name comes before a folder of that name; write
+    `./NAME` for the folder.
 
     Args:
         trained: whether to return a shipped model's `.safetensors`, the start of trainings and exports, instead of its `.onnx`.

@@ -66,9 +66,9 @@ class ModelSpec:
         layout: "university" (square rings for every view), "cvusa" (rings from the outside in for the satellite, rows for
             the street), or "strips" (columns for every view, the paper's Figure 4).
         pooling: "average" embeds the mean of each part by its head (LPN). "safa" describes each part by `maps` sums over its
-            cells, weighted by spatial-aware layers (Shi et al. 2019), without a head; its parts are columns, which
-            overlap if n does not divide the map, and a VGG-16 keeps the last row and column of odd maps.
-        maps: weighted sums per part with "safa", as released 8 for SAFA and 1 for SAFA + LPN; the embedding then has
+            cells, weighted by spatial-aware layers (Shi et al. 2019), without a head. Its parts are columns, which
+            overlap if n does not divide the map. A VGG-16 then keeps the last row and column of odd maps.
+        maps: weighted sums per part with "safa" (released: 8 for SAFA, 1 for SAFA + LPN); the embedding then has
             maps x channels numbers.
         polar: whether satellite tiles are first unrolled around their centre, by `images.polar`.
         weighting: the average over a ring, see `Partition`.

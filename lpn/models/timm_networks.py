@@ -116,7 +116,7 @@ def normalisation(name: str) -> tuple[Triple, Triple]:
 class TimmMap(nn.Module):
     """A network of timm up to its last map or tokens: (B, 3, H, W) -> (B, C, h, w).
 
-    Tokens are put on the grid of their patches, without prefix tokens. Entries have timm's names after `network.`.
+    Tokens are put on the grid of their patches, without prefix tokens. Names of entries are `network.` and timm's name.
 
     Args:
         name: one of timm's, such as "convnext_tiny".

@@ -41,7 +41,7 @@ class TokenPooling:
 
     Attributes:
         name: of the pooling.
-        rings: the number of rings; 1 for the others.
+        rings: the number of rings; 1 for other poolings.
         power: P of GeM.
     """
 
@@ -94,7 +94,7 @@ class TokenPooling:
             size: (height, width) of pictures.
             channels: of the tokens.
             normalisation: mean and standard deviation.
-            norm: words for held values of a LayerNorm; empty without one.
+            norm: the name of a LayerNorm's held values; empty without one.
         """
         held = norm or _HELD.get(self.name, "")
         level: AccountLevel = "exact, with held" if held else "exact"

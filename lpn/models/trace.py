@@ -19,13 +19,13 @@ class Trace:
     """The intermediate results from which exact evidence is computed, in the terms of `lpn.models.contract`.
 
     Attributes:
-        embedding: part embeddings with the mirror's and `Model.centring` added, whitened, (n, D).
+        embedding: part embeddings, summed over the passes, with `Model.centring` added, whitened, (n, D).
         features: the map of each of P passes, (P, C, h, w), or of each part of each pass, (P, n, C, h, w); the mirror's is
             flipped back.
         cells: the weight of each cell in each part of each pass, (P, n, h, w).
         weight: the heads, (n, D, C); None for the identity.
         slopes: the activation's slope for each number of each pass's embedding, (P, n, D); None without an activation.
-        constants: the embedding less the sum over cells, (n, D) float64: of all passes, with the view's mean, whitened.
+        constants: the embedding less the sum over cells, (n, D) float64; includes all passes, the view's mean, and whitening.
         whitening: the matrix of each part after the heads, (n, D, D); None for the identity.
     """
 
@@ -90,7 +90,7 @@ class Trace:
 
     @property
     def activation(self) -> Float32Array:
-        """The channel sum of the picture's map, (h, w); with a map for each part, the sum over the parts of each cell."""
+        """The channel sum of the picture's map, (h, w); with a map for each part, a cell sums over its parts."""
         total = self.part_totals
         return total[0] if len(total) == 1 else cast(Float32Array, (total * (self.cells[0] != 0)).sum(axis=0))
 

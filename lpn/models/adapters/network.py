@@ -92,7 +92,7 @@ class HeldNorm(nn.Module):
 
     @classmethod
     def of(cls, norm: Any) -> HeldNorm:
-        """Return a LayerNorm, or timm's LayerNorm of a map, as a held one."""
+        """Convert a LayerNorm, or timm's LayerNorm of a map, to a `HeldNorm`."""
         return cls(norm.weight.detach(), norm.bias.detach(), norm.eps)
 
     def affine(self, pooled: Tensor) -> tuple[Tensor, Tensor]:
@@ -137,7 +137,7 @@ class MeanVector(PartBranch):
 
 
 class FirstToken(PartBranch):
-    """One vector without cells, plain or under a head: the first token, or what a network pools itself.
+    """One vector without cells, plain or under a head: the first token, or the network's own pooled vector.
 
     Args:
         trunk: gives tokens (B, T, C), of which the first is a ViT's class token, or the pooled vector (B, C).
@@ -155,7 +155,7 @@ class FirstToken(PartBranch):
 
 
 class TokenMap(nn.Module):
-    """The cells of tokens as a map: (B, 3, H, W) -> (B, C, h, w).
+    """The tokens of the cells as a map: (B, 3, H, W) -> (B, C, h, w).
 
     Args:
         tokens: gives tokens (B, prefix + h w, C), and has `prefix` and `grid`.

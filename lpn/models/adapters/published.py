@@ -116,7 +116,7 @@ def published(
 
     Args:
         parts: their names with numbers; none for a method of one vector.
-        embedding: length of a part; 0 for that of the branch's heads.
+        embedding: length of a part; 0 takes the length from the branch's heads.
         further: other fields of the contract.
     """
     roles = "query" in branches

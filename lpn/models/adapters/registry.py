@@ -29,7 +29,7 @@ class Adapter:
     """The reader of one method's checkpoints.
 
     Attributes:
-        kind: its name for `--kind`; several adapters may have one.
+        kind: the method's name for `--kind`; several adapters may have the same name.
         needs: patterns that must each match the beginning of some entry's name. An option of opts.yaml is an entry
             `opts.yaml:NAME`.
         build: builds the model from all entries. It raises ModelFileError for entries that are missing, have wrong shapes,
@@ -102,7 +102,7 @@ def choose(
             break
         inner = {key.removeprefix(prefix): value for key, value in inner.items()}
     if kind is not None:
-        # The names of training may be missing; the builder reports a missing entry.
+        # A named method need not be recognised; the builder reports a missing entry.
         return known[0], inner
     entries = first_few([printable(key)[:80] for key in inner], _SHOWN) or "nothing"
     raise ModelFileError(

@@ -67,7 +67,7 @@ class TransformersTokens(nn.Module):
 
 
 class TokenParts(PartBranch):
-    """The parts of a map of tokens under a pooling by name, without a head.
+    """The parts of a map of tokens under a named pooling, without a head.
 
     Args:
         trunk: gives the map and the class token, and has `grid`.
@@ -98,7 +98,7 @@ class TokenParts(PartBranch):
 def of_timm(entries: Entries, pooling: TokenPooling, name: str) -> PublishedParts:
     """Build a network of timm by its name, with weights read by timm's own loader.
 
-    The size of pictures is `h` and `w` of the options, else the training's.
+    The size of pictures is `h` and `w` of the options, else the training size.
 
     Raises:
         ModelFileError: if entries are missing or have wrong shapes.
@@ -122,7 +122,7 @@ def is_of_transformers(folder: Path) -> bool:
     """Return whether a folder has the configuration that transformers writes beside a network's weights."""
     try:
         return "model_type" in read_configuration(folder, NETWORK)
-    except ModelFileError:  # other programs write a config.json of their own
+    except ModelFileError:  # other programs write a config.json, too
         return False
 
 

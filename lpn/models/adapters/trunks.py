@@ -19,11 +19,11 @@ from lpn.models.timm_networks import import_timm
 VITS = {192: "ViT-Ti", 384: "ViT-S", 512: "ViT-M", 768: "ViT-B", 1024: "ViT-L"}
 # FSRA's attention has 8 heads, and scales logits by their total width.
 _FSRA_HEADS = 8
-# Other vision transformers have heads of 64 numbers up to the large size. Wider ones have heads of several widths.
+# Other vision transformers have heads of 64 numbers up to ViT-L. Larger ones have heads of several widths.
 _HEAD_WIDTH, _WIDEST = 64, 1024
-# DINOv2's code adds so many cells to each side of the grid before it computes the scale of positions.
+# DINOv2's code adds this many cells to each side of the grid before it computes the scale of positions.
 _LONGER = 0.1
-# Names of the original ConvNeXt by timm's names.
+# timm's names by the names of the original ConvNeXt.
 _TIMM_NAMES = {
     r"downsample_layers\.0\.": "stem.",
     r"downsample_layers\.(\d+)\.": r"stages.\1.downsample.",
@@ -110,7 +110,7 @@ class Tokens(Trunk):
         if wide_scale:
             with torch.no_grad():
                 for block in cast(Any, network).blocks:
-                    # timm scales logits by the width of one head; the queries take the rest.
+                    # timm scales logits by the width of one head; the rest of the scale goes into the queries' weights.
                     weight = block.attn.qkv.weight.clone()
                     weight[:width] *= _FSRA_HEADS**-0.5
                     block.attn.qkv.weight = nn.Parameter(weight)
@@ -130,7 +130,7 @@ def dinov2(entries: Entries, size: tuple[int, int]) -> Tokens:
     """Build torch.hub's DINOv2 without registers for an input size, with positions resampled as in its own code.
 
     Raises:
-        ModelFileError: if entries are missing or have wrong shapes, or the size is no multiple of the patches'.
+        ModelFileError: if entries are missing or have wrong shapes, or the size is no multiple of the patch size.
     """
     width, _, patch, _ = entries.shape("patch_embed.proj.weight", 4)
     for key, sides in (("cls_token", 3), ("blocks.0.ls1.gamma", 1)):

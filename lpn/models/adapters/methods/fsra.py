@@ -16,10 +16,10 @@ from lpn.models.entries import Entries
 class Regions(PartBranch):
     """The means of k regions of tokens, and the class token, each with a head.
 
-    Tokens by falling heat, the mean over their channels, are cut into k regions of floor(N / k), with the rest in the last one.
+    N tokens, hottest first (by the mean over channels), are cut into k regions of floor(N / k); the last takes the rest, too.
 
     Args:
-        heads: those of the regions, hottest first, then the class token's.
+        heads: of the regions, hottest first, then of the class token.
 
     Raises:
         ModelFileError: if there are more regions than tokens.
@@ -59,7 +59,7 @@ class Regions(PartBranch):
 
 
 def build(entries: Entries) -> PublishedParts:
-    """Build FSRA with any number of regions; one block is the class token alone, without a region's head."""
+    """Build FSRA with any number of regions; with `block` 1 there is only the class token."""
     size = size_of(entries, (256, 256))
     blocks = entries.under("model_1.").count_heads("classifier_heat")
     if blocks or entries.options.get("block") != 1:

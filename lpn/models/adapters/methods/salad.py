@@ -23,7 +23,7 @@ _STEPS, _LEAST = 3, 1e-12
 
 
 class Salad(PartBranch):
-    """SALAD's vector: the class token's, then the sum of the cells in each cluster, each scaled to length 1.
+    """SALAD's vector: a vector of the class token, then the sum of the cells in each cluster, each scaled to length 1.
 
     A cell's vector depends on that cell alone. With its shares in the clusters and the clusters' lengths held, each cell has a
     share in the vector. MegaLoc adds a linear layer.
@@ -85,7 +85,7 @@ class Salad(PartBranch):
 
 
 def _layers(entries: Entries, channels: int, second: str) -> nn.Sequential:
-    """Return two linear layers with a ReLU between them; convolutions of one pixel are read as such."""
+    """Return two linear layers with a ReLU between them; 1 x 1 convolutions are read as linear layers."""
     entries = entries.renamed({rf"{second}\.": "2."})
     flat = replace(
         entries, state={key: value.flatten(1) if value.ndim == 4 else value for key, value in entries.state.items()}

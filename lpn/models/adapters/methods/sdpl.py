@@ -29,15 +29,15 @@ _SIDE_STEP, _SMALLEST = 128, 256
 # Lower bound of values in the generalised mean of exponent 3.
 _FLOOR = 1e-6
 _HIDDEN = ("4", "6", "8")
-# By place of a part at one shift, the two cells of the map that it sums, row * S + column, or S * S for none.
+# For each place of a part at one shift, the two map cells that are summed there: row * S + column, or S * S for none.
 _Places = tuple[Int64Array, Int64Array]
 
 
 def planes(side: int) -> list[list[_Places]]:
     """Return the places of the ten parts at each shift for a map of `side` x `side` cells, cut as in the released code.
 
-    Each shift sets the box of its third ring to zero. The released code does that to the map itself, so later shifts
-    find it empty. Checkpoints were trained with this, and need it.
+    Each shift sets the box of its third ring to zero. The released code does that in the map itself, so this box is
+    also zero in later shifts. Checkpoints were trained with this, and need it.
     """
     unit, centre, none = side // 8, side // 2, side * side
     cells = np.arange(none).reshape(side, side)
@@ -162,7 +162,7 @@ class Sdpl(PartBranch):
 
 
 def _mean(values: Tensor) -> Tensor:
-    """Return the cube root of the mean cube over the last axis, of values from 1e-6."""
+    """Return the cube root of the mean cube over the last axis; smaller values than 1e-6 count as 1e-6."""
     return values.clamp(min=_FLOOR).pow(3).mean(-1).pow(1 / 3)
 
 
