@@ -1,4 +1,4 @@
-"""Figures 1, 7, and 8 of the paper, heatmaps and retrieved pictures, as one PNG each, and the pictures of 3 and 4."""
+"""Figures 1, 7, and 8 of the paper as PNGs (heatmaps and retrieved pictures), and the pictures for Figures 3 and 4."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def retrievals(model: Model, dataset: Dataset, views: Sequence[View], names: Seq
 
     Args:
         views: the views of the queries. Satellite queries search drone pictures, all others search tiles.
-        names: the shown queries of the first view; the other views show their places.
+        names: the shown queries of the first view; the other views show the same places.
         top: number of nearest pictures.
 
     Raises:

@@ -64,7 +64,7 @@ class TrainingJob:
 
     @property
     def name(self) -> str:
-        """Name such as "lpn, seed 0", or that of a trial's folder."""
+        """Name such as "lpn, seed 0"; with a fold, the name of the folder."""
         return self.folder.name if self.fold else f"{self.training.name}, seed {self.seed}"
 
     @property
@@ -199,7 +199,7 @@ def _train_alone(job: TrainingJob, jobs: Sequence[TrainingJob], console: Console
 
 
 def by_backbone(files: Sequence[Path]) -> dict[str, Path]:
-    """Sort the files of --init by the backbone they hold.
+    """Return the files of --init by the names of their backbones.
 
     Raises:
         ModelFileError: when a file cannot be read or holds no known backbone.

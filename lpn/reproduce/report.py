@@ -61,7 +61,7 @@ def text_table(record: TableRecord) -> TextTable:
 
 
 def _printed(row: RowRecord, index: int | None, lacking: str = "") -> str:
-    """Return the paper's value in a column of its own."""
+    """Return the paper's value of an index as text; `lacking` if there is none."""
     value = row.paper[index] if index is not None and index < len(row.paper) else None
     return lacking if value is None else f"{value:.2f}"
 
@@ -82,7 +82,7 @@ def _csv(record: TableRecord) -> bytes:
 
 
 def figure(record: TableRecord) -> bytes:
-    """Draw a table whose rows are steps of one quantity as a PNG: lines with intervals, and the paper's dotted."""
+    """Draw a table whose rows are steps of one quantity as a PNG: lines with intervals, dotted for the paper."""
     drawn, axes = pyplot().subplots(figsize=(8.2, 3.9), layout="constrained")
     for column, beside, colour, index in zip(record.columns, record.beside, _COLOURS, range(4), strict=False):
         run = [(at, row.mean[index], row.interval[index]) for at, row in enumerate(record.rows) if row.values]
@@ -140,7 +140,7 @@ def _judged(claim: Claim, rows: dict[str, RowRecord], columns: Sequence[int]) ->
     margins = []
     for index in columns:
         for gap, better, worse in _gaps(claim, rows, index):
-            # The allowed figures have two digits.
+            # The allowed figures have two decimals.
             margin = gap if ahead else allowed[index] - round(gap, 2)
             margins.append((margin, _noise(rows, better, worse, index), index, (better, worse)))
     within = "within the interval of the seeds"

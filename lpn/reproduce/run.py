@@ -415,7 +415,7 @@ def _shown(value: object) -> str:
 def _columns(
     table: PaperTable, data: Sequence[Source]
 ) -> tuple[tuple[str, ...], tuple[int | None, ...], dict[int, str]]:
-    """Return the measured columns, each with its column of the paper, and the paper's others."""
+    """Return the measured columns, each with its column of the paper, and the paper's other columns."""
     count = range(len(table.columns))
     if table.measure == "landmarks" and data:
         beside = tuple({"Oxford5k": 0, "Paris6k": 1}.get(source.dataset.kind) for source in data)

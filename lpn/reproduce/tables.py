@@ -52,7 +52,7 @@ class TableRow:
         label: as in the paper's table; claims refer to the row by it.
         training: the network; None for the pretrained backbone's features without training.
         paper: the paper's values, empty if it has no such row.
-        note: the difference here, printed after the label.
+        note: the difference from the paper's row, printed after the label.
         rotate: rotation of the queries in degrees counter-clockwise.
         parts: 1-based parts used, None for all.
         branch: the branch that describes landmarks.
@@ -122,12 +122,12 @@ class Scale:
 
     Attributes:
         name: "paper", "released", or "reduced".
-        recipes: the recipe of each role before a method's changes, and "safa" for SAFA's own, if it has one.
+        recipes: the recipe of each role before a method's changes, and under "safa" a recipe for SAFA alone, if any.
         note: one sentence for the table's notes, with names of settings in braces.
         settings: the common replacements of the recipe's settings for all rows of a role; empty if each method has its published
             recipe.
         divisor: of Table III's input sizes.
-        protocol: "released" for turned queries and the transfer to landmarks as in their authors' code.
+        protocol: "released" turns queries and transfers to landmarks as the released code does.
         changes: the user's changes of every recipe.
     """
 
@@ -170,7 +170,7 @@ class Scale:
         """Name the user's changes that do not apply to a training, because its row or its own recipe sets them."""
         own, unchanged = set(training.changes), self._unchanged(training)
         if training.role == "panoramas" and unchanged.lr != self._role("places").lr:
-            own.add("lr")  # each released script has its own, ten times apart
+            own.add("lr")  # each released script has its own rate
         if training.method.startswith("safa"):
             own |= {"size", "width", "lr", "optimizer"} if "safa" in self.recipes else {"size", "width"}
         if str(self.changes.get("backbone", unchanged.backbone)).startswith("vgg16"):

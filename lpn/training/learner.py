@@ -95,7 +95,7 @@ class Learner:
         checkpoints.save(model, path, metadata)
 
     def state(self) -> dict[str, Any]:
-        """Return the complete state of the next step, as tensors and numbers."""
+        """Return the complete state for the next step, as tensors and numbers."""
         return {
             "network": self.network.state_dict(),
             "average": {} if self.average is None else self.average.module.state_dict(),
@@ -157,7 +157,7 @@ def choose_dtype(recipe: Recipe, device: torch.device) -> torch.dtype:
     """Choose the dtype of the forward pass.
 
     "auto" is bfloat16 if the hardware has it, else float16 on CUDA and float32 elsewhere. Emulated bfloat16 would be slower
-    than float32, and so would float16 on a CPU, which therefore means "auto" there.
+    than float32, and so would float16 on a CPU. So on a CPU "float16" means "auto".
     """
     if recipe.precision in ("float32", "bfloat16"):
         return torch.bfloat16 if recipe.precision == "bfloat16" else torch.float32
@@ -253,7 +253,7 @@ def build_network(recipe: Recipe, views: Sequence[View], classes: int) -> LPN:
 
 
 def initialise_heads(network: LPN, recipe: Recipe) -> None:
-    """Initialise the class layers by the recipe; in heads without a first layer, it becomes an untrained identity."""
+    """Initialise the class layers by the recipe; heads without a linear layer get a fixed identity instead."""
     for head in network.heads:
         if recipe.class_init == "kaiming":
             nn.init.kaiming_normal_(cast(nn.Linear, head.classifier[0]).weight, mode="fan_out")

@@ -62,8 +62,8 @@ class Loader:
     """The batches of a training in order, sampled by the recipe.
 
     With `sampling = places`, a row of a batch is one place in each set, with one picture, or with `positives` drone pictures. If
-    a place has no picture in a set, another place, drawn anew each epoch, takes its row there under its own label;
-    `lpn.training.losses` compares only rows of one label.
+    a place has no picture in a set, its row there shows another place with that place's label, drawn anew each epoch;
+    `lpn.training.losses` compares only rows of equal labels.
 
     Each place of an epoch, or each picture with `sampling = pictures`, has its own random seed, so the number of workers changes
     no result.
@@ -168,7 +168,7 @@ class Loader:
                 labels = {
                     name: np.array([self._pictures[name][i][1] for i in chunk], np.int64) for name, chunk in of_sets
                 }
-                # A zero in the last place would repeat the random numbers of the set's order.
+                # A seed that ends in zero would repeat the random numbers of the set's order.
                 rows = [
                     partial(self._draw, sets, [*seed, number, index + 1], {name: [self._pictures[name][index][0]]})
                     for number, (name, chunk) in enumerate(of_sets)

@@ -59,7 +59,7 @@ def infonce_loss(
 
 
 def _smoothed(logits: Tensor, counted: Tensor, smoothing: float) -> Tensor:
-    """Return the cross-entropy of (B, B) towards its diagonal over the counted columns, which share the smoothing."""
+    """Return the cross-entropy of logits (B, B) to the diagonal over the counted columns, which share the smoothing."""
     logs = logits.masked_fill(~counted, -torch.inf).log_softmax(dim=1)
     evenly = logs.masked_fill(~counted, 0.0).sum(dim=1) / counted.sum(dim=1)
     return -((1 - smoothing) * logs.diagonal() + smoothing * evenly).mean()
@@ -104,7 +104,7 @@ def loss_terms(step: TrainingStep, recipe: Recipe, own: PackageLoss | None = Non
     """Compute the terms of a recipe's loss, each with its weight, by their names; the loss is their sum.
 
     Args:
-        own: the opened loss of another package in the recipe.
+        own: the loss of another package that the recipe names, opened.
 
     Raises:
         InputError: if a package's loss fails, or is not one number.
@@ -169,7 +169,7 @@ def _reason(error: Exception) -> str:
 
 
 def _over_pairs(step: TrainingStep, loss: Callable[[Tensor, Tensor, Tensor | None], Tensor]) -> Tensor:
-    """Average a loss on the part embeddings (b, n, D) of two views over the views beside the satellite's.
+    """Average a loss on part embeddings (b, n, D) over the pairs of the satellite view with each other view.
 
     Only rows that show the satellite's place are compared.
     """
@@ -194,7 +194,7 @@ def _soft_margin(tiles: Tensor, pictures: Tensor, recipe: Recipe) -> Tensor:
 
 
 def hardest_scores(tiles: Tensor, drones: Tensor, places: Tensor, pool: Tensor) -> tuple[Tensor, Tensor]:
-    """Return the cosines of each satellite with its hardest own drone picture, and with the hardest of other places in a pool.
+    """Return each satellite's cosine with its place's hardest drone picture, and with the hardest of other places in a pool.
 
     Args:
         tiles: descriptors of satellites, (B, F), of unit length.
@@ -203,7 +203,7 @@ def hardest_scores(tiles: Tensor, drones: Tensor, places: Tensor, pool: Tensor) 
         pool: indices of drone pictures, from 0 to B k - 1.
 
     Returns:
-        Two tensors (B,): the smallest cosine with an own picture, and the largest with another place's, 0 without any.
+        Two tensors (B,): the smallest cosine with its own place, and the largest with another place, 0 without any.
     """
     flat = drones.flatten(0, 1)[pool]
     others = places.repeat_interleave(drones.shape[1])[pool][None, :] != places[:, None]

@@ -33,7 +33,7 @@ _SIZES = (0.5, 2.0)
 _LARGEST = 0.5
 # Number of sizes for which places for windows are computed; sizes between them are drawn log-uniformly.
 _LEVELS = 6
-# Least valid share of a window, its places by side, and the most places of a size.
+# Least valid share of a window, steps of its centre per side, and the most centres for a size.
 _MIN_VALID = 0.75
 _STEPS = 8
 _MAX_PLACES = 50_000
@@ -55,7 +55,7 @@ class MapWindows:
 
     Attributes:
         sizes: the sides in metres.
-        windows: a function of the epoch; each window is turned by up to the recipe's `place_rotation`.
+        windows: a function that returns an epoch's windows, each turned by up to the recipe's `place_rotation`.
 
     Raises:
         InputError: if the sizes are no range, or the windows do not fit on the map.
@@ -83,7 +83,7 @@ class MapWindows:
         return self.recipe.windows
 
     def digest(self) -> str:
-        """Hash map and sizes: a run can be resumed only with equal ones."""
+        """Hash the map and the sizes: a run can be resumed only with equal ones."""
         return hashlib.sha256(json.dumps([self.basemap.digest(), self.sizes]).encode()).hexdigest()
 
     def overlapping(self, places: Int64Array, epoch: int) -> BoolArray:
@@ -206,16 +206,16 @@ class GroundPicture:
         return cut_square(taken, shot.heading, shot.share, pixels)
 
     def _to_pixels(self, to_ground: Float64Array) -> Float64Array:
-        """Return the homography from a view's pixels to the picture's, (3, 3), by its homography to metres."""
+        """Return the homography from a view's pixels to this picture, (3, 3), from the view's homography to metres."""
         origin, along = self.window.to_pixels([(0.0, 0.0), (1.0, 1.0)], len(self.picture))
         step = along - origin
         return np.array([[step[0], 0, origin[0]], [0, step[1], origin[1]], [0, 0, 1]]) @ to_ground
 
 
 def overlaps(corners: npt.ArrayLike) -> BoolArray:
-    """Return the pairs of convex quadrilaterals, (N, 4, 2), that share ground, (N, N), by the separating axes.
+    """Return the pairs of rectangles, given by corners (N, 4, 2), that share ground, (N, N), by the separating axes.
 
-    Only the first two sides of each count, so they are rectangles.
+    Axes along the first two sides suffice for rectangles.
     """
     points = np.asarray(corners, np.float64)
     axes = points[:, 1:3] - points[:, :2]
@@ -271,7 +271,7 @@ def _filled(picture: UInt8Array, mask: UInt8Array) -> UInt8Array:
 
 
 def _warp(picture: UInt8Array, matrix: Float64Array, width: int, height: int) -> UInt8Array:
-    """Sample a picture bilinearly by the homography from the view's pixels to its own, mirrored beyond its edges."""
+    """Sample a picture bilinearly by the homography from the view to the picture, which is mirrored beyond its edges."""
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
     view = cv2.warpPerspective(picture, matrix, (width, height), flags=flags, borderMode=cv2.BORDER_REFLECT_101)
     return cast(UInt8Array, view)

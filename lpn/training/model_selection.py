@@ -70,7 +70,7 @@ class TestSplit:
 
 
 class HeldOut:
-    """Retrieval of held-out training places' satellite pictures by their drone or street pictures, see `TestSplit`.
+    """Retrieval among held-out training places: satellite pictures by drone or street pictures, see `TestSplit`.
 
     Args:
         places: the files of each set of each place; those without a pair of pictures are not measured.

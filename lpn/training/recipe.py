@@ -237,7 +237,7 @@ class Recipe:
 
 
 class _Conflict(NamedTuple):
-    """Settings that must have one of some values in the recipes that `applies` selects.
+    """Settings with a limited choice of values in the recipes that `applies` selects.
 
     Attributes:
         reason: the reason against other values; it may name settings.

@@ -61,7 +61,7 @@ RECIPES: dict[str, Recipe] = {
     **{name: Recipe(**{setting: value for setting, (value, _) in of.items()}) for name, of in _STATED.items()},
     **{name: Recipe(**_resolved(_DATA["ours"], name)) for name in _DATA["ours"]},
 }
-# The settings of each method of the paper's tables that replace a recipe's: its loss, and some others.
+# For each method of the paper's tables, its loss and other settings; they replace those of a recipe.
 METHODS = {name: _resolved(_DATA["methods"], name) for name in _DATA["methods"]}
 # The methods with a loss on cosines of satellites with drone pictures; all have the baseline's network.
 METRIC_LOSSES = tuple(name for name, of in METHODS.items() if of["metric"] != "none" and of["pooling"] == "average")
@@ -83,7 +83,7 @@ def method(name: str, recipe: Recipe) -> Recipe:
 
 
 def find(recipe: str, method_name: str | None = None) -> Recipe:
-    """Return a recipe of `RECIPES`, for its own method or for one of `METHODS` with that method's script's rates.
+    """Return a recipe of `RECIPES`, for its own method, or for one of `METHODS` at the rates of its released script.
 
     Raises:
         InputError: if there is no such recipe or method, or the recipe has no methods.

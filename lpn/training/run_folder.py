@@ -78,7 +78,7 @@ def _machine() -> str:
 
 
 def _version() -> str:
-    """Return the version, with the package's checkout's commit, if any."""
+    """Return the version, with the commit of the package's checkout, if any."""
     root = Path(lpn.__file__).parents[1]
     if not (root / ".git").exists():
         return lpn.__version__
@@ -156,7 +156,7 @@ def epoch_line(history: Sequence[EpochMetrics], epochs: int) -> str:
 
 @dataclass(frozen=True)
 class ResumeState:
-    """A training after a whole epoch.
+    """The state of a training after a whole epoch.
 
     Attributes:
         history: the metrics of each epoch.

@@ -47,8 +47,8 @@ class Trainer:
         source: the data set with the training pictures, or the map to train on.
         out: the run's folder.
         recipe: every setting of the training.
-        init: pretrained weights of the backbone, needed by every recipe, the name of a shipped model, or "auto" for weights that
-            `lpn.models.pretrained_weights` finds; tensors that do not fit are skipped.
+        init: a file of pretrained backbone weights, the name of a shipped model, or "auto" for weights that
+            `lpn.models.pretrained_weights` finds. Tensors that do not fit are skipped. Needed unless `from_scratch` or `resume`.
         from_scratch: start from random weights instead.
         resume: continue after the last whole epoch in `out`, with the losses of an uninterrupted run.
         evaluate_every: number of epochs between tests; the best tested model is saved. 0 tests only at the end.

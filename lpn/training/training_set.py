@@ -47,7 +47,7 @@ class Trainable(NamedTuple):
     Attributes:
         places: those to train on, which have pictures of two views.
         left_out: those with pictures of one view alone.
-        gaps: for each set, the `places` without a picture in it; sets without any pictures are absent.
+        gaps: for each set, the `places` without a picture in it; a set without such places is absent.
     """
 
     places: list[int]
@@ -72,8 +72,8 @@ def trainable(labels: Mapping[str, Collection[int]]) -> Trainable:
 class TrainingSet:
     """The training pictures: for each set (satellite, drone, street, google), the files of each place.
 
-    Broken pictures (see `lpn.datasets.integrity`) are left out, with one message. Places are left out by `trainable`, and
-    named.
+    Broken pictures (see `lpn.datasets.integrity`) are left out, with one message. The places that
+    `trainable` leaves out are named.
 
     Args:
         names: the sets to train on, see `Recipe.sets`.
