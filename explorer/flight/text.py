@@ -82,7 +82,7 @@ def place(flight: LocatedFlight, point: tuple[float, float] | Float64Array) -> t
 
 
 def drone(flight: LocatedFlight, located: LocatedFrame) -> str:
-    """Tell the pose's height and tilt of the camera, and its place unless that is the answer; "" without a pose."""
+    """Tell height and tilt of the drone's camera, and its place unless that is the answer; "" without a pose."""
     answer = located.stages.get("registration")
     if answer is None or not answer.accepted or (pose := answer.pose) is None:
         return ""
