@@ -49,7 +49,7 @@ class App:
     """A running server with one `ScreenSession` per tab.
 
     Args:
-        workspace: what a page shows first; an address calls it `DATA`.
+        workspace: the first workspace of a page; its key in an address is `DATA`.
         authenticator: the access rules; by default a random token, and none on a loopback address.
         label: display name of the workspace beside `others`.
         others: further workspaces that a page can show, by their keys in its address.
@@ -102,7 +102,7 @@ class App:
             log.warning("A file is still being written")
 
     async def _connect(self, client: viser.ClientHandle) -> None:
-        """Attach the client of a scene; viser runs a coroutine where the tab of the scene is known."""
+        """Attach the client of a scene. This is a coroutine, as viser awaits coroutines in the task that has `SCENE_TAB`."""
         tab = SCENE_TAB.get()
         self._scenes[client.client_id] = tab
         self._channel.attach(tab, client)
@@ -145,7 +145,7 @@ def serve(
     """Open a workspace, print the address of the explorer, and serve it until KeyboardInterrupt.
 
     Args:
-        opening: what the page shows; the first workspace is opened once the port is known to be free.
+        opening: the workspaces of the page; the first is opened once the port is known to be free.
         authenticator: the access rules; by default those of `App`.
         stories: the file that keeps stories, see `App`.
 

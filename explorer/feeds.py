@@ -17,7 +17,7 @@ from lpn.tasks.task import Task
 
 # Entries of a list in one piece.
 CHUNK = 100
-# Feeds of one owner and name that are served. A page may still fetch pieces of an older one.
+# Number of served feeds of one owner and name: a page may still fetch pieces of the older one.
 _KEPT = 2
 # Keys of ended feeds that are remembered.
 _ENDED = 1000

@@ -65,7 +65,7 @@ def open_model(
         query: name of the query of the first task that a new browser shows; by default the task's first query.
         beside: other models to compare with on the same data. All are loaded, but only the first is opened; the others
             describe their pictures when a browser asks for it.
-        baseline: the model of one part to offer for comparison without others; opened when a browser asks for it.
+        baseline: a model of one part for comparison if `beside` is empty; opened when a browser asks for it.
         calibrate, csls: how the page ranks when it opens, see `lpn.open_task`. A browser may ask for the other scorings.
         task: the only task to open; by default all.
         beside_weathers: weathers in which to compare the model with itself; described when a browser asks for it.
@@ -104,7 +104,7 @@ def open_model(
 
 
 def _in_weather(workspace: Workspace, model: Model, weather: Weather, label: str) -> Workspace:
-    """Open the tasks of a workspace whose queries are no tiles once more, with all queries in a weather."""
+    """Open a workspace's tasks again with all queries in a weather, except tasks whose queries are tiles."""
     yield_cores()  # the work describes all queries, and answers must not wait for it
     tasks = [task for task in workspace.tasks.values() if task.query_view != "satellite"]
     if not tasks:
@@ -144,7 +144,7 @@ def _open_one(
     model_name: str,
     scoring: tuple[str | None, bool | None, int],
 ) -> Workspace:
-    """Open one model on a data set, see `open_model`; `scoring` holds its `task`, `calibrate`, and `csls`."""
+    """Open one model on a data set, see `open_model`; `scoring` is its `task`, `calibrate`, and `csls`."""
     data_name = printable(data.resolve().name)
     with _status(f"Opening {model_name} and {data_name}"):
         opened = model if isinstance(model, Model) else model.load()
@@ -261,7 +261,7 @@ def open_flight_over(
 
     Args:
         map_path: a map that `lpn.flight.maps.open_map` opens.
-        flight_path: a folder of lpn flight, or one of photos.
+        flight_path: a folder of lpn flight, or a folder of photos.
         query: name of the frame that a new browser shows first; by default the flight's first readable one.
         beside: other models to compare with on the same flight. All are loaded, but only the first is opened; the others
             describe windows and frames when a browser asks for it.

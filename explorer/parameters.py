@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 
 _NUMBER = re.compile(r"-?\d{1,9}(\.\d{1,12})?(e-\d{1,2})?")
-# Key of the workspace of addresses without `show`.
+# Key of the workspace that an address without `show` opens.
 DATA = "data"
 # Maximum of characters of a text in an address.
 LONGEST_TEXT = 200

@@ -68,7 +68,7 @@ class Workspace:
     Args:
         model_name, data_name: display names.
         rankings: the ranking of each task, at least one.
-        contract: the model's, with the partition of each view that has one.
+        contract: the model's contract, with the partition of each view that has one.
         map_sizes: (h, w) of the feature map of each view.
         model: None for saved descriptors, whose queries cannot be changed. All forward passes go through one queue;
             `RequestContext` gives each browser its own access.
@@ -96,10 +96,10 @@ class Workspace:
         self.root, self.weather = root, weather
         self.flight, self.basemap, self.own_photos = flight, basemap, own_photos
         self.model_name, self.data_name = model_name, data_name
-        # By the keys of their tasks: as the tasks were opened, and, after calibration, under the further scorings.
+        # Rankings by the keys of their tasks; calibration adds the rankings under the further scorings.
         self.rankings = {ranking.task.key: ranking for ranking in rankings}
         self.tasks = {ranking.task.name: ranking.task for ranking in rankings}
-        # The scorings that a page opens with; a task takes its first. Set at the start, and never by a measured figure.
+        # Scorings of a page that opens, the preferred first; a task takes the first that it has. No measured figure decides.
         self.opens_with: tuple[Scoring, ...] = ()
         self.scorings: Scorings = Scorings(
             "Saved descriptors and indexes are ranked as they are; calibration takes pictures."
@@ -115,7 +115,7 @@ class Workspace:
         # Other models on the same data.
         self.beside: list[LazyWorkspace] = []
         self._own = LazyWorkspace(model_name, lambda: self, self)
-        # The labels of all workspaces of the app by their keys if there are several, and this one's key.
+        # The labels of all workspaces of the app by their keys if there are several, and this workspace's key.
         self.choices: Mapping[str, str] = {}
         self.key = ""
         # The app's workspaces that are open, by their keys.
@@ -176,17 +176,17 @@ class Workspace:
         return self._queries.get(key, lambda: described)
 
     def scored_model(self, model: Model, task: Task) -> Model:
-        """Return the model that describes pictures as for a task's descriptors: calibrated if the task is."""
+        """Return the model that describes pictures as the task does: calibrated if the task is."""
         as_opened = self.tasks[task.name].calibration is task.calibration
         return model if as_opened or task.calibration is None else task.calibration.applied(model)
 
     def default_scoring(self, name: str) -> Scoring:
-        """Return the scoring that a task opens with: its first of `opens_with`, or the one it was opened under."""
+        """Return the scoring that a task opens with: the first ready one of `opens_with`, else the opened task's scoring."""
         ready = (scoring for scoring in self.opens_with if scored_key(name, scoring) in self.rankings)
         return next(ready, self.tasks[name].scoring)
 
     def ranking(self, name: str, scoring: str) -> RankingJob:
-        """Return the ranking of a task under a scoring, or as it was opened if that one is not ready."""
+        """Return the ranking of a task under a scoring, or as the task was opened if this ranking is not ready."""
         return self.rankings.get(scored_key(name, cast("Scoring", scoring)), self.rankings[self.tasks[name].key])
 
     def shared_task(self, task: Task, others: Iterable[Workspace]) -> Task:
@@ -202,7 +202,7 @@ class Workspace:
     def outcomes(self, task: Task) -> tuple[Outcomes, Table] | None:
         """Return the outcomes of all queries and their table; None until they are ranked, and for large tasks.
 
-        The truth of a query that is not `graded` counts as not known.
+        The truth of an ungraded query counts as unknown.
         """
         ranked = self.rankings[task.key].result is not None
         quick = len(task.queries) <= _QUICK_OUTCOMES
@@ -212,7 +212,7 @@ class Workspace:
         return replace(known[0], known=self.graded(self.rankings[task.key])), known[1]
 
     def doubtful(self, ranking: RankingJob) -> BoolArray | None:
-        """Return the mask of photos with a doubtful judge, see `grades.doubtful_photos`, (Q,); None without a flight or ranks."""
+        """Return the photos whose grade is in doubt, see `grades.doubtful_photos`, (Q,); None without a flight or ranks."""
         flight, result = self.flight, ranking.result
         if flight is None or result is None:
             return None
@@ -223,7 +223,7 @@ class Workspace:
         )
 
     def graded(self, ranking: RankingJob) -> BoolArray:
-        """Return the graded queries, (Q,): ranked, of a known place, and without a doubtful judge."""
+        """Return the graded queries, (Q,): ranked, of a known place, and of a grade that is not in doubt."""
         known, doubtful = ranking.task.known, self.doubtful(ranking)
         graded = np.full(len(ranking.task.queries), ranking.result is not None)
         if known is not None:
@@ -231,7 +231,7 @@ class Workspace:
         return graded if doubtful is None else graded & ~doubtful
 
     def judged(self, answer: Answer) -> Answer:
-        """Return an answer without grades if its photo's judge is doubtful, see `lpn.flight.locate.grades`."""
+        """Return an answer without grades if its photo's grade is in doubt, see `lpn.flight.locate.grades`."""
         flight, first = self.flight, answer.matches[0]
         if flight is None or answer.index is None or first.true is None:
             return answer
@@ -272,7 +272,7 @@ class Workspace:
         picture = (task.queries if of_query else task.gallery)[index]
         if not large:
             return self.thumbnail_file(picture)
-        # The page zooms a query, which it turns; a tile is drawn at its zoom.
+        # The page zooms a query itself, because it turns the query; a tile's file is zoomed already.
         whole = (
             images.crop(self.load_picture(picture), picture.box, picture.name) if of_query else picture.load_zoomed()
         )
@@ -386,10 +386,10 @@ class LazyWorkspace:
 
 @dataclass(frozen=True)
 class Workspaces:
-    """The workspace that a page shows first, not opened yet, and further ones by the keys of their addresses.
+    """The first workspace of a page, not opened yet, and further workspaces by their keys in addresses.
 
     Attributes:
-        label: display name of the first.
+        label: display name of the first workspace.
     """
 
     open_workspace: Callable[[], Workspace]

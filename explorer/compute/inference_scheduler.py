@@ -86,7 +86,7 @@ class InferenceScheduler:
         return self._heads.get((model, view), lambda: model.heads(view))
 
     def bound(self, model: Model, query: View, gallery: View) -> Model:
-        """Return a model for a task, see `Model.for_task`. All browsers share it, as requests of one model share batches."""
+        """Return a model for a task, see `Model.for_task`. All browsers share it, so that their requests share batches."""
         return self._bound.get((model, query, gallery), lambda: model.for_task(query, gallery))
 
     def run(

@@ -40,7 +40,7 @@ class _Turn:
 
 
 class _Turns:
-    """Lets one registration compute at a time: first those of shown pictures, in the order in which they began."""
+    """Lets one registration compute at a time, in the order of their start; registrations of shown pictures go first."""
 
     def __init__(self) -> None:
         self._condition = threading.Condition()
@@ -92,7 +92,7 @@ class _Turns:
 class OwnPhotoJobs:
     """Registers own pictures on a map; thread-safe.
 
-    A job has its picture's key, or else a digest of pixels and camera data. Each job runs once for all clients, and is
+    The key of a job is its picture's key, or a digest of pixels and camera data. Each job runs once for all clients, and is
     forgotten with its answer when its last client has left.
 
     Args:
@@ -106,7 +106,7 @@ class OwnPhotoJobs:
         self._jobs = BackgroundJobs()
 
     def join(self, picture: OwnPicture, windows: Sequence[Window], client: object) -> BackgroundJob[OwnPhoto]:
-        """Return the job that registers a client's picture; it has ended if another client has its answer.
+        """Return the job that registers a client's picture; it has ended already if another client has its answer.
 
         Args:
             windows: the most similar windows, see `register_own_photo`.
@@ -181,7 +181,7 @@ def _frame(picture: OwnPicture) -> Frame | None:
 
 
 def _key(picture: OwnPicture) -> str:
-    if picture.key:  # a picture that is opened again may have been packed by now
+    if picture.key:  # a stored JPEG of the picture has other pixels
         return picture.key
     digest = hashlib.sha256(picture.picture.tobytes())
     digest.update(repr((picture.picture.shape, _frame(picture))).encode("utf-8", "replace"))

@@ -38,7 +38,7 @@ class TaskRanking:
         """Return recall and AP in percent, see `lpn.retrieval.metrics.evaluate`, and the values of `error_shares`.
 
         Args:
-            counted: the queries that count, (Q,), or None for all. Queries without an error count in recall and AP alone.
+            counted: the queries that count, (Q,), or None for all. Queries of unknown error count in recall and AP alone.
         """
         figures = self.ranking.metrics(counted)
         if self.errors is None:

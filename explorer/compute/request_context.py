@@ -42,9 +42,9 @@ class RequestContext:
 
     @contextmanager
     def answering(self) -> Iterator[None]:
-        """Let a newer state supersede the request of the block once; it raises SupersededError.
+        """Let a newer state supersede the block's request once; the request then raises SupersededError.
 
-        A further request of the block takes the old one's place.
+        The next request of the block takes the same place in the queue.
         """
         self._superseded, self._may_cancel = False, True
         try:

@@ -1,4 +1,4 @@
-"""Functions that are called after each change of what all browsers share."""
+"""Functions that are called after each change of a shared state."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 
 class Watchers:
-    """The functions; thread-safe."""
+    """A thread-safe list of these functions."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()

@@ -17,7 +17,7 @@ from lpn.flight.locate.camera_pose import CameraPose
 from lpn.flight.locate.coverage import outline
 from lpn.flight.locate.verdict import judge
 
-# Share of the flying height that is the depth of a camera's pyramid, and metres of borders above the ground.
+# Depth of a camera's pyramid as a share of the flying height, and metres of lines above the ground.
 _DEPTH, _LIFT = 0.12, 2.0
 _LEGEND = (
     "Lines in the scene: the cameras of the placed photos, and the way along them. This photo's camera and its ground have "
@@ -64,7 +64,7 @@ def _pyramid(pose: CameraPose, aspect: float) -> Float64Array:
 
 
 def mark(workspace: Workspace, query: int) -> dict[str, Any] | None:
-    """Return a one-word state of a flight's photo with its sign; None without a flight."""
+    """Return the state of a flight's photo in a few words, with its sign; None without a flight."""
     flight = workspace.flight
     if flight is None or query >= len(flight.frames):
         return None

@@ -33,7 +33,7 @@ from lpn.flight.maps import Map
 
 log = logging.getLogger(__name__)
 
-# Above this many frames, the older half is forgotten: each change sends all frames to the page.
+# Above this many frames, the older half is forgotten, because each change sends all frames to the page.
 MOST = 400
 # Longer side and JPEG quality of stored photos, and the number of stored sentences.
 _PHOTO, _QUALITY, _SENTENCES = 1280, 82, 20

@@ -21,7 +21,7 @@ from lpn.library.analyser import OwnPicture
 def own_photo(
     seen: FlightSnapshot, picture: OwnPicture, job: BackgroundJob[OwnPhoto] | None, addresses: Mapping[str, Any]
 ) -> dict[str, Any]:
-    """Return the data to draw of an own photo, as `page.chosen` does for a frame; its frame number is -1.
+    """Return an own photo as data to draw, in the form of `page.chosen`; its frame number is -1.
 
     Args:
         job: registers the photo; None without a registration.

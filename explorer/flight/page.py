@@ -80,7 +80,7 @@ def data(seen: FlightSnapshot, addresses: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _track(seen: FlightSnapshot, name: str) -> dict[str, Any]:
-    """Return x, y, state, and radius of each frame; the state is -1 without an answer, and 0 of a tag or correction."""
+    """Return x, y, state, and radius of each frame; the state is -1 without an answer, and 0 for a tag or correction."""
     x, y, states, radii = list[float | None](), list[float | None](), list[int](), list[float | None]()
     for located in seen.flight.frames:
         answer = located.stages.get(name)
@@ -97,7 +97,7 @@ def _track(seen: FlightSnapshot, name: str) -> dict[str, Any]:
 
 
 def spot(seen: FlightSnapshot, point: tuple[float, float]) -> dict[str, Any]:
-    """Return a spot with the frames that show it."""
+    """Return a point of the map with the frames that show it."""
     shown = list(seen_by(seen.outlines, *point))
     unknown = sum(one is None for one in seen.outlines)
     sentence = f"{len(shown)} of {len(seen.outlines)} photos show {text.place(seen.flight, point)[0]}."

@@ -68,15 +68,15 @@ FIELDS: tuple[PanelField[Any], ...] = (
     PAINT,
     SPOT,
     PanelField("flight_over", OneOf(("off", "swipe", "correct")), "off", "flight_over"),
-    # Names of tracks between points; empty for the track of the deciding stage beside the tags, "none" for none.
+    # Names of tracks, separated by points, or "none"; empty for tags, corrections, and the most frequent deciding stage.
     PanelField("flight_tracks", Line(), "", "flight_tracks"),
-    # The middle of the map's view, and the metres from side to side.
+    # The middle and the width of the visible map.
     PanelField("flight_view", MetresOf(3), (), "flight_view"),
 )
 
 
 class FlightPart(PanelPart):
-    """Sends the changed flight and the tab's photo, on a thread of its own."""
+    """Sends the changed flight and the tab's photo from a worker thread."""
 
     def __init__(self, tab: Tab) -> None:
         super().__init__(tab)
@@ -107,7 +107,7 @@ class FlightPart(PanelPart):
     def _work(self) -> float | None:
         state, result, workspace = self.tab.state, self.tab.result, self.tab.base
         job = workspace.registration
-        running = job is not None and not job.wait(0)  # read before the flight, which the job replaces at its end
+        running = job is not None and not job.wait(0)  # read before the flight: at its end, the job replaces the flight
         seen, addresses = self._shared.snapshot(), self._pictures.addresses
         if self._sent.get("flight") is not seen:
             self._sent["flight"] = seen
@@ -130,7 +130,7 @@ class FlightPart(PanelPart):
         return _INTERVAL if running else None
 
     def _register(self, own: OwnPicture, result: ScreenResult) -> BackgroundJob[OwnPhoto] | None:
-        """Return the job that registers an own photo; the check behind its mark may have begun it."""
+        """Return the job that registers an own photo; `OwnPhotos.check` may have begun it."""
         jobs, analysis = self.tab.base.own_photos, result.analysis
         if jobs is not None and (self._registering is None or self._registering[0] != own.key):
             windows = likely_windows(analysis.task, analysis.ranking.order.tolist())

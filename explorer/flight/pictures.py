@@ -28,9 +28,9 @@ _TILES, _PHOTOS = 1000, 40
 # Longer side of a photo, and side of the pictures that compare a photo with the map, in pixels.
 LAID, _PAIR = 1280, 220
 _QUALITY = 82
-# Maximum of levels: the number of a tile in its level has seven digits.
+# Maximum of levels: the number of a tile in its level has seven digits at most.
 _MOST_LEVELS = 11
-# The finest level whose tiles are cut from the map's overview. Without it, each coarse tile would read most pixels of a map.
+# The finest level whose tiles are cut from the map's overview. Otherwise each coarse tile would read most pixels of a map.
 _COARSE = int(math.log2(OVERVIEW / TILE))
 
 
@@ -40,8 +40,8 @@ class TilePyramid:
 
     Attributes:
         west, north: corner of the square in metres of the map's frame.
-        side: of the square in metres.
-        levels: the finest level has the map's own resolution or less than twice it.
+        side: side of the square in metres.
+        levels: the finest level, unless limited, has the map's resolution or less than twice that.
     """
 
     west: float

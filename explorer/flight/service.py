@@ -108,7 +108,7 @@ class SharedFlight:
         The later of two tabs of this server wins; a newer correction by another program is not overwritten.
 
         Args:
-            corners: of the picture in metres of the map's frame, (4, 2).
+            corners: corners of the picture in metres of the map's frame, (4, 2).
 
         Raises:
             LPNError: when no camera can see these corners, another program has corrected the frame, or the file cannot be

@@ -58,7 +58,7 @@ def first_sentence(text: str) -> str:
 
 
 def agreement(located: LocatedFrame) -> str:
-    """Say how far details of a registered photo lie from the map's, or that too few of them are known; "" without a search."""
+    """Say how far a registered photo's details lie from the map's details, or why this is unknown; "" without a search."""
     answer = located.stages.get("registration")
     if answer is None or located.by_hand is not None or (measured := answer.agreement) is None:
         return ""
@@ -73,7 +73,7 @@ def agreement(located: LocatedFrame) -> str:
 
 
 def place(flight: LocatedFlight, point: tuple[float, float] | Float64Array) -> tuple[str, str]:
-    """Return a point on a flight's map in words, and its address on OpenStreetMap; "" for a rendered flight's."""
+    """Return a point on a flight's map in words, and its address on OpenStreetMap, "" for a rendered flight."""
     if flight.rendered:
         return f"{describe_offset(float(point[0]), float(point[1]))} (rendered, no real place)", ""
     latitude, longitude = (f"{value:.6f}" for value in flight.basemap.frame.degrees(np.array([point]))[0].tolist())
@@ -82,7 +82,7 @@ def place(flight: LocatedFlight, point: tuple[float, float] | Float64Array) -> t
 
 
 def drone(flight: LocatedFlight, located: LocatedFrame) -> str:
-    """Tell the drone's place, unless it is the answer, its height, and its camera's tilt, by the pose; "" without one."""
+    """Tell height and tilt of the drone's camera, and its place unless that is the answer; "" without a pose."""
     answer = located.stages.get("registration")
     if answer is None or not answer.accepted or (pose := answer.pose) is None:
         return ""

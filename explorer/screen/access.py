@@ -45,7 +45,7 @@ class Access:
         return self._workspaces(state.place)
 
     def workspace(self, state: ScreenState) -> Workspace:
-        """Return the workspace of the state's model; that of the place until it is open."""
+        """Return the workspace of the state's model, or the place's workspace until the model is open."""
         base = self.base(state)
         return base.models[int(state.model)].workspace or base
 
@@ -66,7 +66,7 @@ class Access:
             return self._opened[workspace]
 
     def ranks_beside(self, state: ScreenState) -> list[tuple[str, int]]:
-        """Return label and upright rank of the truth for each other model that has ranked the state's query."""
+        """Return each other model's label and its rank of the truth for the unturned query; only models that have ranked it."""
         ranks = []
         for number, model in enumerate(self.base(state).models):
             workspace = model.workspace

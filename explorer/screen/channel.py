@@ -1,4 +1,4 @@
-"""The channel of the screen: JSON over one websocket of the gateway, `set` and `do` up, one result an answer down."""
+"""The channel of the screen: JSON over one websocket of the gateway, `set` and `do` up, one result per answer down."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class TabSession(Protocol):
         ...
 
     def attach(self, client: viser.ClientHandle | None) -> None:
-        """Draw in a frame of viser's page from now on; None once it has gone."""
+        """Draw in the scene of a viser client from now on; None once the client has left."""
         ...
 
     def leave(self) -> None:
@@ -72,7 +72,7 @@ class Outbox:
         self._waiting: OrderedDict[tuple[frozenset[str], str], ScreenMessage] = OrderedDict()
 
     def put(self, message: ScreenMessage) -> None:
-        """Queue a message; it replaces those that wait whose kinds are all among its own."""
+        """Queue a message in place of each waiting message whose kinds are all among the kinds of this one."""
         if not self._loop.is_closed():
             self._loop.call_soon_threadsafe(self._put, message)
 
@@ -117,7 +117,7 @@ class Channel:
             session.attach(client)
 
     def detach(self, tab: str, client: viser.ClientHandle) -> None:
-        """Take the client of a scene that has gone."""
+        """Remove the client of a closed scene from its session."""
         session = self.sessions.get(tab)
         if session is not None and session.client is client:
             session.attach(None)
@@ -126,7 +126,7 @@ class Channel:
         """Serve one tab until its connection ends.
 
         Args:
-            tab: the page's own name for itself; a page that connects again replaces its former session.
+            tab: identifier that the page chose; a page that connects again replaces its former session.
         """
         loop = asyncio.get_running_loop()
         outbox = Outbox(loop)
@@ -158,7 +158,7 @@ class Channel:
 
 
 def _end(session: TabSession) -> None:
-    """End a session, and collect its memory, pictures included, now; the garbage collector would take minutes."""
+    """End a session, and free its memory now; the garbage collector might keep its pictures for minutes."""
     session.leave()
     gc.collect()
     return_memory()

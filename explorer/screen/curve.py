@@ -38,12 +38,12 @@ class Turning:
     """A photo whose curve is wanted.
 
     Attributes:
-        key: of the photo under its model, without angle and part weights.
+        key: identifies photo and model, without angle and part weights.
         source: the photo before it is turned, (H, W, 3) uint8.
         change: other changes of the photo, see `Change.for_picture`.
         index: position among the queries; None for an own photo.
         weights: the part weights, (n,); None for equal ones.
-        model: describes the photo as the task's descriptors are, in the background.
+        model: describes the photo like the task's pictures, in the background.
         keep: caches described queries, so that a turn to one of the curve's angles needs no forward pass.
     """
 

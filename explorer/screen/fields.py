@@ -165,7 +165,7 @@ class PanelField(Generic[T]):
     """A row of the table that a panel adds: `state[FIELD]` is its value.
 
     Attributes:
-        name: of the field in messages, with the panel's name before it: `lab_order`.
+        name: name in messages, which begins with the panel's name, such as `lab_sort`.
         kind: the type of its values.
         default: the value of a page without an address; it is valid in every workspace.
         key: its key in the address; empty for a field that no address has.
@@ -249,7 +249,7 @@ class ScreenState:
         return {name: self.value(name) for name in FIELDS}
 
 
-# The rows by their names. The task comes before the query, whose names depend on it; panels add theirs.
+# The rows by their names. The task comes before the query, whose names depend on it; panels add more rows.
 FIELDS: dict[str, PanelField[Any]] = {
     row.name: PanelField(row.name, row.metadata["row"][0], row.default, *row.metadata["row"][1:])
     for row in fields(ScreenState)
@@ -279,7 +279,7 @@ def same_page(one: ScreenState, other: ScreenState) -> bool:
 
 
 def _of_model(state: ScreenState, workspace: Workspace) -> Workspace:
-    """Return the workspace of the state's model; that of the place until it is open."""
+    """Return the workspace of the state's model, or the place's workspace until the model is open."""
     return workspace.models[int(state.model)].workspace or workspace
 
 

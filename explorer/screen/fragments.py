@@ -10,7 +10,7 @@ _TEMPLATES = environment("explorer.screen", "panels")
 
 
 def part_colour(part: int, count: int) -> str:
-    """Return the CSS variable of a part's colour; a single part has no colour of its own."""
+    """Return the CSS variable of a part's colour; a neutral one for a single part."""
     return "--soft" if count == 1 else f"--part{part % 4}"
 
 

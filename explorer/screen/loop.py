@@ -1,4 +1,4 @@
-"""One tab's loop: the newest state wins, one analysis is in flight, and each leads to one result."""
+"""One tab's loop: the newest state wins, one analysis runs at a time, and each analysis leads to one result."""
 
 from __future__ import annotations
 
@@ -50,12 +50,12 @@ class Loop:
         self._worker.stop()
 
     def _work(self) -> float | None:
-        if self._answered is self._asked:  # the run before has answered it
+        if self._answered is self._asked:  # an earlier run has answered it
             return None
         message: ScreenMessage | None = None
         try:
             with self._requests().answering():
-                while message is None:  # a newer state has superseded this one in the queue
+                while message is None:  # repeats after a newer state has superseded the request
                     state = self._asked
                     with suppress(SupersededError):
                         message = self._answer(state)

@@ -20,9 +20,9 @@ class Covering:
     """A result whose photo is to be covered square by square.
 
     Attributes:
-        key: of photo, angle, and answer under their model, without the part weights.
+        key: identifies photo, angle, answer, and model, without the part weights.
         number: the result's number, which the messages repeat.
-        model: describes the photo as the task's descriptors are, in the background.
+        model: describes the photo like the task's pictures, in the background.
     """
 
     key: Hashable

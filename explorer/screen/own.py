@@ -26,11 +26,11 @@ from lpn.library.answer import Answer
 
 # Maximum of photos of one tab, and of bytes of all tabs.
 MOST, MOST_BYTES = 200, 1_000_000_000
-# A small file is stored as it is, another photo as JPEG of this quality.
+# Files of up to this many bytes are stored unchanged, larger ones as JPEG of this quality.
 _SMALL, _QUALITY = 1_000_000, 95
 # Pixels of the picture in the page, and of the thumbnail.
 _SHOWN, _THUMBNAIL = 800, 108
-# Names of skipped files of a batch in one sentence.
+# Maximum of names of skipped files in one sentence.
 _NAMED = 3
 # Seconds between two looks at a check, and concurrent checks of one tab.
 _INTERVAL, _MOST_CHECKS = 0.5, 8
@@ -143,7 +143,7 @@ class OwnPhotos:
             return None if held is None else self._opened
 
     def step(self, key: str, by: int) -> str:
-        """Return the key of the photo some places further in the list; empty beyond its ends."""
+        """Return the key of the photo that is `by` places after another in the list; empty beyond its ends."""
         keys = list(self._held)
         place = keys.index(key) + by
         return keys[place] if 0 <= place < len(keys) else ""
@@ -219,7 +219,7 @@ class OwnPhotos:
         return key
 
     def _leave_out(self, name: str, sentence: str) -> None:
-        """Report the skipped files of a batch: a single one by a sentence of its own, several by their names."""
+        """Report the skipped files of a batch: a single file by its sentence, several by their names."""
         self._taken += 1
         self._left_out.append((name, sentence))
         if len(self._left_out) > 1:

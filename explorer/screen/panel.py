@@ -63,7 +63,7 @@ class Tab(Protocol):
         ...
 
     def append(self, kind: str, message: ScreenMessage) -> None:
-        """Send a message that replaces only a waiting one of its kind."""
+        """Send a message; it replaces a waiting message of the same kind only."""
         ...
 
     def say(self, text: str) -> None:
@@ -110,8 +110,8 @@ class Command:
     """A user's action by the palette or a key, whether the panel is open or not.
 
     Attributes:
-        name: of the action, requested as `PANEL.NAME`; it takes precedence over an action of the panel's part.
-        title: in the palette.
+        name: name of the action, requested as `PANEL.NAME`; it takes precedence over an action of the panel's part.
+        title: title in the palette.
         act: acts on a tab within a moment; the message of an LPNError is shown in the headline's place.
         key: its key in lower case; empty for none.
         offered: whether a workspace has it.
@@ -129,16 +129,16 @@ class Panel:
     """A panel, which its folder's `__init__.py` calls `PANEL`.
 
     Attributes:
-        name: of the folder, of its style sheet `NAME.css`, of its module `NAME.js` if it has one, and in the address.
-        title: of its command, and of its heading.
+        name: name in the address, and of its folder, its style sheet `NAME.css`, and its module `NAME.js` if there is one.
+        title: title of its command, and its heading.
         part: makes its part of a tab; None for a panel of commands alone, which never opens.
         key: opens and closes it, in lower case; empty for none.
         place: "beside" the rings in the rail's place, a "page" over them until the photo changes, or the "full" window.
-        fields: its fields of the state; their names begin with the panel's and "_".
+        fields: its fields of the state; their names begin with the panel's name and "_".
         offered: whether a workspace has it, and its commands.
         commands: its commands in the palette and by keys.
-        mark: its remark on a query in the head of the tile, as a `sign` and a `text`; None for nothing.
-        lines: its lines for a query in the scene of the place, in metres about the gallery's origin.
+        mark: its remark on a query in the head of the tile, as a `sign` and a `text`; None for no remark.
+        lines: its lines for a query in the scene of the place, in metres from the origin of `GalleryGeometry`.
     """
 
     name: str

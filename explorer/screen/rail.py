@@ -56,7 +56,7 @@ class Rail:
         return self._message | {"chosen": -1 if state.own else self._position(state.query)}
 
     def step(self, query: int, by: int) -> int | None:
-        """Return the query some places further in the list; None for an empty list."""
+        """Return the query that is `by` places further in the list; None for an empty list."""
         if not len(self._listed):
             return None
         at = self._position(query)

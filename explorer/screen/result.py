@@ -29,7 +29,7 @@ from lpn.tasks.task import Task
 
 # Tiles of the strip; the truth takes the last place if it is farther away.
 STRIP = 6
-# Queries that set the scale of all bars, numbers read for that at most, and the percentage of bars that fit.
+# For the scale of all bars: maxima of the queries and of the numbers read, and the percentage of bars that fit.
 _SAMPLE, _MOST_NUMBERS, _FITS = 200, 2_000_000_000, 99
 # A gain below this is called even.
 _EVEN = 0.005
@@ -39,7 +39,7 @@ _STEP = 0.1
 
 @dataclass(frozen=True)
 class BarScale:
-    """Ends of the bars, in squared distance: of a part under equal weights, and of the sum."""
+    """Values at the ends of the bars, in squared distance: for a part under equal weights, and for the sum."""
 
     part: float
     total: float
@@ -51,7 +51,7 @@ class ScreenResult:
 
     Attributes:
         question: the question to the task.
-        address: of the photo's picture, relative to the page.
+        address: address of the photo's picture, relative to the page.
     """
 
     workspace: Workspace
@@ -84,7 +84,7 @@ class ScreenResult:
 
     @cached_property
     def compared(self) -> Match | None:
-        """The tile that the user chose to compare, else the headline's."""
+        """The tile that the user chose to compare, else `rival`."""
         chosen = self.state.compare
         return self.analysis.ranking.find(chosen) if chosen is not None and self.pinned else self.rival
 
@@ -103,7 +103,7 @@ class ScreenResult:
 
     @cached_property
     def evidence(self) -> dict[int, Evidence]:
-        """The evidence of the photo with each of these tiles; empty unless the state asks for it."""
+        """The evidence of the photo with each tile of `large`; empty unless the state asks for it."""
         if self.state.heat != "evidence":
             return {}
         ranking = self.analysis.ranking
@@ -234,7 +234,7 @@ class ScreenResult:
         return self.analysis.described(match)
 
     def quarter(self, match: Match) -> int:
-        """Return a tile's quarter turns, counter-clockwise, that align it best with the photo before the photo was turned."""
+        """Return the quarter turns, counter-clockwise, that best align a tile with the unturned photo."""
         analysis = replace(self.analysis, chosen=match)
         turn = matching_turn(analysis, None if self.state.own else self.state.query, 0.0, None)
         if turn is None:
@@ -278,7 +278,7 @@ class ScreenResult:
         """Return the photo's parts with each covered square's loss of score in place of its activation.
 
         Args:
-            losses: of each part's cosine, see `lpn.explain.occlusion.occlude`, (n, rows, columns); NaN if not measured yet.
+            losses: each part's loss of cosine, see `lpn.explain.occlusion.occlude`, (n, rows, columns); NaN if not measured yet.
         """
         return self.painted(np.tensordot(self.analysis.ranking.weights, np.nan_to_num(losses), 1))
 
@@ -294,7 +294,7 @@ class ScreenResult:
 
 
 def measured_scale(task: Task) -> BarScale:
-    """Return the ends of all bars of a task, which 99 % of the shares of a sample's answers and rivals fit into."""
+    """Return the ends of all bars of a task: 99 % of the bars of a sample's answers and rivals fit."""
     n = task.contract.n_parts
     queries, gallery = task.sides()
     weights = scoring.part_weights(n)

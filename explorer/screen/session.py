@@ -95,10 +95,10 @@ class ScreenSession:
         self._awaited: tuple[BackgroundJob[Any], str, tuple[Callable[[], None], Callable[[], None]]] | None = None
         self._awaiting = Worker(self._await)
         self._loop = Loop(self._answer, self._deliver, lambda: self._access.opened(self.state).requests, self._after)
-        # Work behind an answer.
+        # Work after an answer.
         self._rail, self._listed, self._listing = Rail(), False, threading.Lock()
         self._ranked: RankingJob | None = None
-        # The photo that was shown when the missed ones were listed before the ranking knew them.
+        # The state at the request for the missed queries, if they were not ranked yet; else None.
         self._unlisted: ScreenState | None = None
         self._ranks = Worker(self._rank)
         self._curve, self._occlusion = Curve(send, screens.held), Occlusion(send)
@@ -108,7 +108,7 @@ class ScreenSession:
         self._panel: tuple[str, PanelPart] | None = None
         self._panels = Worker(self._show_panel, self._fail_panel)
         self._downloads = Downloads(send)
-        # The feeds that serve its files, from all places that it has shown.
+        # The feeds that have served files of this tab.
         self._feeds: set[Feeds] = set()
         self._actions: Mapping[str, Action] = {
             "open": self._open,
@@ -131,7 +131,7 @@ class ScreenSession:
 
     @property
     def result(self) -> ScreenResult | None:
-        """The newest result; None before the first of the state's place, task, and model."""
+        """The newest result; None before the first result for the state's place, task, and model."""
         result = self._result
         return None if result is None or not fields.same_page(result.state, self.state) else result
 
@@ -168,7 +168,7 @@ class ScreenSession:
             if opening is not None:  # weights need an open model
                 self._once(opening, self._opening(changed), lambda: self.set(values))
                 return
-            if "place" in values or "model" in values:  # it replaces one that is being opened
+            if "place" in values or "model" in values:  # this choice replaces a place or model that is being opened
                 self._forgo()
             if changed.own and changed.own not in self._own:
                 changed = replace(changed, own="")
@@ -196,7 +196,7 @@ class ScreenSession:
         self.append("", message)
 
     def append(self, kind: str, message: ScreenMessage) -> None:
-        """Send a message that replaces only one of its kind."""
+        """Send a message; it replaces a waiting message of the same kind only."""
         panel = self._panel
         if panel is not None:
             self._send({"panel": {"name": panel[0], "message": message}, "kind": kind})
@@ -230,7 +230,7 @@ class ScreenSession:
                     self._do(name, arguments if isinstance(arguments, dict) else None)
 
     def _do(self, name: str, arguments: Mapping[str, Any] | None) -> None:
-        """Run an action of the page or of the open panel, which take arguments, or a panel's command."""
+        """Run an action of the page or of the open panel with its arguments, or a panel's command."""
         if name in self._actions and arguments is not None:
             if name == "open" or self._state is not None:
                 self._actions[name](arguments)
@@ -262,7 +262,7 @@ class ScreenSession:
         return self.scene.client
 
     def attach(self, client: viser.ClientHandle | None) -> None:
-        """Draw in a frame of viser's page from now on; None once it has gone."""
+        """Draw in the scene of a viser client from now on; None once the client has left."""
         self.scene.attach(client)
 
     def leave(self) -> None:
@@ -334,11 +334,11 @@ class ScreenSession:
         done: Callable[[], None],
         failed: Callable[[], None] = lambda: None,
     ) -> None:
-        """Go on once a job has ended, or at once without one; a newer request replaces one that waits.
+        """Call `done` or `failed` after a job, or `done` at once without a job; a newer request replaces a waiting one.
 
         Args:
-            text: names the work that goes on.
-            done, failed: run after success, and after a failure has been reported.
+            text: names the job's work.
+            done, failed: called after success, and after the report of a failure.
         """
         self._forgo(job)
         if job is None:
@@ -374,7 +374,7 @@ class ScreenSession:
         return None
 
     def _leave_place(self) -> None:
-        """Close everything that belongs to the left place, such as its panel; the next place may have a panel of equal name."""
+        """End the work for the old place. The panel closes, too, because the new place may have a panel of equal name."""
         self._close_panel()
         self.base.feeds.leave(self._rail)
         self._rail = Rail()
@@ -472,7 +472,7 @@ class ScreenSession:
         self._panels.wake()
 
     def _choices(self, state: ScreenState) -> ScreenMessage:
-        """Return the state for the page, with its address and that of its photo's picture."""
+        """Return the state for the page, with its address and the address of its photo's picture."""
         address = fields.to_address(state, self._access.base(state))
         if state.place != self._screens.home:
             address = f"show={quote(state.place)}&{address}"
@@ -486,7 +486,7 @@ class ScreenSession:
         return self._own.address(feeds, state.own) if state.own else f"{feeds.pictures(task, 'query')}{state.query}"
 
     def _page(self, state: ScreenState) -> ScreenMessage:
-        """Return the message that holds while the user looks at one model's task."""
+        """Return the values that stay the same while the user looks at one task of one model."""
         base, workspace = self._access.base(state), self._access.workspace(state)
         task = self._access.ranking(state).task
         scorings = [name for name in SCORINGS if scored_key(state.task, name) in workspace.rankings]
@@ -544,7 +544,7 @@ class ScreenSession:
     # The analysis.
 
     def _deliver(self, message: ScreenMessage) -> None:
-        """Send a message of the loop. The first list follows the first result, which its thumbnails would delay."""
+        """Send a message of the loop. The rail comes after the first result, because its thumbnails would delay the result."""
         self._send(message)
         if not self._listed:
             self._show_rail()
@@ -570,7 +570,7 @@ class ScreenSession:
         return message | {"state": state.values(), "curve": _digest(key, state)}
 
     def _after(self, _: ScreenState) -> None:
-        """Begin the work behind an answer."""
+        """Begin the work after an answer."""
         result = self._result
         assert result is not None
         state = result.state

@@ -96,7 +96,7 @@ class Authenticator:
     Args:
         host: the address to listen on.
         token: the required token; None if none is required.
-        allowed_hosts: further names of the server, such as a reverse proxy's.
+        allowed_hosts: further names of the server, such as the name of a reverse proxy.
         show_token: whether `link` contains the token; False for a token that the user keeps elsewhere.
 
     Attributes:
@@ -205,7 +205,7 @@ def make_authenticator(
     """Return the rules for an address; any address but loopback requires a token.
 
     Args:
-        token: None for the environment variable's, or a random one if one is required.
+        token: None for the token of the environment variable, else for a random token if one is required.
         ask_token: require a token on a loopback address, too.
 
     Raises:
@@ -246,7 +246,7 @@ def _ip_address(text: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | No
 def _foreign_source(query: str, host: str) -> str | None:
     """Return the first foreign source that the query makes viser's page connect to or play; None without one.
 
-    The page runs scripts from this source. It rewrites its address without escaping it, so the unescaped query is checked, too.
+    The page runs scripts from this source. The page rewrites its address without escapes, so the unescaped query is checked, too.
     """
     query += "&" + "&".join("=".join(pair) for pair in parse_qsl(query, True))
     if _values(query, "playbackPath"):

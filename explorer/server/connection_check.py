@@ -11,7 +11,7 @@ from lpn.core.files import printable
 
 log = logging.getLogger(__name__)
 
-# Lines in the log: each sentence once, eight at once, and then one every 20 seconds.
+# Limits of the log: eight lines in a row, then a line every 20 seconds; and the number of remembered sentences.
 _LOG_RATE, _LOG_BURST, _MAX_LOGGED = 0.05, 8.0, 1000
 _MAX_NAME = 100  # characters of an address in a message
 

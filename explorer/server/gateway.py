@@ -45,8 +45,8 @@ PageServer = Callable[[ServerConnection, WebsocketRequest], Response | None]
 
 # Bounds on connections without an answer yet, from one address and in total; each times out after 10 s.
 MAX_PENDING, MAX_ALL_PENDING = 64, 256
-# Characters of an address, which holds a page's state, and bytes of a request that are read. websockets itself reads 8,192 bytes
-# of a line, and closes the connection without an answer to a longer one, such as the cookies of a proxy with a login.
+# Maximum of characters of an address, which has a page's state, and of bytes of a request. The limit of websockets is 8,192
+# bytes a line. Longer lines, such as the cookies of a proxy with a login, would close the connection without an answer.
 MAX_ADDRESS, MAX_REQUEST_HEAD = 20_000, 1 << 16
 # Limits on control frames and small message fragments: tokens per second, and the size of the token bucket.
 # A browser sends hardly any.
@@ -67,7 +67,7 @@ _WEB_LOG = logging.getLogger(f"{__name__}.web")
 _WEB_LOG.setLevel(logging.WARNING)  # at debug level, websockets logs requests, and thus tokens
 # websockets logs a traceback for each malformed request.
 _WEB_LOG.addFilter(lambda record: record.getMessage() != "opening handshake failed")
-# websockets raises AssertionError when a page aborts its request, as one does while the user scrolls.
+# websockets raises AssertionError when a page aborts its request, as pages do while the user scrolls.
 _WEB_LOG.addFilter(lambda record: record.exc_info is None or not isinstance(record.exc_info[1], AssertionError))
 _TOO_MANY = "Too many wrong tokens came from your address. Wait some seconds."
 _BLOCKED = Refusal(429, "Too many wrong tokens", _TOO_MANY, ask_token=True)
@@ -95,7 +95,7 @@ _NO_PROTOCOL = Refusal(
 _VISER_SCRIPTS = "'self' 'unsafe-inline' 'unsafe-eval' blob:"
 # The subprotocol of the screen's channel, whose messages are JSON.
 CHANNEL: Final = "lpn-json"
-# In the tasks that viser runs for a websocket: the tab whose scene it is.
+# The tab whose scene a websocket serves; set in the tasks that viser runs for this websocket.
 SCENE_TAB: ContextVar[str] = ContextVar("scene_tab")
 
 
@@ -121,10 +121,10 @@ class Gateway:
         authenticator: decides which requests are let in.
         screen: the page.
         pictures: answers requests for pictures.
-        embedders: CSP sources of pages that may show this one in a frame, beside its own server.
+        embedders: CSP sources of the pages that may show the page in a frame, beside pages of this server.
 
     Raises:
-        MissingPackageError: when viser's private API is not that of the supported version.
+        MissingPackageError: when viser's private API differs from the supported version.
     """
 
     def __init__(
@@ -289,7 +289,7 @@ class _RequestReader(StreamReader):
     use HEAD or OPTIONS. All are read as GET and HTTP/1.1.
 
     Attributes:
-        method: the request's own method.
+        method: the method that the client sent.
     """
 
     method = b"GET"
@@ -316,7 +316,7 @@ class _Connection(ServerConnection):
     def __init__(self, check: ConnectionCheck, *arguments: Any, **settings: Any) -> None:
         super().__init__(*arguments, **settings)
         self._check, self._begun = check, False
-        # The parser already reads from the other reader.
+        # The base class has started a parser on its own reader, so a new parser is started here.
         self.reader = self.protocol.reader = _RequestReader()
         self.protocol.parser = self.protocol.parse()
         next(self.protocol.parser)

@@ -72,7 +72,7 @@ class PictureRoute:
         The error is 404 for an unknown picture, 500 if it fails, and 503 if it takes long, too many wait, or the app closes.
 
         Args:
-            address: of the browser.
+            address: the browser's IP address.
         """
         match = _PATH.fullmatch(path.partition("?")[0])
         compute = None if match is None else self._source(match[1])

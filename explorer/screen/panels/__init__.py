@@ -1,4 +1,4 @@
-"""The panels: each folder here whose `__init__.py` has a `PANEL`, and those of the entry points `lpn.panels`."""
+"""The panels: each folder here whose `__init__.py` has a `PANEL`, and the panels of the entry points `lpn.panels`."""
 
 from __future__ import annotations
 

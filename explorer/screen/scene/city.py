@@ -25,7 +25,7 @@ LIFT, DEPTH = 3.0, 34.0
 _BESIDE, _BELOW, _ROOM = 35.0, -38.0, 0.8
 # Ranked tiles that have frames.
 _FRAMES = 3
-# Height of a badge as a share of the picture's.
+# Height of a badge as a share of the picture's height.
 _BADGE = 0.09
 
 
@@ -63,8 +63,8 @@ class LaidCity:
     Attributes:
         lines, badges: by their names.
         photo: the drone's camera; None if it is unknown.
-        metres: a text and its place, at the line from a wrong answer to the truth.
-        tiles: gallery position, middle, and half side of each frame, the last drawn first.
+        metres: the distance from a wrong answer to the truth in words, and the place of this text.
+        tiles: gallery position, middle, and half side of each frame, in reverse order of drawing.
         position, target, axes: of the view's camera.
     """
 
@@ -135,7 +135,7 @@ def _frame(
 
 
 def _badge(city: LaidCity, match: Match, result: ScreenResult, places: GalleryGeometry, dark: bool) -> None:
-    """Put a tile's rank and verdict at a corner beside the photo, as large in the picture as all other badges."""
+    """Put a tile's rank and verdict at a corner that the photo does not hide; all badges look equally large."""
     middle, half = places.ground[match.index], _half(match, places)
     sign = match.true if match.true or match.index == result.first.index else None
     pixels = shapes.badge(str(match.rank), _colour(match, result, dark), sign)

@@ -38,14 +38,14 @@ class Scene:
         self._apart = client.scene.add_frame("/apart", show_axes=False, visible=False)
         self._task: object = None
         self._buildings: viser.SceneNodeHandle | None = None
-        # Targets of the pointer: in the city gallery positions with middle and half side, else the layers.
+        # Targets of the pointer: in the city, the gallery position, middle, and half side of tiles; else the layers.
         self._tiles: list[tuple[int, Float64Array, float]] = []
         self._layers: list[tuple[float, float, float]] = []
         self._apart_by = 0.0
         client.gui.configure_theme(dark_mode=True, show_logo=False, show_share_button=False)
         client.gui.main_panel.dock_right()
         client.gui.main_panel.set_width(240)
-        # The only CSS class of viser's page that is used: its notice of software WebGL would cover the scene.
+        # Viser's notice of software WebGL would cover the scene. No other CSS class of viser's page is used.
         client.gui.add_html("<style>.mantine-Notifications-root{display:none!important}</style>")
         client.scene.add_light_hemisphere(
             "/city/sky", sky_color=(215, 228, 255), ground_color=(120, 110, 100), intensity=2.2

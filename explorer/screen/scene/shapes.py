@@ -110,8 +110,8 @@ def strips(picture: UInt8Array, half: float, hole: float) -> list[tuple[UInt8Arr
 def ribbon(
     length: float, share: float, rival: float | None, text: str, colour: Colour, soft: Colour
 ) -> tuple[UInt8Array, float]:
-    """Draw a part's share as a ribbon, with the rival's as dashes: RGBA pixels, and their height in units of the scene."""
-    share = max(share, 0.0)  # calibrated ones may be less
+    """Draw a part's share as a ribbon, and the rival's share as dashes: RGBA pixels, and their height in units of the scene."""
+    share = max(share, 0.0)  # calibrated shares may be less
     thin = _WIDTH * share < _LETTERS  # its text stands above it
     height = max(_WIDTH * max(share, rival or 0.0, 0.12) + 0.12, (_WIDTH * share + 2.4 * _LETTERS) * thin)
     unit = _RIBBON * _FINER
@@ -166,8 +166,8 @@ def extruded(
     """Return the vertices (V, 3) and the triangles (F, 3) of buildings: walls and flat roofs.
 
     Args:
-        footprints: of each building, (N, 2) in metres.
-        grounds, heights: of each in metres.
+        footprints: the outline of each building, (N, 2) in metres.
+        grounds, heights: the ground under each building, and the building's height above it, in metres.
     """
     vertices: list[AnyArray] = []
     faces: list[AnyArray] = []
@@ -231,8 +231,8 @@ def fitting(
 
     Args:
         points: (N, 3).
-        axes: of the camera, see `camera_axes`.
-        fov: vertical, in radians.
+        axes: the camera's axes, see `camera_axes`.
+        fov: the vertical field of view in radians.
         room: share of the picture that the points may fill.
     """
     seen = points @ axes
@@ -251,7 +251,7 @@ def ray(axes: Float64Array, fov: float, aspect: float, x: float, y: float) -> Fl
 
 
 def on_level(origin: AnyArray, direction: AnyArray, z: float) -> Float64Array | None:
-    """Return the point at which a ray meets a level plane, (3,); None behind it."""
+    """Return the point at which a ray meets a level plane, (3,); None if it does not."""
     if abs(direction[2]) < 1e-9 or (away := (z - origin[2]) / direction[2]) <= 0:
         return None
     return np.asarray(origin + away * direction, np.float64)

@@ -15,12 +15,12 @@ from explorer.screen.panel import SceneLines
 from explorer.screen.result import ScreenResult
 from explorer.screen.scene.scene import Scene
 
-# A change of width by height from which a scene no longer fits its frame.
+# Change of a frame's aspect after which its scene is drawn again.
 _OTHER_SHAPE = 0.02
 
 
 class TabScene:
-    """Draws on a thread of its own, and finds what the pointer is over.
+    """Draws the scene on a worker thread, and finds the object under the pointer.
 
     Attributes:
         client: viser's client of the tab's frame; None without a frame.
@@ -45,7 +45,7 @@ class TabScene:
         self._worker = Worker(self._draw)
 
     def attach(self, client: viser.ClientHandle | None) -> None:
-        """Draw in a frame of viser's page from now on; None once it has gone."""
+        """Draw in the scene of a viser client from now on; None once the client has left."""
         self.client = client
         self._worker.wake()
 

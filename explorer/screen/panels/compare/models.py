@@ -28,7 +28,7 @@ OTHER = PanelField("compare_model", OneOf("models"), "", "beside")
 _TILES, _PHOTOS, _INTERVAL = 5, 4, 0.5
 
 
-# The section of both models as JSON, None without a second one; and seconds until the next update, None if nothing goes on.
+# The section of both models as JSON, None without a second one; and seconds until the next update, None if no work goes on.
 ModelsMessage = tuple[dict[str, Any] | None, float | None]
 
 

@@ -31,7 +31,7 @@ class TilePair:
     Attributes:
         comparison: None without another tile.
         usable: weights of two digits that put the truth first; empty if it is first, or if no weights do.
-        effect: of these weights on all photos; None until it is computed.
+        effect: effect of these weights on all photos; None until it is computed.
     """
 
     result: ScreenResult

@@ -239,7 +239,7 @@ class LabPart(PanelPart):
     # Actions of the page.
 
     def _step(self, arguments: Mapping[str, Any]) -> None:
-        """Show the query some rows further in the table."""
+        """Show the query that is `by` rows further down the table."""
         by = arguments.get("by")
         if isinstance(by, int) and not isinstance(by, bool) and len(self._ordered):
             at = np.flatnonzero(self._ordered == self.tab.state.query)

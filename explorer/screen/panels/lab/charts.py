@@ -1,4 +1,4 @@
-"""The laboratory's charts as JSON: margins and ranks, and what fails; a click on a line of a card sets the filter."""
+"""The laboratory's charts as JSON: margins, ranks, and causes of misses; a click on a line of a card sets the filter."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _AND = " and "
 
 
 def message(selection: LabSelection, rows: Int64Array) -> dict[str, Any]:
-    """Return all charts of the selected queries; a choice made in a card does not narrow this card."""
+    """Return all charts of the selected queries; a choice in a card does not narrow this card."""
     findings = selection.findings
     stages = () if findings.flight is None else [column.name for column in stage_columns(findings.flight)]
     sentence = describe_failures(findings.graded, findings.table, findings.task.query_labels, stages)
@@ -73,11 +73,11 @@ def _recall(findings: LabFindings, rows: Int64Array) -> dict[str, Any]:
 
 
 class _Card:
-    """A card while it is made: its lines stand for queries, and each has the filter that a click on it sets.
+    """An unfinished card. Each of its lines stands for queries, and has the filter that a click on it sets.
 
     Args:
-        conditions: of all lines that it may have; a condition in the filter does not narrow the card.
-        codes: of picked queries, which do not narrow it either.
+        conditions: filters of all possible lines; the card ignores them in the filter in force.
+        codes: picked queries of all possible lines, see `encode`; the card ignores such a choice, too.
 
     Attributes:
         rows: the selected queries of any outcome, without the card's own choices.
@@ -100,7 +100,7 @@ class _Card:
         self.rows = selection.rows(self._where, any_outcome=True, any_picked=selection.state[PICKED] in codes)
 
     def add(self, line: dict[str, Any], condition: str, queries: Int64Array) -> None:
-        """Add a line; its condition filters where it selects exactly these queries, else they are picked."""
+        """Add a line; a click sets its condition if this selects exactly these queries, else the click picks them."""
         selection = self._selection
         table, before, picked = selection.findings.table, selection.where, selection.state[PICKED]
         try:
@@ -141,7 +141,7 @@ def _cards(selection: LabSelection) -> Iterator[dict[str, Any]]:
     yield _hubs(selection)
     if shows_places(findings.task) and len(findings.task.gallery) <= MAX_TILES:
         yield _alike(selection)
-    # A column says nothing if all queries share its value, or if each query has its own.
+    # A column says nothing if all queries share its value, or if each query has a different one.
     most = max(len(findings.table) // 2, 2)
     for column in query_outcomes.picture_columns(findings.table):
         known = np.flatnonzero(findings.graded.known)
@@ -217,7 +217,7 @@ def _apart(task: Task, pair: NearDuplicate) -> str:
 
 
 def _rates(selection: LabSelection, column: Column, rates: Sequence[breakdown.Rate]) -> dict[str, Any]:
-    """Return the shares of missed queries in the bins of a column, whose borders are those of all queries.
+    """Return the shares of missed queries in the bins of a column; all queries determine the borders.
 
     If all or none of the selected queries are missed, all queries are counted.
     """
@@ -248,7 +248,7 @@ def _rates(selection: LabSelection, column: Column, rates: Sequence[breakdown.Ra
 
 
 def _condition(column: Column, rate: breakdown.Rate) -> str:
-    """Return the filter for a bin; it may select other queries, too, which `_Card.add` finds."""
+    """Return the filter for a bin; `_Card.add` tests whether it selects other queries, too."""
     if not rate.known:
         return f"{column.name} = none"
     if column.kind == "text":

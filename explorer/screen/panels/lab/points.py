@@ -12,7 +12,7 @@ from lpn.core.arrays import Float64Array, Int64Array, UInt8Array
 from lpn.core.tables import Column
 from lpn.drawing import overlays, theme
 
-# The code of a query without a value, and that of all values beyond the most frequent ones.
+# The code of a query without a value, and the common code of all values that are not among the most frequent.
 UNKNOWN, OTHER = 255, 8
 # Percentiles at the ends of a scale of numbers, so that a few far values do not take all colours.
 _ENDS = 2.0, 98.0
@@ -25,7 +25,7 @@ class PointColours:
     """The colours of all queries by one column.
 
     Attributes:
-        codes: of each query, (Q,); `UNKNOWN` without a value.
+        codes: colour code of each query, (Q,); `UNKNOWN` without a value.
         palette: CSS colour of each code from 0 on.
         labels: text of each code; empty for numbers.
         ends: the least and the greatest number in words; None for texts.
@@ -74,7 +74,7 @@ def _of_words(column: Column) -> PointColours:
 
 
 def scale(points: PlanePoints) -> tuple[Float64Array, float]:
-    """Return origin and unit of `plane`: float32 resolves the details of a map only about its own middle."""
+    """Return origin and unit of `plane`: float32 is precise enough only near the middle of a map."""
     both = np.concatenate([points.queries, points.tiles])
     known = both[np.isfinite(both).all(axis=1)]
     if not len(known):

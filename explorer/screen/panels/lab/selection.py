@@ -69,7 +69,7 @@ def decode(text: str, task: Task) -> Int64Array:
     """Return the queries of an encoded text, ascending, (N,); all queries for an empty text.
 
     Raises:
-        UnusableError: when the text is not of this task.
+        UnusableError: when the text encodes no queries of this task.
     """
     queries = len(task.queries)
     if not text:
@@ -103,7 +103,7 @@ class LabSelection:
     """The queries that a state selects among findings.
 
     Attributes:
-        where: the filter in force: the state's, or the last valid one.
+        where: the filter in force: the state's filter, or the last valid one.
         error: the reason for which the state's filter is not in force; empty if it is.
     """
 
@@ -142,7 +142,7 @@ class LabSelection:
 
     @cached_property
     def picked(self) -> Int64Array:
-        """The picked queries, ascending; all of them without a choice, or with one of another task."""
+        """The picked queries, ascending; all queries if none are picked, or if the choice is of another task."""
         try:
             return decode(self.state[PICKED], self.findings.task)
         except UnusableError:

@@ -38,7 +38,7 @@ class OtherRanks:
     """A second model's ranks of the same queries.
 
     Attributes:
-        names: the table's own model A, and the second model B.
+        names: the names of model A, whose ranks the table has, and of the second model B.
         hits: the queries whose true match B ranks first, (Q,).
         scorings: of A and of B; if they are equal, ranks differ by the models alone.
     """
@@ -53,12 +53,12 @@ class LabFindings:
     """The outcomes of all queries of a task, under equal part weights.
 
     Attributes:
-        outcomes: of the task; `graded` has the graded ones.
+        outcomes: the outcomes of all queries; see also `graded`.
         table: see `query_outcomes.table`, with the columns of `notes`, and with `compared_ranks` if there is a `second`.
         part_names: the names of the parts that `outcomes` numbers.
         notes_error: one sentence with the reason for which the notes cannot be used; empty if they can.
         flight: the flight whose answers `table` has; None without one.
-        doubtful: the photos of a flight with a doubtful judge, (Q,); None without a flight.
+        doubtful: the photos of a flight whose grade is in doubt, (Q,); None without a flight.
         second: the second model's ranks; None without one.
     """
 
@@ -73,7 +73,7 @@ class LabFindings:
 
     @cached_property
     def graded(self) -> Outcomes:
-        """The outcomes; the truth of a query with a doubtful judge counts as unknown."""
+        """The outcomes; the truth of a query whose grade is in doubt counts as unknown."""
         if self.doubtful is None:
             return self.outcomes
         return replace(self.outcomes, known=self.outcomes.known & ~self.doubtful)
@@ -132,7 +132,7 @@ class Lab:
 
     @property
     def _notes(self) -> Path:
-        """The file of tags and notes; OutputError for the demo's if the user has no home folder."""
+        """The file of tags and notes; OutputError for the demo if the user has no home folder."""
         return own_file(self._workspace.root, notes.NAME)
 
     @property

@@ -88,7 +88,7 @@ def _cell(findings: LabFindings, column: Column, row: int, tiles: str, limit: fl
 
 
 def message(selection: LabSelection, rows: Int64Array) -> dict[str, Any]:
-    """Return the header above the table: the choices with their counts, the filter's error, and a sentence of numbers.
+    """Return the header above the table: the choices with their counts, the filter's error, and the numbers of queries.
 
     Args:
         rows: the selected queries.

@@ -1,4 +1,4 @@
-"""Search by a region drawn on the photo: the tiles by these cells alone, and the ranks of the truth."""
+"""Search by a region drawn on the photo: the tiles ranked by these cells alone, and the ranks of the truth."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ class _Region(PanelPart):
 
 
 def message(result: ScreenResult, painted: tuple[int, ...]) -> dict[str, Any]:
-    """Return the tiles by the painted cells alone, as JSON."""
+    """Return the tiles ranked by the painted cells alone, as JSON."""
     analysis, workspace = result.analysis, result.workspace
     trace = analysis.query.trace
     if trace is None:

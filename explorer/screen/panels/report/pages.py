@@ -67,7 +67,7 @@ def save_figure(tab: Tab) -> None:
 
 
 def reported(workspace: Workspace, answer: Answer, model: Model | None = None) -> Answer:
-    """Return an answer for a report: graded if the screen counts it, its further tiles described by `model`."""
+    """Return an answer for a report: without a grade if the screen does not count it; `model` describes its further tiles."""
     index, ranking = answer.index, workspace.rankings[answer.task.key]
     if index is not None and ranking.result is not None and not workspace.graded(ranking)[index]:
         answer = answer.ungraded()

@@ -1,4 +1,4 @@
-"""Stories: steps of the page, each an address with a caption; S adds one. They play full screen, or become one page."""
+"""Stories: lists of steps, each an address with a caption; S adds a step. A story plays full screen, or becomes one page."""
 
 from __future__ import annotations
 

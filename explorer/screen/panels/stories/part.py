@@ -20,7 +20,7 @@ from lpn.core.errors import InputError
 
 # The shown story, to which S adds a step.
 STORY = PanelField("stories_chosen", Line(), "", key="story")
-# Values of an address that no step holds: they belong to the user, not to the story.
+# Keys of an address that a step leaves out: they belong to the user, not to the story.
 _LEFT_OUT = ("theme", "story", "only", "find")
 
 

@@ -1,4 +1,4 @@
-"""Stories and the files that hold them.
+"""Stories and their files.
 
 [{"name": "A twin", "steps": [{"shows": "query=0447/07&scoring=plain", "caption": "...", "notes": "..."}]}]
 """
@@ -48,8 +48,8 @@ class Stories:
     """All stories that the page offers.
 
     Attributes:
-        by_name: the shipped stories, then the user's, which replace shipped ones of equal names.
-        own: the names of the user's.
+        by_name: the shipped stories, then the user's stories, which replace shipped stories of equal names.
+        own: the names of the user's stories.
         error: one sentence about a file that cannot be used.
     """
 
@@ -68,7 +68,7 @@ def read_stories(file: Path) -> list[Story]:
 
 
 def stories_of(workspace: Workspace) -> Stories:
-    """Read the stories of a workspace. The demo's belong to its own model alone, as their captions name its numbers."""
+    """Read the stories of a workspace. The demo's stories need the demo's model, as their captions name its figures."""
     shipped = workspace.root == DEMO and workspace.model_name == DEMO_MODEL.name
     by_name = {story.name: story for story in read_stories(DEMO / NAME)} if shipped else {}
     try:

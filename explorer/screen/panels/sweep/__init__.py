@@ -34,7 +34,7 @@ class PhotoSweep:
     Attributes:
         key: equal for results of equal sweeps.
         total: number of points.
-        points: the computed ones.
+        points: the points computed so far.
         follows: the name of the tile whose rank is drawn.
     """
 
@@ -143,7 +143,7 @@ class PhotoSweep:
 
 
 def sweep_key(over: SweptProperty, result: ScreenResult) -> object:
-    """Return the key of a result's sweep: everything but the swept property, and the tile that is followed."""
+    """Return the key of a result's sweep: property, photo, its turn unless swept, followed tile, and part weights."""
     analysis, state = result.analysis, result.state
     followed = None if analysis.positive else result.first.index
     angle = 0.0 if over == "rotation" else state.angle

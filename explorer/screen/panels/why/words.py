@@ -43,7 +43,7 @@ def _did(result: ScreenResult) -> list[str]:
     n, size = result.analysis.query.descriptor.shape
     noun, tiles = result.workspace.contract.part_noun, f"each of {result.task.tiles:,} tiles"
     described = "The network" if result.workspace.model is not None else "Another program"
-    ends = "" if result.task.neighbours else ": 0 for the same, 4 at most"  # CSLS moves them
+    ends = "" if result.task.neighbours else ": 0 for the same, 4 at most"  # CSLS shifts these limits
     made = [
         f"LPN cut the photo and {tiles} into {n} {noun}s.",
         f"{described} described each {noun} by {size:,} numbers.",
@@ -103,7 +103,7 @@ def _leads(result: ScreenResult, ranking: RankingJob) -> list[list[float]] | Non
 
 
 def _rings(result: ScreenResult) -> list[dict[str, Any]] | None:
-    """Return each part's mean share of the truth's lead over the best wrong tile, of found and of missed photos."""
+    """Return each part's mean share of the truth's lead over the best wrong tile, for found and for missed photos."""
     known = result.workspace.outcomes(result.task)
     if known is None or result.workspace.contract.n_parts == 1:
         return None
@@ -187,7 +187,7 @@ def _answer(result: ScreenResult, ranking: RankingJob) -> dict[str, Any]:
 
 
 def _names_junk(result: ScreenResult) -> bool:
-    """Return whether the truth names tiles that do not count; they are unknown for an own photo."""
+    """Return whether the truth lists tiles that do not count; an own photo has no such list."""
     return any(len(of.junk) or of.among is not None for of in result.task.truth or ())
 
 
