@@ -57,7 +57,7 @@ class ModelTable:
     Attributes:
         task, gallery_name: common to all.
         models: rankings, their queries in one order.
-        group_of: the group of each model: a method whose runs differ in their seeds, or by default its own name.
+        group_of: the group of each model, such as a method with runs of several seeds; by default the model's name.
         seed, resamples: of the bootstrap.
     """
 
@@ -91,7 +91,7 @@ class ModelTable:
 
     @cached_property
     def _means(self) -> dict[str, Float64Array]:
-        """The mean of each group's runs, as `_values`."""
+        """The mean of each group's runs, by figure."""
         rows = self.groups.values()
         return {name: np.array([values[of].mean(axis=0) for of in rows]) for name, values in self._values.items()}
 

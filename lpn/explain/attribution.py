@@ -113,8 +113,8 @@ class Evidence:
             names: of the parts.
             level: exactness of the numbers, see `Contract.claim`.
 
-        A part's `weighted_cosine` is its weight times its cosine; they add up to the score. `cells` (a list of rows) and
-        `constant` are the query's and add up to the part's cosine. Those in `match` are the tile's and also add up to it.
+        A part's `weighted_cosine` is its weight times its cosine; all parts add up to the score. The query's `cells` (a list of
+        rows) and `constant` add up to the part's cosine, and so do the tile's in `match`.
         """
         parts = part_values(names, self.cosines, self.weights)
         for row, part in enumerate(parts):

@@ -184,7 +184,7 @@ def _enter(
         falling = wanted <= 0
         if not falling.any():
             return active, wanted
-        # Rounding may make the entering column, which starts at zero, fall; the step is then zero, and it leaves again.
+        # Rounding may make the entering column fall from zero; the step is then zero, and the column leaves again.
         step = float(np.min(shares[falling] / np.maximum(shares[falling] - wanted[falling], 1e-300)))
         shares = np.maximum(shares + step * (wanted - shares), 0.0)
         remaining = (shares > 0) & ~(falling & (shares <= shares[falling].min()))
