@@ -24,7 +24,7 @@ A task has the outcome of each query, and `explore` shows it, or a model on a da
     14
 
 `Contract`, `ForwardPass`, `Heads`, and `Partition` turn any part-based network into a `Model`. Every error that a user can
-correct derives from `LPNError`. docs/library.md has a line for each name. Nothing here knows a browser. Names are imported on
+correct derives from `LPNError`. docs/library.md has a line for each name. Nothing here needs a browser. Names are imported on
 first use, so `import lpn` needs neither NumPy nor torch.
 """
 
@@ -121,7 +121,7 @@ def load(
     exported model, or any graph with a contract in its metadata, and needs no torch. Other files need the extra `train`;
     methods other than LPN and SDPL need the extra `models`. "NAME" or "NAME:FILE" also opens a model that a package registers in
     the entry points `lpn.models` (docs/contract.md); it comes before a shipped model. "timm:NAME:FILE" is a network of timm with
-    a file of its weights. A folder that transformers wrote is its network. Nothing is downloaded.
+    a file of its weights. A folder that transformers wrote opens as its network. Nothing is downloaded.
 
     Args:
         provider: "auto" (LPN_PROVIDER if that is set, else a GPU if one works, else the CPU), "cpu", "cuda", or, for an

@@ -163,7 +163,7 @@ class Answer:
         return np.stack([match.contributions for match in self.ranking.top(len(self.ranking.order))])
 
     def heat(self, rank: int = 1, of: Literal["query", "tile"] = "query") -> Float32Array:
-        """Return each cell's share of the score of the picture at a rank, by part, (n, h, w), on the side `of`.
+        """Return each cell's share of the score of a rank, by part, (n, h, w), for cells of the query or of the tile.
 
         With the constants of `evidence(rank)` under the part weights and the terms of CSLS, all cells add up to the score.
 

@@ -151,7 +151,7 @@ def answer_of(
     """Return the answer to a described picture of unknown place.
 
     Args:
-        model: described query and pictures; the result of `Model.for_task` for the views.
+        model: describes query and pictures; the result of `Model.for_task` for the views.
         views: of the query and of the pictures.
         descriptors_of: of the pictures, (G, n, D).
         ranking: of the pictures.
