@@ -17,7 +17,7 @@ The published protocol measures a model on a data set:
     >>> 0 <= result.recall["1"] <= 100
     True
 
-A task has the outcome of each query, and `explore` shows it, or a model on a data set, in a notebook's cell or a browser:
+A task has the outcome of each query. `explore` shows a task, or a model on a data set, in a notebook's cell or a browser:
 
     >>> task = lpn.open_task("ROOT", "drone-to-satellite", model="city-lpn")
     >>> task.evaluate().queries
@@ -115,7 +115,7 @@ def load(
     kind: Kind | None = None,
     pooling: str | None = None,
 ) -> Model:
-    """Open a trained model: a shipped one by its name, an `.onnx`, our `.safetensors`, a published state dict, or a package's.
+    """Open a trained model: a shipped one, an `.onnx`, our `.safetensors`, a published state dict, or a model of a package.
 
     `lpn models` lists the names of shipped models; a file of that name in the working folder comes first. An `.onnx` is an
     exported model, or any graph with a contract in its metadata, and needs no torch. Other files need the extra `train`;

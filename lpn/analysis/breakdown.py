@@ -198,7 +198,7 @@ def chance(hits: int, group: int, all_hits: int, total: int) -> float:
 
 
 def design_effect(failed: BoolArray, labels: Int64Array) -> float:
-    """Return the number of queries that count as one, 1 or more, because queries of one place fail together.
+    """Return the number of queries that count as one independent query, 1 or more; queries of one place fail together.
 
     It is 1 + (m - 1) r for m queries a place, with the intraclass correlation r of a one-way analysis of variance (Kish 1965).
 

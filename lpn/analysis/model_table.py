@@ -19,7 +19,7 @@ from lpn.core.text_tables import TextTable
 from lpn.tasks.measure import RankedModel, Result, scored_name
 
 DEPTHS = (1, 5, 10)
-# Values of queries are equal up to this difference, as sums of runs round differently.
+# Values of queries that differ by less count as equal, because sums over runs have rounding errors.
 _EQUAL = 1e-9
 _P_VALUES = ("p", "Holm's p", "seeds' p", "Holm's seeds' p")
 
@@ -206,7 +206,7 @@ class ModelTable:
 
 
 def comparisons_csv(tables: Sequence[ModelTable]) -> bytes:
-    """Return one line for each group and figure, and one for each pair and tested figure, whose value is the difference."""
+    """Return one line for each group and figure, and one for each pair and tested figure, with the difference as its value."""
     head = ("model", "against", "task", "gallery", "queries", "figure", "value", "low", "high", "sd", *_P_VALUES)
     return TextTable(head, [row for table in tables for row in table._csv_rows()]).csv()
 

@@ -5,8 +5,8 @@ part i is a sum over passes p and cells x, plus a constant:
 
     e_i = sum_p sum_x a_pi(x) A_i F_pi(x) + c_i.
 
-The first pass is of the picture; LPN adds one of its mirror. F_pi is the map of a pass, or of a part in it; the mirror's map
-is flipped back. If u_i is the tile's part i, scaled to norm one, then
+The first pass is of the picture; LPN adds a pass of its mirror image. F_pi is the map of a pass, or of a part in a pass; the
+map of the mirror image is flipped back. If u_i is the tile's part i, scaled to norm one, then
 
     cos_i = sum_x <sum_p a_pi(x) A_i F_pi(x), u_i> / |e_i|  +  <c_i, u_i> / |e_i|,
 

@@ -71,7 +71,7 @@ class QueryRequest:
 
 @dataclass(frozen=True, eq=False)
 class _Photo:
-    """A query to describe: its pixels, the change with its zoom, and the key of the changed picture."""
+    """A query to describe: its pixels before the change, the change, its zoom, and the key of the changed picture."""
 
     own: OwnPicture | None
     index: int | None

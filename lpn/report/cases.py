@@ -22,7 +22,7 @@ from lpn.retrieval import DescribedPicture, Match, describe_pictures
 from lpn.tasks.query_outcomes import picture_columns
 from lpn.tasks.task import Task
 
-# Queries that are analysed together, and described tiles in the cache for later ones.
+# Number of queries that are analysed together, and of described tiles that are cached for later queries.
 _TOGETHER, _KEPT = 4, 64
 
 

@@ -23,7 +23,7 @@ from lpn.tasks.task import Task
 
 # Pixels of a picture's height.
 _HIGH = 320
-# Limit of a crop's width by height; a whole strip looks thin.
+# Largest ratio of a crop's width to its height; a whole strip looks thin.
 _MOST_WIDE = 2.5
 
 

@@ -179,7 +179,7 @@ def _numbered(counts: Mapping[Role, int]) -> dict[Role, list[_Line]]:
 
 
 def _listed(file: Path, counts: Mapping[Role, int], below: FilesBelow) -> dict[Role, list[_Line]]:
-    """Read the list of pictures; a path becomes that of its file, which may differ in case, and stays if there is none."""
+    """Read the list of pictures; a path that differs from its file in case alone becomes the path of the file."""
     name = printable(file.name)
 
     def fits(header: list[str]) -> bool:

@@ -73,7 +73,7 @@ class Task:
         query_labels, gallery_labels: the place that each picture shows, (Q,) and (G,), -1 for junk.
         query_descriptors, gallery_descriptors: (Q, n, D) and (G, n, D), without part weights.
         truth: true matches and junk of each query, for data sets that list them; None if labels define the true matches.
-        geometry: positions of the pictures, such as those of a `geo.csv`; None without positions.
+        geometry: positions of the pictures, for example from a `geo.csv`; None without positions.
         identity: digests of both sides' descriptors, for the key of the cached ranking; empty if a digest is missing.
         weights: part weights, see `scoring.part_weights`; None for equal ones.
         notes: the user's tags and notes by the query's path, see `lpn.tasks.notes`.
