@@ -17,14 +17,14 @@ The published protocol measures a model on a data set:
     >>> 0 <= result.recall["1"] <= 100
     True
 
-A task has the outcome of each query, and `explore` shows it, or a model on a data set, in a notebook's cell or a browser:
+A task has the outcome of each query. `explore` shows a task, or a model on a data set, in a notebook's cell or a browser:
 
     >>> task = lpn.open_task("ROOT", "drone-to-satellite", model="city-lpn")
     >>> task.evaluate().queries
     14
 
 `Contract`, `ForwardPass`, `Heads`, and `Partition` turn any part-based network into a `Model`. Every error that a user can
-correct derives from `LPNError`. docs/library.md has a line for each name. Nothing here knows a browser. Names are imported on
+correct derives from `LPNError`. docs/library.md has a line for each name. Nothing here needs a browser. Names are imported on
 first use, so `import lpn` needs neither NumPy nor torch.
 """
 
@@ -115,13 +115,13 @@ def load(
     kind: Kind | None = None,
     pooling: str | None = None,
 ) -> Model:
-    """Open a trained model: a shipped one by its name, an `.onnx`, our `.safetensors`, a published state dict, or a package's.
+    """Open a trained model: a shipped one, an `.onnx`, our `.safetensors`, a published state dict, or a model of a package.
 
     `lpn models` lists the names of shipped models; a file of that name in the working folder comes first. An `.onnx` is an
     exported model, or any graph with a contract in its metadata, and needs no torch. Other files need the extra `train`;
     methods other than LPN and SDPL need the extra `models`. "NAME" or "NAME:FILE" also opens a model that a package registers in
     the entry points `lpn.models` (docs/contract.md); it comes before a shipped model. "timm:NAME:FILE" is a network of timm with
-    a file of its weights. A folder that transformers wrote is its network. Nothing is downloaded.
+    a file of its weights. A folder that transformers wrote opens as its network. Nothing is downloaded.
 
     Args:
         provider: "auto" (LPN_PROVIDER if that is set, else a GPU if one works, else the CPU), "cpu", "cuda", or, for an

@@ -48,7 +48,7 @@ class AnswerDistances:
     absent: FloatingArray
 
     def farther(self, distance2: float) -> tuple[float, float] | None:
-        """Return the shares of right answers that are nearer, and of absent places' answers at least as far, each 0 .. 1.
+        """Return the share of `right` below a squared distance, and the share of `absent` at or above it, each 0 .. 1.
 
         None if there are too few of either.
         """
@@ -91,14 +91,14 @@ def answers_alike(
     """Count how many answers with similar gaps are right; None if there are too few.
 
     The gap is d² of the second tile minus d² of the answer. It needs no truth, so it is defined for a user's own picture, too.
-    Counted are the nearest tenth of all graded answers, at least 50, and all ties with the farthest of them. A gap above those of
-    all graded answers has no neighbourhood.
+    The neighbourhood is the tenth of all graded answers with the nearest gaps, at least 50 answers, with ties. A gap above all
+    graded gaps has no neighbourhood.
 
     Args:
-        ranking: of all queries under the weights of the gap.
+        ranking: of all queries, under the same part weights as the gap.
         gap: in d²; None or NaN without a second tile.
         known: the queries whose truth is known, (Q,); None for all.
-        besides: a query that is not counted, because it is the asked one.
+        besides: the query of the gap, which is not counted; None outside the task.
     """
     rows = _graded(ranking, known)
     rows = rows[rows != besides] if besides is not None else rows
@@ -114,7 +114,7 @@ def answers_alike(
 
 
 def found_by_lead(ranking: Retrieval, known: BoolArray | None = None) -> list[LeadGroup]:
-    """Return the found queries by lead, in ten equal groups from the smallest lead; none if queries are few.
+    """Count the found queries in ten equal groups of queries, from the smallest lead; none if queries are few.
 
     Args:
         ranking: of all queries.
@@ -136,7 +136,7 @@ def _graded(ranking: Retrieval, known: BoolArray | None) -> Int64Array:
 def answer_distances(
     queries: Float32Array, gallery: Float32Array, ranking: Retrieval, known: BoolArray | None = None
 ) -> AnswerDistances:
-    """Measure the distances of right answers, and of the nearest tiles as if each query's place were not in the gallery.
+    """Measure the distances of right answers, and of each query's nearest wrong tile.
 
     Args:
         queries, gallery: descriptors with parts of norm 1/sqrt(n), (Q, n, D) and (G, n, D).
@@ -168,7 +168,7 @@ def describe_lead(outcomes: Outcomes, lead: float) -> str:
 
 
 def describe_failures(outcomes: Outcomes, table: Table, query_labels: Int64Array, besides: Collection[str] = ()) -> str:
-    """Say how many queries fail, and which kind of picture fails most, if any does by more than chance, in one or two sentences.
+    """Say in one or two sentences how many queries fail, and which kind of picture fails more often than by chance, if any.
 
     Chance is the hypergeometric tail of a kind's failures among all (Fisher's exact test, one-sided), times the number of tested
     kinds (Bonferroni). Pictures of one place fail together, so their numbers are divided by `breakdown.design_effect`.

@@ -198,7 +198,7 @@ def chance(hits: int, group: int, all_hits: int, total: int) -> float:
 
 
 def design_effect(failed: BoolArray, labels: Int64Array) -> float:
-    """Return how many queries count as one independent query, 1 or more, as queries of one place fail together.
+    """Return the number of queries that count as one independent query, 1 or more; queries of one place fail together.
 
     It is 1 + (m - 1) r for m queries a place, with the intraclass correlation r of a one-way analysis of variance (Kish 1965).
 
@@ -237,7 +237,7 @@ def _ends(values: Float64Array, circular: bool) -> tuple[float, float]:
 
 
 def _quantile_bins(which: Int64Array) -> Int64Array:
-    """Return the bin of each value, given as its index among the distinct values; equal values take their median's bin."""
+    """Return the bin of each value from its index among the distinct values; equal values share the bin of their middle rank."""
     counts = np.bincount(which)
     if len(counts) <= _BINS:
         return which

@@ -1,4 +1,4 @@
-"""Comparison of two tiles of one ranking, and the effect on all queries of the part weights that swap them."""
+"""Comparison of two tiles of one ranking, and the effect of other part weights on all queries."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class Comparison:
 
 
 def effect_on(task: Task, weights: npt.ArrayLike) -> Effect:
-    """Compare other part weights with a task's own over all its queries; InputError if their number or values are wrong."""
+    """Compare other part weights with the task's weights over all queries; InputError if their number or values are wrong."""
     old, new = (one.retrieved.first == 0 for one in (task, task.with_fields(weights=weights)))
     counted = np.ones(len(old), bool) if task.known is None else task.known
     before, after = (100.0 * float(hits[counted].mean()) for hits in (old, new))

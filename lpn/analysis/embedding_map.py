@@ -14,7 +14,7 @@ from lpn.retrieval.metrics import checked_sides
 
 # Maximum number of pictures from which the axes are computed.
 SAMPLE = 2000
-# UMAP copies all descriptors into its own process: 0.4 GB for 50,000 of 4 x 512 numbers, held twice.
+# UMAP runs in a process with a copy of all descriptors: 0.4 GB more for 50,000 of 4 x 512 numbers.
 MOST_FOR_UMAP = 50_000
 _BLOCK = 4096
 

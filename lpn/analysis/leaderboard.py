@@ -38,7 +38,7 @@ class ModelFacts:
         numbers: length of a descriptor.
         megabytes: size of its file, 10^6 bytes; None if it was not read from one.
         milliseconds: median of a forward pass of one picture on this machine.
-        processor_milliseconds: median of its processor time in all threads, which another program's load hardly changes.
+        processor_milliseconds: median processor time of such a pass in all threads; other programs hardly change it.
     """
 
     method: str
@@ -171,7 +171,7 @@ def leaderboard(
         models: by their names.
         sizes: bytes of the models' files, if they were read from files.
         tasks: names of the tasks.
-        opened: opens a task by task name and model name; all models have equal queries and galleries.
+        opened: opens a task by model name and task name; all models have equal queries and galleries.
         turns: degrees counter-clockwise by which all queries are turned as well (Table IV).
         weathers: measure the ten weathers of University-WX as well.
         seed, resamples: of the bootstrap, see `model_table`.

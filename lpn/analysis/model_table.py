@@ -19,7 +19,7 @@ from lpn.core.text_tables import TextTable
 from lpn.tasks.measure import RankedModel, Result, scored_name
 
 DEPTHS = (1, 5, 10)
-# Values of queries are equal up to this difference, as sums of runs round differently.
+# Values of queries that differ by less count as equal, because sums over runs have rounding errors.
 _EQUAL = 1e-9
 _P_VALUES = ("p", "Holm's p", "seeds' p", "Holm's seeds' p")
 
@@ -57,7 +57,7 @@ class ModelTable:
     Attributes:
         task, gallery_name: common to all.
         models: rankings, their queries in one order.
-        group_of: the group of each model: a method whose runs differ in their seeds, or by default its own name.
+        group_of: the group of each model, such as a method with runs of several seeds; by default the model's name.
         seed, resamples: of the bootstrap.
     """
 
@@ -91,7 +91,7 @@ class ModelTable:
 
     @cached_property
     def _means(self) -> dict[str, Float64Array]:
-        """The mean of each group's runs, as `_values`."""
+        """The mean of each group's runs, by figure."""
         rows = self.groups.values()
         return {name: np.array([values[of].mean(axis=0) for of in rows]) for name, values in self._values.items()}
 
@@ -206,7 +206,7 @@ class ModelTable:
 
 
 def comparisons_csv(tables: Sequence[ModelTable]) -> bytes:
-    """Return one line for each group and figure, and one for each pair and tested figure, whose value is the difference."""
+    """Return one line for each group and figure, and one for each pair and tested figure, with the difference as its value."""
     head = ("model", "against", "task", "gallery", "queries", "figure", "value", "low", "high", "sd", *_P_VALUES)
     return TextTable(head, [row for table in tables for row in table._csv_rows()]).csv()
 

@@ -64,8 +64,8 @@ def intervals(values: Float64Array, labels: Int64Array, seed: int, resamples: in
 def randomization_test(differences: Float64Array, labels: Int64Array, seed: int) -> list[float]:
     """Return the two-sided p-value of the mean of each row of paired differences (Fisher 1935; Smucker et al. 2007).
 
-    It is the share of swaps of two models, each on all queries of some places, whose mean is at least as far from 0. Up to 16
-    differing places, all swaps are counted. Else 100,000 random swaps and the observed one are.
+    A swap exchanges the two models on all queries of some places. p is the share of swaps with a mean at least as far from 0:
+    of all swaps up to 16 differing places, else of 100,000 random swaps and the observed result.
 
     Args:
         differences: of the queries, (K, Q).
@@ -101,7 +101,7 @@ def welch_test(first: Float64Array, second: Float64Array) -> float | None:
 def half_interval(*groups: Float64Array | Sequence[float]) -> float:
     """Return half the width of the 95 % interval of the mean of one group of runs, or of the difference of two (Welch 1947).
 
-    It is 0 without a spread within the groups, as for single runs, which say nothing about their seeds.
+    It is 0 for groups without a spread, such as single runs, which say nothing about seeds.
     """
     error, freedom = _standard_error(*groups)
     return error * _student_quantile(freedom) if error else 0.0
@@ -142,7 +142,7 @@ def _student_quantile(freedom: float) -> float:
 
 
 def holm(p: Sequence[float | None]) -> list[float | None]:
-    """Return p-values adjusted for all of them (Holm 1979); None stays and does not count."""
+    """Return p-values adjusted for their number (Holm 1979); None stays and does not count."""
     known = sorted((value, row) for row, value in enumerate(p) if value is not None)
     adjusted, largest = list(p), 0.0
     for done, (value, row) in enumerate(known):

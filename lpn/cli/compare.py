@@ -121,7 +121,7 @@ class CompareCommand:
         _write(table, self.table, self.json)
 
     def _sources(self) -> dict[str, TaskSource]:
-        """Return each source with each model by a distinct name; InputError if an option fits none, or one repeats."""
+        """Return each source with each model by a distinct name; InputError if an option fits no source, or a name repeats."""
         if not self.source:
             raise InputError("There is no SOURCE; give its path first, as lpn evaluate takes it.")
         shared = ("provider", "data", "map", "task", "calibrate", "csls", "paths", "order", "n_parts")

@@ -19,7 +19,7 @@ class DescribeCommand(ModelOptions):
     Several machines share the work by --part 3/8, or by --engine ray.
     """
 
-    model: Path = field()  # no default, unlike that of `ModelOptions`
+    model: Path = field()  # no default, unlike in `ModelOptions`
     """Trained LPN: .onnx, .safetensors, or .pth; with --engine ray an .onnx, which is sent to the workers."""
     images: str
     """Folder of pictures, searched with all folders below it; with --engine ray also an address such as s3://bucket/tiles."""

@@ -11,7 +11,7 @@ from typing import Annotated, Any
 from lpn.core.demo import DEMO
 from lpn.core.errors import InputError
 
-# The check of the machine must run without any package, and a broken one may raise anything.
+# The check of the machine must run without any package, and a broken package may raise anything.
 with suppress(Exception):
     import tyro
 

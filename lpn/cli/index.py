@@ -112,7 +112,7 @@ class SearchCommand(ModelOptions):
 
     index: str
     """Folder of a store or an index, or an address such as milvus://host:port/collection."""
-    model: Path = field()  # no default, unlike that of `ModelOptions`
+    model: Path = field()  # no default, unlike in `ModelOptions`
     """Trained LPN whose descriptors the index holds: .onnx (needs no torch), .safetensors, or .pth."""
     picture: Path
     """Picture file to find."""

@@ -46,7 +46,7 @@ def main(arguments: Sequence[str] | None = None, stopped: Callable[[int], object
     the number of SIGPIPE. SIGPIPE itself stays ignored, Python's default, because it would end a server when a browser leaves.
 
     Args:
-        stopped: called with the status while signals are still handled, if one stopped the command.
+        stopped: called with the status if a signal stopped the command, while further signals are still handled.
     """
     try:
         try:

@@ -1,4 +1,4 @@
-"""The command models: what ships."""
+"""The command models: the shipped models."""
 
 from __future__ import annotations
 

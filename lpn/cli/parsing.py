@@ -1,4 +1,4 @@
-"""Parsing of a command's options, and its help: fifteen options at most, all of them by `--help-all`."""
+"""Parsing of a command's options, and its help: `--help` lists fifteen options at most, and `--help-all` all."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _Number = TypeVar("_Number", int, float)
 HELP, HELP_ALL = "--help", "--help-all"
 # tyro's mark of an option that help omits.
 _SUPPRESSED = get_args(tyro.conf.Suppress[int])[1:]
-# While it is entered, `tyro.cli` lists the words of `Literal[...] | None` in their own order and without None.
+# Within this context, `tyro.cli` lists the words of `Literal[...] | None` in their order, and without None.
 _IN_ORDER = ConstructorRegistry()
 
 
@@ -45,7 +45,7 @@ def parse(command: type[Any], arguments: Sequence[str], program: str, default: A
 
     Args:
         command: a dataclass. An option in its `MODES`, if it has any, selects another dataclass in its place.
-        default: the options without arguments; by default the dataclass's own.
+        default: the options for which there is no argument; by default the dataclass's defaults.
     """
     given = {argument.partition("=")[0] for argument in arguments}
     for option, mode in modes(command).items():

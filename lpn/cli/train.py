@@ -111,7 +111,7 @@ class TrainCommand:
 
     @classmethod
     def parse(cls, arguments: list[str], program: str) -> TrainCommand:
-        """Parse the options of a training; recipe and method, or the resumed run, set the defaults of the others.
+        """Parse the options of a training; recipe and method, or the resumed run, set the defaults of the other options.
 
         Raises:
             InputError: if the recipe or the method is unknown, or they do not fit each other.

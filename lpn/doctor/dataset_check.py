@@ -34,7 +34,7 @@ class Count:
 
 @dataclass(frozen=True)
 class MissingCounterparts:
-    """Places of a list, or queries of a task, without a counterpart: the list or task, their names, and the number of all."""
+    """Places that the list `name` lacks, or queries of the task `name` without a true match; `of` is the number of all."""
 
     name: str
     names: tuple[str, ...]
@@ -42,7 +42,7 @@ class MissingCounterparts:
 
     @property
     def what(self) -> str:
-        """The missing ones, as the subject of a sentence."""
+        """The words after the number of `names` in a message."""
         if "/" in self.name:
             return f"of {self.of} places have no picture in {self.name}"
         return f"of {self.of} queries of {self.name} have no true match"
@@ -139,7 +139,7 @@ def _places(lists: dict[str, list[Picture]], start: str) -> set[int]:
 
 
 def _training_places(lists: dict[str, list[Picture]]) -> Iterable[tuple[bool, MissingCounterparts]]:
-    """Find the places that training leaves out; True marks places in some views alone, which are no damage."""
+    """Find the places that training leaves out (False), and places without some views, which are no damage (True)."""
     labels = {name.removeprefix("train/"): _places(lists, name) for name in lists if name.startswith("train/")}
     if "street" not in labels:
         labels.pop("google", None)
@@ -161,7 +161,7 @@ def _places_without(name: str, labels: Iterable[int], of: int) -> MissingCounter
 def _unanswered(dataset: Dataset) -> Iterable[tuple[bool, MissingCounterparts]]:
     """Find queries without a true match, which count as missed.
 
-    True marks a query that is no damage: not every place has a street picture.
+    True marks queries that are no damage, because not every place has a street picture.
     """
     for task in dataset.tasks():
         query_view, gallery_view = views_of(task)

@@ -19,7 +19,7 @@ from lpn.core.errors import OutputError
 from lpn.core.files import cache_folder, check_writable, printable
 
 Severity = Literal["OK", "note", "problem"]
-# Modules whose names differ from their packages'.
+# Names of modules that differ from the names of their packages.
 _MODULES = {"opencv-python-headless": "cv2", "pillow": "PIL"}
 _LITTLE_DISK, _MIN_DISK = 1 << 30, 50 << 20
 

@@ -1,4 +1,4 @@
-"""The check of a model: the exactness of its evidence by its contract, and the proof on pictures."""
+"""The check of a model on pictures: its cells and constants must add up to its parts, as its contract states."""
 
 from __future__ import annotations
 
@@ -130,7 +130,7 @@ def _check_view(model: Model, view: View, pictures: Sequence[tuple[str, UInt8Arr
 
 
 def _differing(trace: Trace, first: Trace) -> str:
-    """Name those of cells, slopes, and constants that differ between two pictures; empty if none do."""
+    """Return "cells", "slopes", or "constants", the first of them that differs between two pictures; empty if none does."""
     for name in ("cells", "slopes", "constants"):
         actual, expected = getattr(trace, name), getattr(first, name)
         if actual is None and expected is None:

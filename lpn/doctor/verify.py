@@ -23,8 +23,8 @@ class VerifiedFile:
     Attributes:
         path: the file or folder.
         message: the end of a sentence about it.
-        healthy: False if it is damaged or unfinished, or holds nothing.
-        flaw: the word for what is not healthy.
+        healthy: False if it is damaged, unfinished, or empty.
+        flaw: the word for its defect.
     """
 
     path: Path
@@ -43,7 +43,7 @@ def verify(path: Path) -> Iterator[VerifiedFile]:
     """Compare a model file or a store, or all of these below a folder, with their checksums.
 
     Raises:
-        InputError: if none of them is there.
+        InputError: if there is no model file and no store.
     """
     if not path.exists():
         raise InputError(f"There is nothing at {path}; check the path.")

@@ -9,14 +9,14 @@ from PIL import ImageDraw, ImageFont
 
 @lru_cache(maxsize=16)
 def font(size: int) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
-    """Return Pillow's own typeface at a pixel size."""
+    """Return Pillow's default typeface at a pixel size."""
     return ImageFont.load_default(size)
 
 
 def fitted(draw: ImageDraw.ImageDraw, text: str, size: int, width: float) -> str:
     """Cut a text to a width in pixels, with an ellipsis.
 
-    A text that would lose more than half is left out: "46 m ..." is no place.
+    A text that would lose more than half is left out, because the rest would mislead.
     """
     if draw.textlength(text, font=font(size)) <= width:
         return text

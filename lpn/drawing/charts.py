@@ -1,7 +1,7 @@
 """Bars of shares and of evidence as inline SVG.
 
-They are placed in percent of their width, so they stretch with a table's cell, but their text does not. Text and lines take
-their colours from the page, see `css/charts.css`.
+Positions are percentages of the width, so bars stretch with a table's cell, but their text does not. Text and lines take their
+colours from the page, see `css/charts.css`.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ def part_colour(part: int) -> str:
 
 def share_bar(contributions: FloatingArray, full: float, names: Sequence[str]) -> Markup:
     """Draw the parts' shares of a squared distance, (n,), side by side; `full` is the distance that fills the bar."""
-    # Python's own numbers: rounding and formatting NumPy's is slow, and a page draws many bars for each query.
+    # Python floats, because rounding and formatting NumPy numbers is slow, and a page draws many bars for each query.
     bars, start = [], 0.0
     for part, (name, share) in enumerate(zip(names, contributions.tolist(), strict=True)):
         width = 100 * max(share, 0.0) / max(full, 1e-9)

@@ -14,7 +14,7 @@ from lpn.core.arrays import FloatingArray, Int64Array, UInt8Array
 from lpn.drawing.part_areas import PartAreas
 from lpn.drawing.theme import HEAT, HEAT_AGAINST, part_colour
 
-# The strongest heat that is not painted, and the greyed picture: share of its light, and the level that is added.
+# The strongest heat that is not painted, and two numbers of a greyed picture: the factor of its light, and the added level.
 _BARE, _GREY, _RAISED = 0.3, 0.61, 10.0
 # Pixels of a part's border.
 _LINE = 2
@@ -77,7 +77,7 @@ def with_parts(picture: UInt8Array, areas: PartAreas | None) -> UInt8Array:
     """Draw the border of each part in its colour, with a dark outline that is visible on bright ground.
 
     Args:
-        areas: of the parts; without them nothing is drawn, nor for a part without a dominated cell.
+        areas: of the parts; None draws nothing. A part that has the largest weight in no cell has no border.
     """
     drawn = np.ascontiguousarray(picture).copy()
     if areas is None:

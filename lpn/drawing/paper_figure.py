@@ -77,7 +77,7 @@ class FigureRow:
     def of_query(
         cls, title: tuple[str, str], picture: UInt8Array, areas: PartAreas | None, evidence: Sequence[Evidence]
     ) -> FigureRow:
-        """Return the row of a query with its cells' shares of the score, or with two tiles, of the first one's lead.
+        """Return the row of a query: its cells' shares of the score of one tile, or of the first tile's lead over a second.
 
         Args:
             evidence: for one tile or for two.
@@ -205,7 +205,7 @@ class _Drawing:
         return axes
 
     def _bars(self, row: FigureRow, most: float | None, box: _Box) -> None:
-        """Draw the shares of the parts between their names and numbers; without `most`, signed on a scale of their own."""
+        """Draw the shares of the parts between their names and numbers; without `most`, signed and on a separate scale."""
         values = np.asarray(row.shares, np.float64)
         left, top, width, height = box
         names = min(_LETTER * max(map(len, self._given.names)) + 1.0, _NAME)

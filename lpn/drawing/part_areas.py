@@ -63,7 +63,7 @@ class PartAreas:
 
     @classmethod
     def of_cells(cls, cells: Float32Array) -> PartAreas:
-        """Return the areas of the cells' weights in each part, (n, h, w)."""
+        """Return the areas of the parts from the weight of each cell in each part, (n, h, w)."""
         weights = np.abs(cells)
         order = np.sort(weights, axis=0)
         second = order[-2] if len(order) > 1 else np.zeros_like(order[0])

@@ -14,11 +14,11 @@ from lpn.core.files import cache_folder
 def pyplot() -> Any:
     """Return Matplotlib's pyplot with the backend that draws into memory.
 
-    Its list of fonts is cached in our folder, unless the user has a folder of Matplotlib settings, which it then reads.
+    Matplotlib caches its list of fonts in our cache folder, unless the user has a folder of Matplotlib settings.
     """
     own = os.path.join(os.environ.get("XDG_CONFIG_HOME") or "~/.config", "matplotlib"), "~/.matplotlib"  # noqa: PTH118
     if not any(os.path.isdir(os.path.expanduser(folder)) for folder in own):  # noqa: PTH111, PTH112 (no home is no error)
-        with suppress(OutputError):  # neither here
+        with suppress(OutputError):  # no cache folder is no error
             os.environ.setdefault("MPLCONFIGDIR", str(cache_folder() / "matplotlib"))
     import matplotlib
 

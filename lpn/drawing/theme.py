@@ -44,7 +44,7 @@ LIGHT_COLOURS: dict[str, Colour] = COLOURS | {
 }
 # A fifth part has the first colour again.
 N_PART_COLOURS = 4
-# Red, green, blue, and opacity of weak to strong heat over a greyed picture, in even steps of lightness, and of evidence against.
+# Red, green, blue, and opacity over a greyed picture, from weak to strong in even steps of lightness: heat, and evidence against.
 HEAT = (
     *((26, 10, 40, 0.0), (104, 24, 112, 0.4), (182, 34, 146, 0.74)),
     *((244, 104, 184, 0.88), (255, 184, 218, 0.95), (255, 246, 251, 1.0)),
@@ -56,13 +56,13 @@ HEAT_AGAINST = (
 FOR, AGAINST, UNKNOWN_COLOUR = COLOURS["for"], COLOURS["against"], COLOURS["unknown"]
 # The contrast of text that WCAG 2 requires (level AA).
 MIN_CONTRAST = 4.5
-# The contrast of bars and lines, which have names beside them. At 3, those on white would look alike to people without red cones.
+# The contrast of bars and lines, which have names beside them. At 3, bars on white would look alike to people without red cones.
 MARK_CONTRAST = 2.0
 
 
 @dataclass(frozen=True)
 class Palette:
-    """The colours of a ground: itself, text, dimmed text, the track of a bar, disabled lines, rows of panels, and the table."""
+    """The colours of a background, text, dimmed text, a bar's track, disabled lines, rows of panels, and the table of colours."""
 
     background: Colour
     text: Colour

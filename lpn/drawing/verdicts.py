@@ -45,7 +45,7 @@ def pictures_of(task: Task) -> str:
 
 
 def rounded_cosines(cosines: Sequence[float], taken: Sequence[float]) -> tuple[list[float], list[float]]:
-    """Round the parts' weighted cosines, and the terms of CSLS, so that each and both add up as shown."""
+    """Round the parts' weighted cosines, and the terms of CSLS, so that each list adds up to its rounded sum."""
     totals = rounded_to_sum([sum(cosines), sum(taken)])
     return rounded_to_sum(cosines, total=totals[0]), rounded_to_sum(taken, total=totals[1])
 
@@ -90,7 +90,7 @@ def describe_evidence(
 
 
 def describe_lumps(lumps: Sequence[str], noun: str = "part") -> str:
-    """Name the parts of a picture without a dominated cell; empty if there are none."""
+    """State which parts of a picture have no cell; empty if all have one."""
     if not lumps:
         return ""
     several = len(lumps) > 1

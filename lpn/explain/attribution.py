@@ -5,8 +5,8 @@ part i is a sum over passes p and cells x, plus a constant:
 
     e_i = sum_p sum_x a_pi(x) A_i F_pi(x) + c_i.
 
-The first pass is of the picture; LPN adds one of its mirror. F_pi is the map of a pass, or of a part in it; the mirror's map
-is flipped back. If u_i is the tile's part i, scaled to norm one, then
+The first pass is of the picture; LPN adds a pass of its mirror image. F_pi is the map of a pass, or of a part in a pass; the
+map of the mirror image is flipped back. If u_i is the tile's part i, scaled to norm one, then
 
     cos_i = sum_x <sum_p a_pi(x) A_i F_pi(x), u_i> / |e_i|  +  <c_i, u_i> / |e_i|,
 
@@ -113,8 +113,8 @@ class Evidence:
             names: of the parts.
             level: exactness of the numbers, see `Contract.claim`.
 
-        A part's `weighted_cosine` is its weight times its cosine; they add up to the score. `cells` (a list of rows) and
-        `constant` are the query's and add up to the part's cosine. Those in `match` are the tile's and also add up to it.
+        A part's `weighted_cosine` is its weight times its cosine; all parts add up to the score. The query's `cells` (a list of
+        rows) and `constant` add up to the part's cosine, and so do the tile's in `match`.
         """
         parts = part_values(names, self.cosines, self.weights)
         for row, part in enumerate(parts):

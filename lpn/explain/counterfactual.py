@@ -136,7 +136,7 @@ def _split(ranking: Ranking, tile: int | None) -> tuple[Int64Array, Int64Array]:
 
 
 def _positive_rank(ranking: Ranking, weights: Float32Array, positives: Int64Array, negatives: Int64Array) -> int:
-    """Return the 1-based rank of `retrieval.rank`: by float32 scores, ties in gallery order."""
+    """Return the nearest positive's rank, from 1, as in `retrieval.rank`: by float32 scores, ties in gallery order."""
     scores = ranking.similarities @ weights
     index = positives[int(np.argmax(scores[positives]))]
     score, others = scores[index], scores[negatives]
@@ -152,7 +152,7 @@ def shortest(rows: Float64Array, least: Float64Array, limit: float) -> Float64Ar
     r = f - E u, and x = -r[:-1] / r[-1]. The active set holds at most d + 1 rows, so thousands of rows cost little.
 
     Every u >= 0 proves the bound |x|^2 >= 1 / |r|^2 - 1 for all feasible x. If no x is feasible, the bound grows without limit,
-    so one sound test covers both cases of None.
+    so the test of the bound also detects that no x is feasible.
     """
     columns = np.concatenate([rows.T, least[None]])
     columns = columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
@@ -184,7 +184,7 @@ def _enter(
         falling = wanted <= 0
         if not falling.any():
             return active, wanted
-        # Rounding may make the entering column, which starts at zero, fall; the step is then zero, and it leaves again.
+        # Rounding may make the entering column fall from zero; the step is then zero, and the column leaves again.
         step = float(np.min(shares[falling] / np.maximum(shares[falling] - wanted[falling], 1e-300)))
         shares = np.maximum(shares + step * (wanted - shares), 0.0)
         remaining = (shares > 0) & ~(falling & (shares <= shares[falling].min()))

@@ -1,7 +1,7 @@
 """Occlusion: the loss of a pair's score by a covered square of the picture. It is measured, and so approximate.
 
 Occlusion needs only a model's descriptors and serves every model; `lpn.explain.attribution` is exact for a model with cells.
-No camera takes a covered picture, and the receptive fields of cells reach beyond the covered square.
+Covered pictures are artificial, and the receptive fields of cells reach beyond the covered square.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ def occlude(
     Args:
         picture: (H, W, 3) uint8.
         other: the other picture's descriptor, (n, D).
-        rows, columns: squares of the network's input.
+        rows, columns: numbers of squares down and across the network's input.
 
     Yields:
         The number of measured squares, and the losses so far, (n, rows, columns), NaN for the other squares; a square with a

@@ -240,7 +240,7 @@ def _both_sides(count: int) -> list[int]:
 
 
 def _coarse_first(values: Sequence[T], circle: float | None = None) -> list[T]:
-    """Return values in farthest-point order, which starts at the first; of ties, the earlier one comes next."""
+    """Return values in farthest-point order, which starts at the first value; of equally far values, the earlier comes next."""
     places = np.asarray(values, dtype=np.float64)
     order, nearest = [0], np.full(len(places), np.inf)
     while len(order) < len(places):

@@ -28,12 +28,12 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, eq=False)
 class OwnPicture:
-    """A picture of the user's own, outside the data set and of unknown place.
+    """A user's picture, outside the data set and of unknown place.
 
     Attributes:
         picture: (H, W, 3) uint8.
         place: latitude and longitude of the camera in degrees; None if the file has none.
-        key: its name in addresses of the page that holds it; empty without a page.
+        key: its name in addresses of the page; empty without a page.
         day: the day of the picture; None if its file lacks it.
         facts: names and values from its file, for display.
     """
@@ -51,7 +51,7 @@ class QueryRequest:
     """The query to analyse, and the options.
 
     Attributes:
-        query: position among the task's queries, or a picture of the user's own.
+        query: position among the task's queries, or a user's picture.
         change: applied to the query before it is described.
         weights: part weights, see `scoring.part_weights`; None for equal ones.
         region: cells of the query's feature map, row by row, that restrict the search; empty for all.
@@ -71,7 +71,7 @@ class QueryRequest:
 
 @dataclass(frozen=True, eq=False)
 class _Photo:
-    """A query to describe: its pixels before the change, the zoom within that, and the key of the changed picture."""
+    """A query to describe: its pixels before the change, the change, its zoom, and the key of the changed picture."""
 
     own: OwnPicture | None
     index: int | None
@@ -82,12 +82,12 @@ class _Photo:
     key: Hashable
 
 
-# Returns a described picture by its key, else the function's result.
+# A cache of described pictures: takes a key, and a function that describes the picture if the cache lacks it.
 KeepDescribed = Callable[[Hashable, Callable[[], DescribedPicture]], DescribedPicture]
 
 
 def described_key(task: Task, query: int, change: Change) -> Hashable:
-    """Return the key of a described query of a task; `change` is the picture's own, see `Change.for_picture`."""
+    """Return the key of a described query of a task; `change` comes from `Change.for_picture`."""
     picture = task.queries[query]
     return picture.path, picture.box, task.key, change
 
@@ -108,10 +108,10 @@ class QueryAnalyser:
     """Analyses queries, and reuses intermediate results of the last request; for one thread at a time.
 
     Args:
-        model: describes queries, as the task's `Model.for_task`; None if only stored descriptors are available.
+        model: describes queries, by `Model.for_task` of their task; None if only stored descriptors are available.
         describe_tile: describes a tile of a task by its gallery position, see the function `describe_tile`; may use a cache.
         load: reads a picture without its box; may use a cache.
-        keep: returns a described query of the task by its `described_key`, else the function's result; may use a cache.
+        keep: a cache of described queries: takes a `described_key`, and a function that describes a query that is missing.
     """
 
     def __init__(
@@ -129,7 +129,7 @@ class QueryAnalyser:
         self._search: _LastValue[RankUnderWeights] = _LastValue()
 
     def describe_ahead(self, task: Task, requests: Sequence[QueryRequest]) -> None:
-        """Describe the queries of some requests in one batch for later calls of `analyse`; errors as there."""
+        """Describe the queries of some requests in one batch for later calls of `analyse`, with the same errors."""
         if self._model is None or not requests:
             return
         photos = [self._photo(task, request) for request in requests]
@@ -221,7 +221,7 @@ class QueryAnalyser:
 
 
 def _errors_m(task: Task, photo: _Photo) -> Float64Array | None:
-    """Return metres from a query's place, or the own picture's camera, to each tile, (G,)."""
+    """Return metres from a query's place, or from the camera of a user's picture, to each tile, (G,)."""
     if task.geometry is not None and photo.index is not None:
         return task.geometry.errors_m(photo.index)
     place = None if photo.own is None else photo.own.place

@@ -96,8 +96,8 @@ class Answer:
         source: the query's picture before the change, (H, W, 3) uint8.
         tile: the compared tile, described; None until it is needed.
         positive: the nearest positive; None if the query has none, or its place is unknown.
-        errors_m: metres from the query's place, or from the own picture's camera, to each tile, (G,); None without positions.
-        zoom: of the query's picture, see `Picture.zoom`, or the calibration's choice for an own picture.
+        errors_m: metres from the query's place, or from the camera of a user's picture, to each tile, (G,); None if unknown.
+        zoom: of the query's picture, see `Picture.zoom`, or the calibration's choice for a user's picture.
         pair_evidence: of the compared tile; None if it was not requested, or there is no network.
         seconds: duration of the analysis.
     """
@@ -163,7 +163,7 @@ class Answer:
         return np.stack([match.contributions for match in self.ranking.top(len(self.ranking.order))])
 
     def heat(self, rank: int = 1, of: Literal["query", "tile"] = "query") -> Float32Array:
-        """Return each cell's share of the score of query and picture at a rank, by part, (n, h, w), for either of the two.
+        """Return each cell's share of the score at a rank, by part, (n, h, w), for cells of the query or of the tile.
 
         With the constants of `evidence(rank)` under the part weights and the terms of CSLS, all cells add up to the score.
 

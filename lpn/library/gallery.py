@@ -151,7 +151,7 @@ def answer_of(
     """Return the answer to a described picture of unknown place.
 
     Args:
-        model: the model of query and pictures, as its `Model.for_task` of the views.
+        model: describes query and pictures; the result of `Model.for_task` for the views.
         views: of the query and of the pictures.
         descriptors_of: of the pictures, (G, n, D).
         ranking: of the pictures.
@@ -184,6 +184,6 @@ def answer_of(
 
 
 def _listed(folder: str | Path) -> list[Picture]:
-    """Return the pictures below a folder, each with a label of its own."""
+    """Return the pictures below a folder, each with a different label."""
     files = descriptors.pictures_below(folder)
     return [Picture(file, label, file.relative_to(folder).as_posix()) for label, file in enumerate(files)]

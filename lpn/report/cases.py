@@ -22,7 +22,7 @@ from lpn.retrieval import DescribedPicture, Match, describe_pictures
 from lpn.tasks.query_outcomes import picture_columns
 from lpn.tasks.task import Task
 
-# Queries that are analysed together, and described tiles in the cache for later ones.
+# Number of queries that are analysed together, and of described tiles that are cached for later queries.
 _TOGETHER, _KEPT = 4, 64
 
 
@@ -33,8 +33,8 @@ class Options:
     Attributes:
         matches: number of tiles listed for each query, 1 or more.
         change: the change applied to each query first.
-        selection: the selection of the queries, for the report's header.
-        doubtful: queries without a certainly right tile; they are not graded, nor counted in its figures.
+        selection: the selection of the queries in words, for the report's header.
+        doubtful: queries without a certainly right tile; they are not graded, nor counted in the report's figures.
         title: of a story's report, which has no figures of all queries; empty for a report on queries.
         captions: a story's text for each answer.
     """
@@ -75,13 +75,13 @@ class Case:
     """One query: its answer, and a report's additions to it.
 
     Attributes:
-        doubtful: whether no tile is certainly right, so that it is not graded.
+        doubtful: whether no tile is certainly right, so that the query is not graded.
         matches: the nearest tiles, then the nearest positive if it is not among them.
         thumbnails: of listed tiles by their positions, as data URIs.
-        facts: names and values of the query's metadata, or of an own picture's file.
+        facts: names and values of the query's metadata, or from the file of a user's picture.
         query: the query's picture.
-        tiles: the compared tile, then its rival, if any: the nearest wrong tile for a true one, the nearest true tile for another
-            one, and the next tile if the truth is unknown.
+        tiles: the compared tile, then its rival, if any: for a true tile the nearest wrong one, for a wrong tile the nearest true
+            one, and for an unknown truth the next tile.
         comparison: of the nearest positive with a wrong tile; None if no positive is known, or no tile is wrong.
         effect: of the smallest change of weights on all queries; None in a story.
     """
@@ -112,7 +112,7 @@ class Cases:
         self._analyser = QueryAnalyser(task.model, lambda _, index: self._tiles[index])
 
     def make(self, queries: Sequence[int | OwnPicture | Answer]) -> Generator[Case]:
-        """Answer the queries, or take given answers; while one is drawn, the next ones are described."""
+        """Yield the case of each query or answer; while one case is drawn, the next queries are described."""
         together = [queries[start : start + _TOGETHER] for start in range(0, len(queries), _TOGETHER)]
         with ThreadPoolExecutor(1, "report") as thread:
             made = thread.submit(self._answer, together[0])

@@ -33,7 +33,7 @@ def build(
     Each query and each compared tile is described once, several together.
 
     Args:
-        queries: positions among the task's queries, own pictures, or answers, in the order of the report.
+        queries: positions among the task's queries, users' pictures, or answers, in the order of the report.
         progress: called after each query with the numbers of finished and of all queries; its exception ends the work.
         made: date and time in the report, by default now.
 

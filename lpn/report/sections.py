@@ -23,7 +23,7 @@ from lpn.tasks.task import Task
 
 # Pixels of a picture's height.
 _HIGH = 320
-# Limit of a crop's width by height; a whole strip looks thin.
+# Largest ratio of a crop's width to its height; a whole strip looks thin.
 _MOST_WIDE = 2.5
 
 
@@ -73,7 +73,7 @@ class _PairEvidence:
 
 
 class _Row(NamedTuple):
-    """The shares of a part in the distances of the compared tiles, and the gain of the first over the second."""
+    """The shares of a part in the distances of the compared tiles, and the gain of the first tile over the second."""
 
     shares: list[float]
     gain: float | None
@@ -186,7 +186,7 @@ def _path(inside: bytes, rows: int, columns: int, across: float) -> str:
 
 
 def _rows(case: Case) -> list[_Row]:
-    """Return each part's row, and the sum's; the gains add up to the difference of the shown distances."""
+    """Return a row for each part, and one for the sum; the gains add up to the difference of the displayed distances."""
     matches = [tile.match for tile in case.tiles if tile.match is not None]
     shares = [rounded_to_sum(match.contributions.tolist(), total=round(match.distance2, 3)) for match in matches]
     sums = [match.distance2 for match in matches]

@@ -39,7 +39,7 @@ class OpenedSource:
         return self.tasks[0]
 
     def graded(self) -> tuple[Task, Collection[int]]:
-        """Return the first task as graded, and the ungraded queries, for which no tile is certainly right.
+        """Return the first task for grading, and its ungraded queries, for which no tile is certainly right.
 
         Raises:
             LPNError: if a file cannot be used.
@@ -52,7 +52,7 @@ class OpenedSource:
 
 
 def weighted(task: Task, weights: Sequence[float] | None, neighbours: int = 0) -> Task:
-    """Return a task under part weights, equal ones for None, and under CSLS over K neighbours, without it for 0.
+    """Return a task with part weights (None for equal ones), and CSLS over K neighbours (0 for none).
 
     Raises:
         InputError: if the number of weights is wrong, or there are fewer queries than K.
@@ -75,7 +75,7 @@ def open_with_notes(
         names, weights: see `TaskSource.open`.
 
     Raises:
-        DataError: also if the file is damaged.
+        DataError: if the notes are damaged; other errors as `TaskSource.open`.
     """
     from lpn.core.demo import own_file
     from lpn.tasks import notes

@@ -82,7 +82,7 @@ def model_names(
 ) -> list[str]:
     """Return distinct printable names of models.
 
-    They consist of file, pooling of tokens, and, if that is not enough, the given kinds.
+    They consist of file, pooling of tokens, and, if these are equal, the kind.
     """
     distinct = list(dict.fromkeys(files))
     names = dict(zip(distinct, distinct_names(distinct), strict=True))

@@ -29,7 +29,7 @@ from lpn.tasks.task import Task
 
 
 def why_not(task: Task) -> str:
-    """Return the reason why queries of a task cannot be changed, as a sentence about turned ones; empty if they can."""
+    """Return the reason why queries of a task cannot be changed, as a sentence about turned queries; empty if they can."""
     if task.model is None:
         return "These are descriptors without their network, so queries cannot be turned."
     if any(picture.cut is not None for picture in task.queries):
@@ -92,7 +92,7 @@ def calibrated(task: Task, calibration: Calibration | None) -> Task:
     Calibrated descriptors that ship with the data set are read, so that no picture is described at several zooms.
 
     Raises:
-        InputError: when the task's pictures are changed already, or views have no branches of their own.
+        InputError: when the task's pictures are changed already, or one branch describes both views.
     """
     if calibration is None:
         return task
@@ -149,7 +149,7 @@ def centred(task: Task) -> Task:
 def averaged(task: Task) -> Task:
     """Average the queries of each place: sum their descriptors, and normalise each part.
 
-    Places are in the order of their labels, without positions and groups.
+    The places are sorted by label, and have neither positions nor groups.
 
     Raises:
         InputError: when true matches are listed for each query.
@@ -224,7 +224,7 @@ def by_csls(task: Task, neighbours: int) -> Task:
 
 
 def _derived(task: Task, clause: str, **changes: Any) -> Task:
-    """Return a task with descriptors computed from another's, so that no network describes its pictures."""
+    """Return a task with descriptors that are computed from the descriptors of `task`, without a network."""
     return task.with_fields(
         **{"model": None, "describe": None, "weights": None, "identity": "", **changes}, clauses=(*task.clauses, clause)
     )
@@ -245,7 +245,7 @@ def _clauses(task: Task, change: Change) -> list[str]:
 
 
 def _describing(task: Task, pictures: Sequence[Picture], view: View, change: Change) -> Callable[[], Float32Array]:
-    """Return a function that describes changed pictures like the task's own."""
+    """Return a function that describes changed pictures as the task describes its pictures."""
     if task.describe is not None:
         describe = task.describe
         return lambda: describe(pictures, view, change)

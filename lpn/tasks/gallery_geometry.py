@@ -23,10 +23,10 @@ class GalleryGeometry:
     """The positions of one task's pictures.
 
     Attributes:
-        queries, tiles: positions, in the order of the pictures; a query's may be unknown, and a tile's NaN.
+        queries, tiles: positions, in the order of the pictures; an unknown one is None for a query, and NaN for a tile.
         origin: the middle of the tiles.
         ground: centre of each tile in metres east and north of the origin, (G, 2).
-        width: side of a tile on the ground in metres; by default the median distance from a position to the nearest other.
+        width: side of a tile on the ground in metres; by default the median distance from a position to its nearest neighbour.
     """
 
     queries: Sequence[Position | None]
@@ -66,7 +66,7 @@ class GalleryGeometry:
     def answer_errors_m(self, answers: Int64Array) -> Float64Array:
         """Return metres from each query's place to its answer, (Q,).
 
-        Infinite for the answer -1, that is, none; NaN for a query of unknown place.
+        Infinite for the answer -1, which means no answer; NaN for a query of unknown place.
         """
         metres = geo.geodesic(geo.degrees(self._known_or_nan), self._degrees[answers])
         return np.where((answers < 0) & ~np.isnan(metres), np.inf, metres)
@@ -99,7 +99,7 @@ class GalleryGeometry:
 
 
 def _distinct(ground: Float64Array) -> Int64Array:
-    """Return the index of the first of all known positions, (G, 2) metres, that are equal to a decimetre; ascending."""
+    """Return the first index of each distinct known position, (G, 2) metres, rounded to a decimetre; ascending."""
     known = np.flatnonzero(~np.isnan(ground).any(axis=1))
     return np.sort(known[np.unique(ground[known].round(1), axis=0, return_index=True)[1]])
 

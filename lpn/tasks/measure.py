@@ -35,7 +35,7 @@ class Figures:
     """Recall and AP of some queries on one gallery.
 
     Attributes:
-        gallery_name: "full gallery", or "without distractors", without the places that no query shows.
+        gallery_name: "full gallery", or "without distractors" for a gallery without the places that no query shows.
         recall: Recall@K in percent for "1", "5", "10", and "1%"; the last takes K from the size of the full gallery.
         ap: mean average precision in percent.
         queries: number of queries (places, if queries are averaged).
@@ -92,7 +92,7 @@ class RankedModel:
         return np.asarray((self.first >= 0) & (self.first < depth))
 
     def in_order(self, queries: Sequence[str]) -> RankedModel:
-        """Return the ranking with its queries in another order; `queries` must be these queries, each once."""
+        """Return the ranking with its queries in another order; `queries` must be the same queries, each once."""
         if self.queries == tuple(queries):
             return self
         at = {query: row for row, query in enumerate(self.queries)}
@@ -114,10 +114,10 @@ class Result:
         name: of the model, to display.
         task: such as "drone-to-satellite".
         galleries: the figures on the full gallery, and, if it has distractors, without them.
-        rankings: of each of `galleries`, with all queries.
+        rankings: the ranking of each gallery, with all queries.
         root: the data set's folder.
         pictures: the queries and the gallery.
-        labels: the place of each of them, (Q,) and (G,); -1 for unranked gallery pictures.
+        labels: the place of each query and of each gallery picture, (Q,) and (G,); -1 for unranked gallery pictures.
         known: the queries with a known truth, (Q,); None for all.
         change: of the queries, see `Task.change`.
         parts: the parts used, 1-based.
@@ -130,8 +130,8 @@ class Result:
         group_name: the quantity of the groups; empty without groups.
         measures: further metrics by their keys, see `field_figures`; empty if the data set has none.
         calibration: the model's; None without one.
-        nearest: gallery positions of the nearest tiles of each query without junk, -1 if no tile is left, (Q, K), and their
-            scores, NaN there; None unless requested.
+        nearest: gallery positions of each query's nearest tiles without junk, (Q, K), -1 if no tile is left, and their scores,
+            (Q, K), NaN for -1; None unless requested.
     """
 
     name: str

@@ -1,11 +1,11 @@
-"""A user's tags and notes on queries, in `notes.csv` in the data set's folder (the demo's in the user's) or in another file.
+"""A user's tags and notes on queries: `notes.csv` in the data set's folder, for the demo in the user's folder, or another file.
 
     path,tags,note
     test/query_drone/0005/image-01.jpeg,night blur,"Looks like the twin next door."
 
 `path` is the query's picture, relative to the data set's folder; spaces separate tags. Users and several programs may edit
-the file at once, because each change replaces one line under a lock. A text that a spreadsheet would compute has an
-apostrophe in front, such as '- dark, which is no part of the note; see `lpn.core.csv_cells`.
+the file at once, because each change replaces one line under a lock. An apostrophe precedes a text that a spreadsheet would
+compute, such as '- dark; it is no part of the note, see `lpn.core.csv_cells`.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class Note:
     """The annotation of one query.
 
     Attributes:
-        tags: short words, each once, in the order given.
+        tags: short words, each once, in the user's order.
         text: may have several lines.
     """
 

@@ -1,4 +1,4 @@
-"""Tasks of a data set under a model: those that both offer, and the opening of one."""
+"""The tasks that a data set and a model both offer, and their opening."""
 
 from __future__ import annotations
 
@@ -51,8 +51,8 @@ def lazy_task(
 
     Args:
         name: the task, such as "drone-to-satellite".
-        read: returns descriptors; by default those that ship in float32, else from the user's cache, which receives new ones.
-        branch: describes both sides (Table VI); None for each view's own.
+        read: returns descriptors; by default shipped float32 ones, else those of the user's cache, to which new ones are added.
+        branch: the branch that describes both sides (Table VI); None for the branch of each view.
         released: whether to read and rotate pictures like the released test code, see `Change.released`, and to carry features
             over to landmarks as released, see `lpn.retrieval.transfer`.
         model_name: the model's name to display.
@@ -207,7 +207,7 @@ def scored_tasks(
 
 
 def task_calibration(model: Model, dataset: Dataset, calibrate: bool | None = None) -> Calibration | None:
-    """Choose the calibration that ranks a data set's tasks, for the library, every command, and the page; no label counts.
+    """Choose the calibration of a data set's tasks, for the library, every command, and the page; it uses no labels.
 
     Args:
         calibrate: True for the calibration that ships with the data set, or else a new one; False for none; None for the
@@ -250,7 +250,7 @@ def no_calibration(model: Model, dataset: Dataset) -> str:
 
 
 def shipped_calibration(model: Model, dataset: Dataset) -> Calibration | None:
-    """Return the calibration that ships with a data set; None if it is missing, another model's, or lacks a picture."""
+    """Return the calibration that ships with a data set; None if it is missing, of another model, or lacks a picture."""
     root, folder = dataset.root, dataset.root / FOLDER
     if not (folder / NAME).is_file():
         return None  # do not list the pictures
@@ -270,7 +270,7 @@ def shipped_calibration(model: Model, dataset: Dataset) -> Calibration | None:
             for (zoom, cost), mean in zip(values["levels"].tolist(), values["level_means"], strict=True)
         ]
         tried, ratio = dict(values["tried"].tolist()), float(values["ratio"])
-        # Among these tiles, the zoom of an uploaded picture is chosen.
+        # These tiles serve to choose the zoom of an uploaded picture.
         tiles = open_store(folder / "gallery_satellite").float32
     except (*DAMAGED_ARRAY, KeyError, StoreError):
         return None

@@ -1,6 +1,6 @@
 """Rank, margin, and deciding part of every query of a task, in one pass.
 
-With part weights w_i with sum one, the nearest positive p and the hardest negative g of a query q:
+For a query q, p is its nearest positive, g its hardest negative, and w_i are part weights with sum one:
 
     margin = d^2(q, g) - d^2(q, p) = sum_i 2 w_i (cos_i(q, p) - cos_i(q, g)),
 
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from lpn.tasks.task import Task
 
 _CHUNK_BYTES = 64_000_000
-# Columns of a table that compares two models: A is the table's own.
+# Columns of a table that compares two models: A is the model of the table.
 RANK_A, RANK_B = "rank A", "rank B"
 # Columns of every table besides `margin_1` .. `margin_n`. A model of one part has neither these nor `part`. A task has `distance`
 # only with positions, `overlap` only with measured footprints, and `semi` only with semi-positives. Only a table of two models
@@ -149,7 +149,7 @@ def table(task: Task, outcomes: Outcomes, part_names: Sequence[str]) -> Table:
 
 
 def compared_ranks(table: Table, rank: Int64Array) -> list[Column]:
-    """Return the columns `rank A` and `rank B` of a table: its own ranks, and a second model's.
+    """Return the columns `rank A` and `rank B` of a table: the ranks in the table, and the ranks of a second model.
 
     Args:
         rank: the second model's ranks of these queries, see `Outcomes`.

@@ -2,8 +2,8 @@
 
     <cache>/rankings/<key>.npz     first, true, false (Q,) int64, precision, gap (Q,) float64, gallery: see `metrics.Retrieval`
 
-The key is a digest of both sides' descriptors and of the true matches, so that a stale ranking is never found. A damaged file, or
-one with other numbers of pictures than the task, counts as missing.
+The key is a digest of both sides' descriptors and of the true matches, so that a stale ranking is never read. A damaged file, or
+a file with other numbers of pictures than the task, counts as missing.
 """
 
 from __future__ import annotations

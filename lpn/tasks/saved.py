@@ -9,7 +9,7 @@ both arrays, in the order of each side's rows:
 
 `file` is a path below the list's folder; a missing picture is a grey placeholder. `side` is query or gallery. `label` is any
 text, equal for pictures of one place; "7" and "007" are two places. It is empty if unknown: such a query is not counted, and
-such a gallery picture is true for none. It is -1 for a gallery picture that is dropped from the ranking. Latitude and
+such a gallery picture is never a true match. It is -1 for a gallery picture that is dropped from the ranking. Latitude and
 longitude, in degrees, may be empty. Only file and side are needed.
 """
 
@@ -106,7 +106,7 @@ def array_task(
         query, gallery: files of arrays, see `lpn.retrieval.saved`; they may be the same `.npz` or `.mat`.
         paths: the list; without it, rows are numbered, their places are unknown, and pictures are placeholders.
         n_parts, order: see `load_parts`.
-        root: the folder of the list's paths; by default the list's own.
+        root: the folder to which the list's paths are relative; by default the folder of the list.
 
     Raises:
         DataError: if a file is missing, damaged, or does not fit the others.
@@ -179,7 +179,7 @@ def _numbered(counts: Mapping[Role, int]) -> dict[Role, list[_Line]]:
 
 
 def _listed(file: Path, counts: Mapping[Role, int], below: FilesBelow) -> dict[Role, list[_Line]]:
-    """Read the list of pictures, with the existing files of its paths; other paths are unchanged."""
+    """Read the list of pictures; a path that differs from its file in case alone becomes the path of the file."""
     name = printable(file.name)
 
     def fits(header: list[str]) -> bool:
@@ -221,7 +221,7 @@ def _position(row: Mapping[str, str], where: str) -> Position | None:
 
 
 def _known(lines: Mapping[Role, Sequence[_Line]]) -> BoolArray:
-    """Return the mask of queries with a known truth, (Q,): all False if no label is in the gallery, as 0001 beside 1."""
+    """Return the mask of queries with a known truth, (Q,); all False if queries and gallery share no label."""
     known = np.array([bool(line.label) for line in lines["query"]], bool)
     own = [line.label for line in lines["query"] if line.label]
     told = [line.label for line in lines["gallery"] if line.label not in ("", str(JUNK))]
@@ -254,7 +254,7 @@ def _truth(labels: Mapping[Role, Int64Array], known: BoolArray) -> list[Truth] |
 
 
 def _label_numbers(labels: Sequence[str]) -> dict[str, int]:
-    """Return a number for each label: its own value if all are distinct whole numbers. Junk has -1, and "" has a free number."""
+    """Return a number for each label: its value if all are distinct whole numbers. Junk has -1, and "" has a free number."""
     distinct = list(dict.fromkeys(label for label in labels if label and label != str(JUNK)))
     whole = all(label.removeprefix("-").isdecimal() and len(label) < 18 for label in distinct)
     values = [int(label) for label in distinct] if whole else []

@@ -67,20 +67,20 @@ class Task:
         model: None if another program computed the descriptors, so that no picture can be described again.
         model_name, data_name: names to display.
         root: the data set's folder.
-        contract: the model's, or for another program's descriptors the one for drawing.
+        contract: of the model; for descriptors of another program, a contract for drawing.
         map_sizes: (h, w) of the feature map of each view.
         queries, gallery: the pictures.
         query_labels, gallery_labels: the place that each picture shows, (Q,) and (G,), -1 for junk.
         query_descriptors, gallery_descriptors: (Q, n, D) and (G, n, D), without part weights.
         truth: true matches and junk of each query, for data sets that list them; None if labels define the true matches.
-        geometry: positions of the pictures; None without positions, such as those of a `geo.csv`.
+        geometry: positions of the pictures, for example from a `geo.csv`; None without positions.
         identity: digests of both sides' descriptors, for the key of the cached ranking; empty if a digest is missing.
         weights: part weights, see `scoring.part_weights`; None for equal ones.
         notes: the user's tags and notes by the query's path, see `lpn.tasks.notes`.
         columns: further columns of the table about the queries.
         calibration: the origin of the pictures' zooms and the model's means; None without one.
         neighbours: of CSLS, see `lpn.retrieval.csls`; 0 ranks without it.
-        no_map: a sentence with the reason why tiles have no positions on a map; empty if they have, or it is unknown.
+        no_map: a sentence with the reason why tiles have no positions on a map; empty if they have some, or it is unknown.
         of_index: the selection of the gallery from a larger index, in words; empty for a whole gallery.
         clauses: the origin of the descriptors, for the sentence of the protocol.
         change: of the queries; its weather falls on the gallery if the queries are tiles and the gallery is not.

@@ -1,15 +1,15 @@
-"""The verdict on an answer: whether it is right, and the parts that decide it, by rules whose claims always hold.
+"""The verdict on an answer: whether it is right, and the parts that decide it.
 
 The shares s_i of the parts, with their terms under CSLS, add up to the squared distance of the ranking. In each part, the
 answer has the gain g_i = s_i(rival) - s_i(answer) over its rival, and the gains add up to its lead. The rival of a right answer
-is the nearest wrong tile; the rival of a wrong answer is the nearest true one. Without a known true tile, it is the next tile.
+is the nearest wrong tile, and of a wrong answer the nearest true tile. Without a known true tile, the rival is the next tile.
 
-- Right: a part *decides* if a wrong tile is first without it, by the remaining parts. If none does, the part of the largest
+- Right: a part *decides* if the remaining parts alone rank a wrong tile first. If no part decides, the part of the largest
   gain *adds most* to the lead.
-- Wrong: a part prefers the tile for which it has a gain, and hardly differs below a bound. Parts that prefer the wrong tile
-  outweigh those that prefer the truth, so the bound is lowered until the named ones do.
+- Wrong: a part prefers the answer or its rival by the sign of its gain; below a bound, it hardly differs. The bound is lowered
+  until the named parts that prefer the wrong tile outweigh the named parts that prefer the truth.
 
-A part that does not count, because its weight is 0 or the query has nothing in it, is never named.
+A part that does not count, because its weight is 0 or it is empty in the query, is never named.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from lpn.retrieval import Match, Ranking
 _EQUAL = 1e-5
 # Gains in d² within this difference are alike.
 _ALIKE = 5e-4
-# A lead below this is shown as none.
+# A lead below this is nearly a tie.
 _TIE = 1e-3
 # Bounds below which a part hardly differs; the first one at which the named parts explain the order is used.
 _BOUNDS = (5e-3, _TIE, 1e-5)
@@ -48,7 +48,7 @@ class Verdict:
         answer: the first tile.
         rival: the compared tile; None without one.
         gains: each part's gain over the rival in d², (n,); None without one.
-        parts: the parts that the headline names for the answer: as deciding, doing most, or preferring the wrong tile.
+        parts: the parts that the headline names: they decide, add most, or prefer the wrong tile.
     """
 
     sign: bool | None
@@ -61,7 +61,7 @@ class Verdict:
 
     @property
     def lead(self) -> float:
-        """The displayed lead over the rival in d², between the displayed distances, see `shown_difference`; 0 without a rival."""
+        """The difference of the displayed distances of rival and answer, see `shown_difference`; 0 without a rival."""
         return 0.0 if self.rival is None else shown_difference(self.rival.distance2, self.answer.distance2)
 
     @property
@@ -157,7 +157,7 @@ def _wrong(found: Verdict, gains: Float64Array, counted: Int64Array, words: _Wor
 
 
 def _alike(gains: Float64Array, counted: Int64Array) -> list[int]:
-    """Return the part of the largest gain, and those that are alike, inner ones first."""
+    """Return the part of the largest gain, and the parts of nearly equal gain, inner parts first."""
     return [part for part in counted.tolist() if gains[part] >= gains[counted].max() - _ALIKE]
 
 
