@@ -26,7 +26,7 @@ DEMO_QUERY = "0394/06"
 
 
 def own_file(folder: Path, name: str) -> Path:
-    """Return the path of a user's file in the folder of the data set or flight; the demo's are in the user's data folder.
+    """Return the path of a user's file: in the folder of the data set or flight, or for the demo in the user's data folder.
 
     Raises:
         OutputError: for the demo, if the user has no home folder.

@@ -6,9 +6,9 @@
 
 `path` is relative to the folder, with forward slashes. Latitude and longitude are WGS 84 degrees of the ground point in the
 middle of the picture, which for an oblique drone picture is not the camera's position. Altitude is the camera's height
-above the ground in metres, heading its direction in degrees clockwise from north, tilt its angle in degrees from the horizon
-(-90, the default, is straight down), fov its horizontal field of view in degrees, width the ground width of a tile in metres.
-The columns from altitude on are optional and may be empty.
+above the ground in metres, and heading its direction in degrees clockwise from north. Tilt is its angle in degrees from the
+horizon; -90, the default, is straight down. Fov is its horizontal field of view in degrees, and width the ground width of a tile
+in metres. The columns from altitude on are optional and may be empty.
 """
 
 from __future__ import annotations

@@ -5,7 +5,7 @@ errors decide the order. Closer false tiles are compared in double precision, an
 many close tiles, as in a collapsed network, has all scores in double precision.
 
 An inner product of F numbers in single precision (u = 2^-24), summed in any order over chunks of L and then over the chunks,
-has an error of at most (L + ceil(F / L) + 2) u |q| |g|, which includes two roundings of the numbers themselves (Higham, "Accuracy
+has an error of at most (L + ceil(F / L) + 2) u |q| |g|. This includes two roundings of the numbers themselves (Higham, "Accuracy
 and Stability of Numerical Algorithms", 3.1). Numbers far from 1 are multiplied by powers of two first, so no product overflows.
 """
 
