@@ -1,6 +1,6 @@
 """Checksums of written files, to detect flipped bytes.
 
-A model file has a seal in its metadata: the SHA-256 of the whole file, computed with zeros as the seal's own digits. It is
+A model file has a seal in its metadata: the SHA-256 of the whole file, computed with zeros in place of the seal. The seal is
 checked whenever the file is opened, before anything else is read. A store's arrays are too large for that; `lpn doctor PATH`
 compares them with the sums in its files.
 """
@@ -25,7 +25,7 @@ _DIGITS = 64
 UNSEALED = _PREFIX.decode() + "0" * _DIGITS
 # The seal lies within this many bytes of either end: .safetensors begin with their metadata, our .onnx end with it.
 _SEARCHED = 4_000_000
-# A model file may claim this many times its size (shared weights count up to three times), and always this many bytes.
+# A model file may claim this many times its size (shared weights count up to three times), plus this many bytes.
 _MAX_RATIO, _ALLOWANCE = 8, 1_000_000
 
 
@@ -66,7 +66,7 @@ def check_seal(path: Path, remedy: str) -> bool:
 
 
 def check_entries(path: Path, remedy: str) -> bool:
-    """Compare the entries of a PyTorch file with their CRC-32, which PyTorch writes and does not read.
+    """Compare the entries of a PyTorch file with their CRC-32, because PyTorch itself does not.
 
     Returns:
         True if the file has entries; a truncated one and PyTorch's older format have none.

@@ -1,4 +1,4 @@
-"""Consoles for tables, progress bars, and streams that keep control characters in names and messages from the terminal."""
+"""Consoles, progress bars, and streams; no control character of a name or message reaches the terminal through them."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _COLOUR = re.compile(r"(\x1b\[[0-9;]*m)")
 
 
 class Console(rich_console.Console):
-    """A console whose texts have no control characters; its own colours and bars do."""
+    """A console that replaces the control characters of texts, and keeps its colours and bars."""
 
     def render(self, renderable: Any, options: Any = None) -> Iterator[Segment]:
         """Yield the base class's segments, with their texts made `printable`."""
@@ -31,7 +31,7 @@ class Console(rich_console.Console):
 
     @property
     def file(self) -> IO[str]:
-        """The terminal's own stream. A running bar wraps that of `plain_streams`, and `rich` unwraps only one of the two."""
+        """The terminal's stream. A running bar wraps the stream of `plain_streams`, and `rich` unwraps only one layer."""
         file = super().file
         return getattr(file, "rich_proxied_file", file)
 
@@ -84,7 +84,7 @@ def terminal() -> Console:
     return Console(stderr=True, force_jupyter=False, force_terminal=sys.stderr.isatty())
 
 
-# Seconds between two lines about a stage without a terminal for a bar.
+# Seconds between two printed lines about a stage, if there is no terminal for a bar.
 _LINES = 30.0
 
 

@@ -1,7 +1,7 @@
 """CSV files that a spreadsheet may open: no text is run as a formula, and every line break stays within its cell.
 
 A spreadsheet computes a cell that begins with =, +, -, or @; some skip a tab or a line break before it. Such a text gets an
-apostrophe in front. So do its parts after a semicolon, a tab, or a line break, which end a cell if semicolons separate values.
+apostrophe in front. So do its parts after a semicolon, a tab, or a line break, where a spreadsheet may end the cell.
 `unescape` removes these apostrophes. Numbers are unchanged, negative ones too.
 """
 
@@ -39,7 +39,7 @@ def csv_bytes(rows: Iterable[Iterable[object]], *, keep: str = "\n\t", own: bool
 
     Args:
         keep: see `printable`.
-        own: the file is read back; texts keep all characters, also the bytes of a file name that is not UTF-8.
+        own: True for a file that lpn reads back; its texts keep all characters, also bytes of file names that are not UTF-8.
     """
     shown = str if own else partial(printable, keep=keep)
     lines: list[str] = []

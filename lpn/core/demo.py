@@ -11,7 +11,7 @@ _PACKAGE = Path(__file__).parents[1]
 ASSETS = _PACKAGE / "assets" if (_PACKAGE / "assets").is_dir() else _PACKAGE.parent / "assets"
 DEMO = ASSETS / "demo"
 DEMO_MODEL = DEMO / "lpn.onnx"
-# The model of one part, trained alike; the explorer offers it for comparison if the file exists.
+# The model of one part, trained in the same way; the explorer offers it for comparison if the file exists.
 DEMO_BASELINE = DEMO / "baseline.onnx"
 # The folder of a map, and a rendered flight over it; the explorer offers both beside the city if they exist.
 DEMO_FLIGHT = DEMO.with_name("demo-flight") / "map-in-spring", DEMO.with_name("demo-flight") / "flight-in-autumn"
@@ -26,7 +26,7 @@ DEMO_QUERY = "0394/06"
 
 
 def own_file(folder: Path, name: str) -> Path:
-    """Return the path of a user's file: in the folder of the data set or flight, but for the demo in the user's data folder.
+    """Return the path of a user's file: in the folder of the data set or flight, or for the demo in the user's data folder.
 
     Raises:
         OutputError: for the demo, if the user has no home folder.

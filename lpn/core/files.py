@@ -153,7 +153,7 @@ def portable(value: object) -> object:
 
 
 def linked_folder(path: Path) -> Path:
-    """Return a folder, or the folder beside it that is named by a text file in its place.
+    """Return `path`; if it is a text file, return the folder beside it that the file names.
 
     Git writes such a file for a symbolic link on systems without links; Python packages know no links at all.
     """

@@ -41,7 +41,7 @@ PNG = b"\x89PNG\r\n\x1a\n"
 _DAMAGED = (
     OSError, ValueError, SyntaxError, EOFError, RuntimeError, OverflowError, MemoryError, LookupError, TypeError, struct.error
 )  # fmt: skip
-# The largest value of the upper 8 of 16 bits if at most the lowest 12 are used: such a picture looks black.
+# If a picture of 16 bits uses the lowest 12 at most, its upper 8 bits do not exceed this, and it looks black.
 _BLACK = 16
 _ORIENTATION = 0x0112
 # The transforms of EXIF orientations from 2 on.
@@ -83,8 +83,8 @@ def decode_picture(
     """Decode the bytes of a picture file, or an animation's first frame; only messages use `name` and `kinds`.
 
     Args:
-        side: pixels of the longer side that the caller needs; a picture at least four times as long is decoded at 1/2, 1/4, or
-            1/8 of its size, at least twice as long as needed, which saves memory. None decodes every pixel.
+        side: pixels of the longer side that the caller needs. A picture at least four times as long is decoded at 1/2, 1/4, or
+            1/8 of its size, and stays at least twice as long as needed. None decodes every pixel.
         upright: see `load_picture`.
 
     Raises:
@@ -279,8 +279,8 @@ def resize(picture: UInt8Array, height: int, width: int, how: str = "bicubic") -
     """Resize to (height, width, 3) without crop.
 
     Args:
-        how: by Pillow "bicubic", as in the published code, or "bilinear", both with anti-aliasing; by OpenCV "linear", without
-            anti-aliasing and equal on every machine, or "area", the mean over the area of each pixel.
+        how: "bicubic" (as in the published code) or "bilinear", both by Pillow with anti-aliasing; or by OpenCV "linear"
+            (without anti-aliasing, equal on every machine) or "area" (the mean over the area of each pixel).
     """
     if picture.shape[:2] == (height, width):
         return picture

@@ -17,7 +17,7 @@ from lpn.core.files import printable
 MAX_LIST_BYTES = 100_000_000
 # Maximum of characters of a line in a message.
 _SHOWN = 200
-# Excel saves a table in UTF-16 with tabs. If Excel writes semicolons, its first line has neither of these two.
+# Excel saves a table in UTF-16 with tabs. If Excel writes semicolons, the first line has no comma and no tab.
 _SEPARATORS = ",\t"
 # Excel's first line that names the separator.
 _NAMED_SEPARATOR = re.compile(r"\"?sep=([,;\t])\"?\r?\n", re.IGNORECASE)
@@ -46,7 +46,7 @@ def decoded(data: bytes, name: str, errors: str = "strict") -> str:
     """Decode a file's contents in UTF-8 or UTF-16, with or without a byte order mark; DataError for others.
 
     Args:
-        errors: of UTF-8, see `read_text`.
+        errors: handling of errors in UTF-8, see `read_text`.
     """
     # Every other byte of a list in UTF-16 is 0, as its letters are mostly ASCII.
     head = data[:1000]
@@ -68,7 +68,7 @@ def numbered_lines(path: Path, name: str) -> Iterator[tuple[str, str]]:
 
 
 def read_json(path: Path, name: str, most: int = MAX_LIST_BYTES) -> Any:
-    """Read the value of a JSON file up to a limit of bytes; errors as for `read_text`, and if it is not JSON."""
+    """Read the value of a JSON file of at most `most` bytes; DataError as for `read_text`, or if the file is not JSON."""
     try:
         return json.loads(read_text(path, name, most=most))
     except (ValueError, RecursionError) as error:
@@ -87,7 +87,7 @@ class SeparatedValues(NamedTuple):
     """A text of separated values.
 
     Attributes:
-        decimal_comma: whether numbers may have a decimal comma, because commas separate nothing else.
+        decimal_comma: whether numbers may have a decimal comma, because no comma separates values.
         rows: the rows that are not blank, each with its line number from 1; raises DataError if values cannot be separated.
     """
 
@@ -96,7 +96,7 @@ class SeparatedValues(NamedTuple):
 
 
 def separated(text: str, name: str, strict: bool = False) -> SeparatedValues:
-    """Split a text at its first line's more frequent separator, comma or tab, or at the one named by a line such as `sep=;`.
+    """Split a text at commas or tabs, the more frequent in the first line, or as a line such as `sep=;` says.
 
     A first line with semicolons and neither commas nor tabs is split at semicolons.
 
@@ -143,9 +143,9 @@ def table(
     """Read a table whose first line names its columns.
 
     Args:
-        fits: returns whether these are the columns.
+        fits: returns whether a list of columns is valid.
         expected: the expected columns, for messages.
-        decimals: columns in which a decimal comma becomes a point, if commas separate nothing else.
+        decimals: columns in which a decimal comma becomes a point, if no comma separates values.
         tidy: normalises a column's name.
 
     Returns:

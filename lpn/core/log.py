@@ -75,7 +75,7 @@ def conceal(secret: str | None) -> None:
 
 
 class StderrHandler(logging.Handler):
-    """Writes one line a record; tracebacks follow, indented: of our own loggers, or of all with `whole_tracebacks`.
+    """Writes one line a record. Indented tracebacks of our loggers follow; with `whole_tracebacks`, those of all loggers.
 
     Attributes:
         secrets: texts that no line may contain.

@@ -25,7 +25,7 @@ def table(caption: str, headings: Sequence[str], rows: Iterable[Sequence[object]
 
 
 def percentages(caption: str, heading: str, rows: Mapping[str, Mapping[str, float]]) -> str:
-    """Return a table of percentages; all rows have equal names, NaN is unknown, and `heading` heads the rows' names."""
+    """Return a table of percentages, NaN if unknown; all rows have the same columns, and `heading` names the first column."""
     names = next(iter(rows.values()))
     return table(
         caption,

@@ -28,7 +28,7 @@ def rounded_to_sum(values: Sequence[float], total: float | None = None) -> list[
     If any is not finite, each is rounded on its own.
 
     Args:
-        total: the displayed sum if it is rounded otherwise; within one unit of the last place of the sum.
+        total: the displayed sum if it is rounded in another way; it may differ by one unit of the last decimal place.
     """
     if not all(map(math.isfinite, values)):
         return [round(float(value), _DIGITS) for value in values]

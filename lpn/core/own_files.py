@@ -19,12 +19,12 @@ _Contents = TypeVar("_Contents")
 
 @dataclass(frozen=True)
 class OwnFileFormat(Generic[_Contents]):
-    """The reading and changing of such a file.
+    """The format of one kind of these files.
 
     Attributes:
         holds: the noun for its contents, in the plural, such as "notes".
         decode: returns the contents of bytes of a file; raises DataError if they are damaged.
-        encode: the inverse.
+        encode: the inverse of `decode`.
         empty: returns the contents of a file that does not exist.
         smaller: the remedy for too large contents, such as "shorten other notes first".
         max_bytes: maximum of bytes of the file.

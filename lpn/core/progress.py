@@ -44,7 +44,7 @@ def listening(listener: Listener) -> Iterator[None]:
 
 @contextmanager
 def ended() -> Iterator[None]:
-    """Finish the last stage that the body reports, because a list that is read from a store reports nothing further."""
+    """Report the body's last stage as complete at its end, because a list that is read from a store reports no progress."""
     outer, last = _listener.get(), list[tuple[str, int, int]]()
     if outer is None:
         yield
@@ -63,7 +63,7 @@ def ended() -> Iterator[None]:
 
 @contextmanager
 def counted_among(before: int, total: int) -> Iterator[None]:
-    """Count the items of one of several lists among all: after those of the lists `before`, out of `total`."""
+    """Report one list's progress as progress of several lists: `before` items are already done, out of `total`."""
     outer = _listener.get()
     if outer is None:
         yield
@@ -80,7 +80,7 @@ def tracked(stage: str, items: Iterable[T], total: int) -> Iterator[T]:
 
 
 def at_intervals(seconds: float, receive: CountProgress, at_once: bool = False) -> CountProgress:
-    """Return a function that passes counts on at most once in `seconds`; the first one after `seconds`, or `at_once`."""
+    """Return a function that passes on counts at most once in `seconds`; with `at_once`, the first one without delay."""
     last = -math.inf if at_once else time.monotonic()
 
     def report(done: int, total: int) -> None:

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 NAME = "lpn-explorer"
 # Packages that replace a required one, because they hold its modules.
 _STAND_INS = {"onnxruntime": "onnxruntime-gpu"}
-# The required package of a module whose name differs.
+# The package of each module, if their names differ.
 _PACKAGES = {
     **{"yaml": "pyyaml", "umap": "umap-learn", "numba": "umap-learn", "sklearn": "umap-learn", "faiss": "faiss-cpu"},
     **{"affine": "rasterio", "orthomosaic": "pyorthomosaic", "fsspec": "ray"},

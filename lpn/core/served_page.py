@@ -18,7 +18,7 @@ _FRAME = Markup('<iframe src="{}" title="LPN Explorer" style="width: 100%; heigh
 class ServedPage:
     """A page that this process serves until it is closed, or the process ends.
 
-    A notebook shows the page in the cell whose value it is. As a context manager, it closes the page at the end of the block.
+    A notebook shows the page as the value of a cell. As a context manager, it closes the page at the end of the block.
 
     Args:
         url: the address for a browser.

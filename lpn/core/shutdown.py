@@ -1,6 +1,6 @@
 """Stopping on Ctrl-C and SIGTERM: finish the files being written, print one sentence, and exit.
 
-The first signal raises KeyboardInterrupt in the main thread; if that thread is writing a file, after the file is complete.
+The first signal raises KeyboardInterrupt in the main thread; a file that this thread is writing is completed first.
 A second signal exits at once. Files on the disk are complete at any moment (see `lpn.core.files.write_atomic`).
 """
 

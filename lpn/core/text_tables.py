@@ -49,7 +49,7 @@ class TextTable:
         title: the text above it.
         after: sentences below it.
         align: l or r for each column, left or right; the last letter counts for all further columns.
-        ruled: numbers, from 0, of the rows below a line on a terminal.
+        ruled: numbers, from 0, of rows; a terminal shows a line above each.
     """
 
     head: Sequence[str]
@@ -81,7 +81,7 @@ class TextTable:
                 console.print(text, markup=False, highlight=False, soft_wrap=text is not table)
 
     def markdown(self, level: int = 2) -> str:
-        """Return the table in Markdown under a heading of this level, with an empty line after each."""
+        """Return heading, table, and sentences in Markdown, each followed by an empty line; the heading has this level."""
         rule = ["---" if side == "l" else "---:" for side in self.sides]
         rows = (f"| {' | '.join(map(markdown_text, row))} |" for row in (self.head, rule, *self.rows))
         title = f"{'#' * level} {markdown_text(self.title)}" if self.title else ""

@@ -22,7 +22,7 @@ BRANCH: dict[View, str] = {"satellite": "model_1", "street": "model_2", "drone":
 
 
 def branch_of(pictures: str) -> View:
-    """Return the view whose branch describes a set of training pictures; "google" pictures go through the street's."""
+    """Return the view whose branch describes a set of training pictures; "google" pictures use the street branch."""
     return "street" if pictures == "google" else cast(View, pictures)
 
 

@@ -54,7 +54,7 @@ def open_dataset(root: str | Path) -> Dataset:
     """Recognise the layout of a data set's folder and open it.
 
     Args:
-        root: its folder; for a data set with several test splits also the folder of one, such as ROOT/cross-area or ROOT/city.
+        root: its folder; with several test splits, also the path of one of them, such as ROOT/cross-area or ROOT/city.
 
     Raises:
         DataError: if the folder does not exist, its layout is unknown, or one of its lists is damaged.

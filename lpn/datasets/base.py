@@ -128,7 +128,7 @@ class Size:
 
 
 def sizes(**lists: Mapping[str, tuple[int | None, int | None]]) -> dict[str, Size]:
-    """Return the sizes of lists by name, given as (pictures, places) by view for `train`, `query`, `gallery`, or `test`."""
+    """Return the size of each list by its name, from (pictures, places) by view for `train`, `query`, `gallery`, or `test`."""
     prefixes = {"train": "train/", "query": "test/query_", "gallery": "test/gallery_", "test": "test/"}
     return {prefixes[role] + view: Size(*size) for role, of in lists.items() for view, size in of.items()}
 
@@ -185,22 +185,22 @@ class Dataset:
 
     Attributes:
         root: the folder.
-        files: the files below it, which resolves listed names.
+        files: the files below it, for the look-up of listed names.
         split: the split that is read, such as "cross-area"; None for a layout with one.
         kind: the recognised layout, such as "University-1652".
         title: the name of the folder in `lpn doctor`.
         marks: patterns of paths below the root, with a slash at the end for folders; a folder with all paths of one of the tuples
             has this layout.
         priority: layouts of a higher priority are tried first.
-        deep: `recognises` searches the whole folder, so it is called last, and for no folder above or below.
-        splits: lists of each split; at least one must exist. A path may end in a split's name.
+        deep: `recognises` searches the whole folder, so it is called last, and only for the folder to open.
+        splits: lists of each split; at least one must exist. The path to open may end in a split's name.
         folders: folders below the root whose pictures are all read.
         expected: the expected layout, for the errors about missing pictures.
         panoramas: True if street pictures show the full circle with north in the middle column, as in CVUSA and CVACT.
         group_name: the quantity by which pictures are grouped, such as "height" in metres or "city"; empty without groups. The
-            results of a group take its queries and gallery pictures, and all pictures without a group.
+            results of a group are those of its pictures together with all pictures without a group.
         mean_of_groups: whether the published figure is the mean of its groups' figures.
-        trained_distractors: True if the test gallery holds the places to train on, as published.
+        trained_distractors: True if the published test gallery contains the training places.
         trapezoid: see `Truth`.
         measured_by: the published evaluation that measures distances on it; None if its results are recall and AP alone.
         positions_from: the source of `place`, for messages; "" for a data set with positions in `geo.csv`.

@@ -6,9 +6,9 @@
 
 `path` is relative to the folder, with forward slashes. Latitude and longitude are WGS 84 degrees of the ground point in the
 middle of the picture, which for an oblique drone picture is not the camera's position. Altitude is the camera's height
-above the ground in metres, heading its direction in degrees clockwise from north, tilt its angle in degrees from the horizon
-(-90, the default, is straight down), fov its horizontal field of view in degrees, width the ground width of a tile in metres.
-The columns from altitude on are optional and may be empty.
+above the ground in metres, and heading its direction in degrees clockwise from north. Tilt is its angle in degrees from the
+horizon; -90, the default, is straight down. Fov is its horizontal field of view in degrees, and width the ground width of a tile
+in metres. The columns from altitude on are optional and may be empty.
 """
 
 from __future__ import annotations
@@ -79,7 +79,7 @@ class Positions:
 
     Args:
         root: the data set's folder.
-        by_path: the positions by paths relative to it; by default those of its `geo.csv`.
+        by_path: positions by path relative to `root`; by default, the contents of `geo.csv`.
         source: the file with the positions, for messages.
 
     Raises:
@@ -107,9 +107,9 @@ class Positions:
         return [known[name] for name in names]
 
     def match(self, names: Sequence[str]) -> list[Position | None]:
-        """Return positions of paths below another described folder; None for pictures without one.
+        """Return the position of each path below a described folder; None for a path without a position.
 
-        The other folder may lie below the data set's: the prefix that fits most names is used, on a tie the data set's own.
+        That folder may lie below the data set's: paths get the prefix that fits most of them; on a tie, the empty one.
 
         Raises:
             InputError: if two prefixes fit equally many names, at different positions.
@@ -155,7 +155,7 @@ def positions(root: Path) -> Positions | None:
 
 
 def metres(a: Sequence[Position], b: Sequence[Position]) -> Float64Array:
-    """Return the distance in metres between each position in `a` and the one in `b`, see `geodesic`: (N,) float64."""
+    """Return the distance in metres of each pair of positions from `a` and `b`, see `geodesic`: (N,) float64."""
     return geodesic(degrees(a), degrees(b))
 
 
@@ -163,7 +163,7 @@ def geodesic(a: npt.ArrayLike, b: npt.ArrayLike) -> Float64Array:
     """Return the distance in metres on the WGS 84 ellipsoid between latitude and longitude in degrees (..., 2).
 
     The app, tables, and reports show this distance. It is Vincenty's inverse formula (1975), exact to less than a millimetre.
-    Nearly antipodal points, for which that does not converge, get a sphere's distance, exact to 0.6 %.
+    It does not converge for nearly antipodal points; they get the distance on a sphere, exact to 0.6 %.
     """
     p, q = np.broadcast_arrays(np.radians(np.asarray(a, np.float64)), np.radians(np.asarray(b, np.float64)))
     east = q[..., 1] - p[..., 1]
@@ -208,7 +208,7 @@ def on_plane(places: Sequence[Position], origin: Position) -> Float64Array:
 
 
 def metres_per_degree(latitude: float) -> tuple[float, float]:
-    """Return the metres of a degree of latitude and of longitude at a latitude on the WGS 84 ellipsoid."""
+    """Return the lengths in metres of a degree of latitude and of longitude, at a latitude on the WGS 84 ellipsoid."""
     e2 = _FLATTENING * (2 - _FLATTENING)
     sine = np.sin(np.radians(latitude))
     north = _EQUATOR * (1 - e2) / (1 - e2 * sine**2) ** 1.5
@@ -219,7 +219,7 @@ def metres_per_degree(latitude: float) -> tuple[float, float]:
 def camera(place: Position, origin: Position) -> Float64Array | None:
     """Return the camera's position in metres east, north, and up from an origin, (3,); None without an altitude.
 
-    An oblique camera is behind the ground point that it shows, by its height and tilt.
+    An oblique camera is behind the ground point that it shows; height and tilt determine the distance.
     """
     if place.altitude is None:
         return None

@@ -85,7 +85,7 @@ def check_whole(files: Sequence[Path], what: str, root: Path | None = None) -> N
 
     Args:
         what: the plural noun for the files, such as "pictures".
-        root: the folder that shown names are relative to.
+        root: names in the message are relative to this folder.
 
     Raises:
         PictureError: naming the first broken files with their errors.
@@ -146,7 +146,7 @@ def check_test_split(dataset: Dataset, tasks: Sequence[str]) -> None:
 
 
 def check_positions(dataset: Dataset, pictures: Sequence[Picture]) -> str:
-    """Return the source of the test pictures' positions, "" without any; DataError if one of them lacks its own."""
+    """Return the source of the test pictures' positions, "" without any; DataError if one picture lacks its position."""
     positions = dataset.positions()
     if positions is not None:
         positions.of(pictures)

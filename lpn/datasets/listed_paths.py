@@ -85,7 +85,7 @@ class FilesBelow:
         self._folders: dict[str, str | None] = {"": ""}
 
     def find(self, path: str) -> str | None:
-        """Return the file of a plain path, or the only one that differs in case alone; None without one."""
+        """Return a plain path if it exists, else the only existing path that differs in case alone, else None."""
         folder, _, name = path.rpartition("/")
         if is_absolute(path) or ".." in (name, *folder.split("/")):
             return None

@@ -38,7 +38,7 @@ pickle.dump(found, sys.stdout.buffer, protocol=5)
 
 
 def load(path: Path, names: Sequence[str], expected: str, simplify: bool = False) -> dict[str, Any]:
-    """Read those of the named variables that a MATLAB 5 file contains, as `scipy.io.loadmat` returns them.
+    """Read named variables of a MATLAB 5 file, as `scipy.io.loadmat` returns them; missing ones are left out.
 
     Args:
         expected: the expected contents, for messages.

@@ -1,7 +1,7 @@
 """Metadata of a data set's pictures, as columns of a table.
 
     geo.csv        latitude, longitude, altitude, heading, tilt, fov, width: see `lpn.datasets.geo`
-    world.json     the building on each picture of a rendered world: district, its character, kind, height, twins
+    world.json     the building on each picture of a rendered world: district and its character, kind, height, twins
     metadata.csv   anything else, one line a picture:
 
         path,weather,battery
@@ -51,7 +51,7 @@ def columns(root: Path, paths: Sequence[str], taken: Sequence[str] = ()) -> list
 
     Args:
         root: the data set's folder.
-        paths: the pictures, below it.
+        paths: the pictures' paths below `root`.
         taken: column names that metadata.csv must not use.
 
     Raises:

@@ -26,7 +26,7 @@ def is_rendered(root: Path) -> bool:
 
 
 def shows_rendered(root: Path) -> bool:
-    """Return whether a folder of pictures or photos is rendered; see the other two functions."""
+    """Return whether a folder belongs to a rendered city or to a rendered flight."""
     return is_rendered(root) or is_rendered_flight(root)
 
 

@@ -70,7 +70,7 @@ def _cached(model: Model, pictures: Sequence[Picture], view: View, change: Chang
 
 @contextmanager
 def in_cache() -> Iterator[None]:
-    """Add to the error of a store in the user's cache that LPN_CACHE selects another folder."""
+    """Add a remedy to errors of the user's cache: LPN_CACHE selects another folder."""
     try:
         yield
     except (StoreError, OutputError) as error:
@@ -129,7 +129,7 @@ def shipped_only(
 ) -> StoredDescriptors | None:
     """Return the descriptors of queries, of the gallery, or of either, that ship with the data set in `root`; None without them.
 
-    The first model's stores come first, then those of others in their own folders. For `exact` see `shipped_descriptors`.
+    Stores directly in `STORES` come before those in its subfolders. For `exact` see `shipped_descriptors`.
     """
     name = f"{role or '*'}_{view}"
     found = [store for pattern in (name, f"*/{name}") for store in sorted((root / STORES).glob(pattern))]

@@ -1,8 +1,8 @@
 """Pictures described by Ray's workers (the extra `cluster`), on this machine or on many, into one store.
 
-A worker reads the pictures of a part, describes them as `lpn describe` on one machine does, and writes the part. Driver and
-workers exchange names only. A killed worker repeats its part; after a killed driver, the next run describes what is in no part.
-At its end a run names the parts in store.json. Folders may be addresses (`lpn.descriptors.places`).
+A worker reads the pictures of a part, describes them as `lpn describe` on one machine does, and writes the part. Pictures and
+descriptors never pass through the driver. Ray repeats the part of a killed worker; after a killed driver, the next run describes
+the rest. At its end a run names the parts in store.json. Folders may be addresses (`lpn.descriptors.places`).
 
 Broken pictures do not stop a run, unlike on one machine: among millions, some are always broken. They are listed in broken.csv.
 """
@@ -101,7 +101,7 @@ def describe_by_many(
     size: int = _PICTURES,
     worker: type[DescribeWorker] | None = None,
 ) -> Summary:
-    """Describe all pictures below a folder or prefix into a store, except for those that it has; it reports its progress.
+    """Describe all pictures below a folder or prefix that a store lacks, and add them to it; it reports its progress.
 
     Args:
         model: an exported model, `.onnx`; only this machine needs the file.
@@ -174,7 +174,7 @@ def _locked(folder: Path) -> Iterator[None]:
 
 
 def _held(target: Storage, kind: DescriptorKind, rows: Sequence[Row]) -> tuple[list[PartEntry], list[Row], int]:
-    """Return the parts of a place that hold some of the rows, each row once; the rows in none; and the next part's number."""
+    """Return the parts in `target` with some of the rows, each row once; the rows in no part; and the next part's number."""
     left, found, number = {row: i for i, row in enumerate(rows)}, [], 1
     with tempfile.TemporaryDirectory(prefix="lpn-") as name, suppress(FileNotFoundError):
         folder = Path(name)

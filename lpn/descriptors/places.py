@@ -65,10 +65,10 @@ class Storage:
             ) from error
 
     def copy(self, folder: Path, *, vectors: bool = True) -> dict[str, int]:
-        """Copy the store here to a folder of this machine; without vectors, only what lists its rows.
+        """Copy this store to a folder of this machine; without `vectors`, only the rows.json of each part.
 
         Returns:
-            The size of each file here, by its path below this place.
+            The size of each file of this store in bytes, by its path.
         """
         names = (MANIFEST, ROWS, VECTORS) if vectors else (ROWS,)
         there = self._files.find(self._root, detail=True) if self._files.exists(self._root) else {}

@@ -118,7 +118,7 @@ class DescriptorKind:
     def of_model(
         cls, model: Model, view: View, change: Change = UNCHANGED, precision: Precision = "float32"
     ) -> DescriptorKind:
-        """Return the kind of the descriptors that a model gives of changed pictures."""
+        """Return the kind of a model's descriptors of changed pictures."""
         change = replace(change, scale=change.scale * change.zoom, zoom=1.0)
         role = model.role(view) if model.contract.roles == "role" else None
         return cls(model.fingerprint, model.n_parts, model.embedding, None, view, change, precision, role)
@@ -330,10 +330,10 @@ class Store:
     """The parts that store.json names, at the time when it was read.
 
     Attributes:
-        folder, manifest: where it is, and its contents.
+        folder, manifest: its folder, and the contents of store.json.
         kind: the kind of descriptors.
         parts: oldest first.
-        stamp: identifies the version of store.json, for a reader that follows it.
+        stamp: identifies the version of store.json, so that a reader notices a change.
         kept: the rows of each part that no newer part replaces, ascending; None for all.
     """
 
@@ -449,7 +449,7 @@ def open_store(folder: str | Path, known: Mapping[str, Part] | None = None) -> S
     """Open a store.
 
     Args:
-        known: open parts by their names, which are used again.
+        known: open parts by name, which need not be opened again.
 
     Raises:
         StoreError: if the folder is not a complete store, or its files do not match.
@@ -464,7 +464,7 @@ def open_store(folder: str | Path, known: Mapping[str, Part] | None = None) -> S
 def check_replaceable(
     held: Manifest, parts: Iterable[tuple[Path, PartRows]], kind: DescriptorKind, where: object
 ) -> None:
-    """Raise StoreError if a store holds other descriptors, or is an index, whose tiles no description gives back.
+    """Raise StoreError if a store holds other descriptors, or is an index, because its tiles could not be restored.
 
     Args:
         parts: parts in its folder, with their rows.
@@ -494,7 +494,7 @@ def write_part(
         rows: the pictures, (B,).
         blocks: their descriptors in the precision of the kind, block by block, (B, n, D) in all.
         positions: latitude and longitude in degrees, (B, 2), NaN for a row without a position; None for no positions.
-        number: by which parts are ordered; by default after all others.
+        number: position of the part in the order of parts; by default the last.
     """
     number = number or 1 + max((int(path.name.split("-")[1]) for path in parts_of(folder)), default=0)
     part = folder / f"part-{number:07d}-{secrets.token_hex(3)}"
@@ -541,7 +541,7 @@ def parts_of(folder: Path) -> list[Path]:
 
 
 def whole_parts(folder: Path) -> Iterator[tuple[Path, PartRows]]:
-    """Yield the folder and the rows of each part of `parts_of` that is not cut off."""
+    """Yield the folder and the rows of each part of `parts_of` whose rows.json is whole."""
     for part in parts_of(folder):
         try:
             notes = PartRows.read(part)
@@ -598,7 +598,7 @@ def unwritable(folder: Path, error: Exception) -> StoreError:
 
 @contextmanager
 def readable(file: Path) -> Iterator[None]:
-    """Turn errors of reading a file of a store into sentences."""
+    """Turn an error in reading a file of a store into a StoreError with a sentence for the user."""
     try:
         yield
     except FileNotFoundError as error:

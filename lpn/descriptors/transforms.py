@@ -67,7 +67,7 @@ class Change:
         return images.zoom(turn(self.weather.apply(picture), self.rotate), self.scale * self.zoom)
 
     def for_picture(self, picture: Picture, zoom: float | None = None) -> Change:
-        """Return this transform for a picture, which may be a panorama; `zoom` replaces its own zoom."""
+        """Return this transform for a picture, which may be a panorama; `zoom` replaces the picture's zoom."""
         return replace(self, around=picture.panorama, zoom=picture.zoom if zoom is None else zoom)
 
     def move(self, shaped: UInt8Array) -> UInt8Array:

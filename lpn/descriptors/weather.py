@@ -156,8 +156,8 @@ def frequency_noise(height: int, width: int, side: int, rng: Generator) -> Float
 def rain(picture: UInt8Array, rng: Generator, drop: tuple[float, float]) -> UInt8Array:
     """Draw one layer of rain, imgaug's RainLayer: drops of opacity 1.3 noise / 255, at most 1.
 
-    The drops' grey is 110 + 130 mod (the sum of the first 1000 values of the noise, each repeated for red, green, and blue), and
-    so 240 unless these are nearly 0.
+    The drops' grey is 110 + 130 mod S, for the sum S of the first 1000 values of the noise, each repeated for red, green, and
+    blue. It is 240 if S exceeds 130.
 
     Args:
         drop: range of the drop size, 0 .. 1; noise is drawn at 1 - drop size of the picture's size.
@@ -237,7 +237,7 @@ def motion_kernel(length: int, angle: float, direction: float) -> Float32Array:
 
 
 def half_lit(picture: UInt8Array, _: Generator) -> UInt8Array:
-    """Return the mean of the picture + 100, at most 255, and a fifth of the picture: the first blend of MuseNet's dark."""
+    """Return (min(picture + 100, 255) + floor(picture / 5)) / 2, rounded: the first blend of MuseNet's dark."""
     values = np.arange(256, dtype=np.float32)
     lighter, darker = np.minimum(values + 100, 255), np.floor(values * np.float32(0.2))
     return cast(UInt8Array, cv2.LUT(picture, np.round((lighter + darker) / 2).astype(np.uint8)))

@@ -154,7 +154,7 @@ def _broken(errors: Sequence[tuple[str, PictureError]], total: int) -> PictureEr
 
 
 class PartialStore:
-    """The rows of a future store: those of the parts on disk, and those that are put and become further parts."""
+    """The rows of a future store, taken from parts on disk, or set by `put` and saved as further parts."""
 
     def __init__(self, folder: Path, kind: DescriptorKind, rows: Sequence[Row]) -> None:
         self.folder, self.kind, self.rows = folder, kind, rows
@@ -165,7 +165,7 @@ class PartialStore:
             with suppress(OSError):  # without its vectors, the part is left out
                 if here and sum_of(part / VECTORS) == notes.sum:
                     found |= here
-        # The part of each row, and its place in it.
+        # The part of each row, and the row's number in that part.
         self._places = [found.get(row) for row in rows]
         self._waiting: dict[int, AnyArray] = {}
         self._saved = time.monotonic()
@@ -213,7 +213,7 @@ class PartialStore:
         return Store(self.folder, Manifest(kind=self.kind, parts=entries), parts)
 
     def finish(self) -> None:
-        """Make the rows the store: one part in their order, which is written unless there is such a one."""
+        """Make a store of one part with the rows in order; write this part unless it exists."""
         one = {at[0] for at in self._places if at is not None}
         entry = None
         if len(one) == 1 and [at[1] for at in self._places if at is not None] == list(range(len(self.rows))):
@@ -262,7 +262,7 @@ def write_store(
 
 
 def _fill(partial: PartialStore, fill: Callable[[PartialStore], None]) -> None:
-    """Fill a store, and save what was put even if `fill` is interrupted."""
+    """Fill a store, and save its rows even if `fill` is interrupted."""
     try:
         fill(partial)
     finally:

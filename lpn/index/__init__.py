@@ -4,8 +4,8 @@
     faiss     the same with codes beside it, for 10^6 to 10^7 tiles on one machine (`lpn.index.faiss`, the extra `search`)
     milvus    milvus://..., a collection on a server or a cluster (`lpn.index.milvus`, the extra `cluster`)
 
-An engine is an entry point of the group `lpn.indexes`, a subclass of `Index`. Those of folders are recognised by store.json, and
-others by the scheme of their address. The package imports `retrieval` and the packages below it; `doctor` and `cli` import it.
+An engine is an entry point of the group `lpn.indexes`, a subclass of `Index`. A folder's store.json names its engine, and so does
+the scheme of an address. The package imports `retrieval` and the packages below it; `doctor` and `cli` import it.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ def open_index(where: str | Path, fingerprint: str | None = None) -> Index:
 
     Raises:
         StoreError: when there is no index, it is damaged, or it holds descriptors of another model.
-        InputError: when the address is malformed, or it holds descriptors of queries.
+        InputError: when the address is malformed, or the index contains descriptors of queries.
         ModuleNotFoundError: when the package of its engine is not installed.
     """
     scheme, is_url, _ = str(where).partition("://")
@@ -55,7 +55,7 @@ def create_index(where: str | Path, kind: DescriptorKind, engine: str | None = N
 
     Args:
         where: a folder, or an address such as milvus://host:port/collection.
-        engine: "exact" or "faiss" for a folder, exact by default; an address names its own.
+        engine: "exact" or "faiss" for a folder, exact by default; an address names its engine.
 
     Raises:
         StoreError: if `where` holds something else or cannot be written.

@@ -63,8 +63,8 @@ class SearchResult:
 class Index(ABC):
     """Tiles by name, searched by descriptor under any part weights.
 
-    An engine of one's own is a class with `_add`, `_nearest`, `_rows`, and `count`, registered as an entry point of the group
-    `lpn.indexes`; its address is NAME://... . It proposes tiles; scores and order are computed here.
+    A further engine is a subclass with `_add`, `_nearest`, `_rows`, `count`, and `close`, registered as an entry point of the
+    group `lpn.indexes`; its address is NAME://... . It proposes tiles; scores and order are computed here.
 
     Attributes:
         engine: its name.
@@ -157,11 +157,11 @@ class Index(ABC):
 
     @abstractmethod
     def _nearest(self, wanted: Float64Array, k: int, box: DegreeBox | None) -> Tiles:
-        """Return at least k tiles with high inner products with a rescaled query (n D,), in the order of ties."""
+        """Return at least k tiles with high inner products with a rescaled query (n D,); tiles of equal score keep this order."""
 
     @abstractmethod
     def _rows(self, names: Sequence[str], vectors: bool = True) -> dict[str, TileRow]:
-        """Return the vector and the position of existing tiles; neither has to be right without `vectors`."""
+        """Return the vector and the position of each existing tile by its name; without `vectors`, both may be None."""
 
     @abstractmethod
     def close(self) -> None:

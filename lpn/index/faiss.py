@@ -3,7 +3,7 @@
 faiss proposes candidates by compact codes, and the float32 vectors on disk score them. Tiles that faiss does not propose are
 missed. Newer parts are compared exhaustively, until they have more rows than the coded parts: then the codes are learnt anew.
 Codes have a byte for each 32 numbers (pq, 64 bytes for 2048), or for each number if their count is no multiple of 32 (sq8).
-At 10^6 tiles pq finds as many of the true ten as sq8, and is far quicker.
+At 10^6 tiles pq finds as many of the ten nearest tiles as sq8, and is far quicker.
 """
 
 from __future__ import annotations
@@ -141,6 +141,6 @@ class FaissIndex(FolderIndex):
 
 
 def _best(store: Store, first: int, wanted: Float64Array, depth: int, box: DegreeBox | None) -> Int64Array:
-    """Return the best rows of the parts from `first` on; single precision reorders only ties in its last digits."""
+    """Return the best rows of the parts from `first` on; scores that differ only in the last digits may change places."""
     places, scores = scored(store, range(first, len(store.parts)), wanted, box)
     return places if len(places) <= depth else places[np.argpartition(scores, len(places) - depth)[-depth:]]

@@ -1,7 +1,7 @@
 """The index of a store's folder, which compares every tile (`lpn.descriptors.store` has the format).
 
 A float32 product finds the tiles that can be among the k best, and these are scored in float64. Ties keep the order of insertion.
-A product of m numbers in float32, summed in any order after v is rounded, has an error of at most M u / (1 - M u) |v| |g| with
+An inner product v . g of m numbers in float32, in any order after v is rounded, has an error up to M u / (1 - M u) |v| |g| with
 M = m + 2 and u = 2^-24.
 
 Any number of processes may search while one adds, and see the new tiles at their next search. Adds take turns.
@@ -127,7 +127,7 @@ class FolderIndex(Index):
             raise unwritable(self.folder, error) from error
 
     def _with_codes(self, manifest: Manifest) -> Manifest:
-        """Return the manifest of an add with the engine's own file, which this method may write."""
+        """Return the manifest after an add, with the engine's file if this method writes one."""
         return manifest
 
     def _nearest(self, wanted: Float64Array, k: int, box: DegreeBox | None) -> Tiles:

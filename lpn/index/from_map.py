@@ -1,4 +1,4 @@
-"""Windows of a map into an index, block by block: memory never holds all windows or descriptors of a whole county."""
+"""Describe the windows of a map into an index, block by block, so that a whole county's descriptors need not fit in memory."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ BLOCK = 1024
 def windows_kind(
     model: Model, basemap: Map, sizes: Sequence[float], overlap: float = 0.5, turns: int = 1
 ) -> DescriptorKind:
-    """Return the kind with which an index of a map's windows is made.
+    """Return the kind of an index of a map's windows.
 
     Args:
         sizes, overlap: see `Map.pyramid`.
@@ -42,7 +42,7 @@ def windows_kind(
 def index_windows(
     index: Index, basemap: Map, describe: DescribeWindows, again: bool = False, box: DegreeBox | None = None
 ) -> int:
-    """Describe the windows that an index lacks of the map that it was made for, and add them by name, with positions.
+    """Describe the windows that an index of the map lacks, and add them by name, with positions.
 
     It reports its progress; windows outside a box count as done. A killed run resumes, because windows whose names are in the
     index are skipped.
@@ -82,7 +82,7 @@ def index_windows(
             if len(missing):
                 chosen = [named[i] for i in missing.tolist()]
                 degrees = np.array([(one.latitude, one.longitude) for one in chosen])
-                # Names round the windows; the rounded windows are described, so that later cuts equal them.
+                # A name rounds its window. The rounded window is described, so that later cuts by name are equal.
                 rounded = NamedWindow.all_on(chosen, basemap.frame)
                 index.add([one.name for one in chosen], describe(rounded), degrees)
             added += len(missing)

@@ -111,7 +111,7 @@ class MilvusIndex(Index):
                 self._client.upsert(self._name, rows, **_CALL)
 
     def _nearest(self, wanted: Float64Array, k: int, box: DegreeBox | None) -> Tiles:
-        """See `Index._nearest`; hnsw may return too few tiles, as in a box. Milvus's ties come in any order, so sort by name."""
+        """See `Index._nearest`; hnsw may return too few tiles, for example in a box. Ties come in any order, so sort by name."""
         options: dict[str, Any] = {"limit": k, "consistency_level": "Session", "filter": _inside(box)}
         options["search_params"] = {"metric_type": "IP", "params": {"ef": max(128, k)}}
         with self._told():

@@ -34,7 +34,7 @@ class IndexQueries:
         root: folder of the pictures; the user's notes are stored there.
         pictures: the queries.
         descriptors: (Q, n, D).
-        places: the place on each query; None if no position is known.
+        places: the position of each query; None if no position is known.
         listed: gallery pictures in the index, by their names in it, with their positions in the data set's gallery.
         truth: of each query, by positions in the data set's gallery; None if labels or `spots` define it.
         gallery_size: number of pictures in the data set's gallery.
@@ -69,10 +69,10 @@ def unknown_truth(queries: Sequence[Picture]) -> list[Truth]:
 
 
 def dataset_queries(model: Model, dataset: Dataset, index: Index) -> IndexQueries:
-    """Return the test queries of the data set's task of which an index holds most gallery pictures.
+    """Return the test queries of the data set's task whose gallery has most pictures in an index.
 
-    Names in the index are paths below the described folder: the data set's or one below it. If it holds none of the gallery, the
-    queries' places are unknown.
+    Names in the index are paths below the described folder: the data set's or one below it. If no gallery picture is in the
+    index, the queries' places are unknown.
 
     Raises:
         InputError: when the names fit the pictures below several folders equally well.
@@ -109,7 +109,7 @@ def picture_queries(model: Model, folder: Path, index: Index, tiles: Path | None
     """Return plain pictures below a folder as queries of unknown places.
 
     Args:
-        tiles: folder of the tiles' pictures, below which their names are paths; None if there are none.
+        tiles: folder of the tiles' pictures, whose names are paths below it; None without pictures.
 
     Raises:
         StoreError: when the index holds descriptors of another model.
@@ -156,7 +156,7 @@ def view_pair(model: Model) -> str:
 def _names_held(
     index: Index, root: Path, gallery: Sequence[Picture]
 ) -> tuple[list[str], dict[str, tuple[int, Picture]]]:
-    """Return the folders that fit the index's names best, and the first one's gallery pictures by their names in the index."""
+    """Return the folders that fit the index's names best, and the gallery pictures below the first, by names in the index."""
     paths = geo.names_below(root, gallery)
     splits = [
         (path[:start], path[start:])

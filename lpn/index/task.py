@@ -70,10 +70,10 @@ class IndexGallery:
 
 
 def open_gallery(index: Index, queries: IndexQueries) -> IndexGallery:
-    """Read all tiles of an index, or for a large index, or one that does not list its tiles, only the relevant ones.
+    """Read all tiles of an index; of a large index, or of one that does not list its tiles, only the relevant ones.
 
-    Relevant are the true tiles, and those that the engine proposes for each query. Their ranks equal those among all tiles down
-    to the last proposed one, if the engine misses none.
+    Relevant are the true tiles, and those that the engine proposes for each query. If the engine misses no tile, ranks are those
+    among all tiles, down to the last proposed tile.
 
     Raises:
         InputError: if the index holds no tiles, or too many are proposed.
@@ -199,7 +199,7 @@ def _geometry(
 
 
 def _tile_pictures(gallery: IndexGallery, queries: IndexQueries, basemap: Map | None, pixels: int) -> list[Picture]:
-    """Return the tiles' pictures: a data set's, cut from the map at `pixels` a side, from the queries' folders, or grey."""
+    """Return the tiles' pictures: from a data set, from the map at `pixels` a side, from the queries' folders, or grey ones."""
     windows = [window for window in gallery.windows if window is not None]
     on_map = iter([] if basemap is None else NamedWindow.all_on(windows, basemap.frame))
     pictures = []

@@ -55,7 +55,7 @@ def open_tiles(folder: Path, data: Path | None = None) -> TileSource:
     """Open a store.
 
     Args:
-        data: data set whose positions the tiles have: its geo.csv by `lpn.datasets.geo.Positions.match`, or its own lists.
+        data: data set with the tiles' positions, in its geo.csv (see `lpn.datasets.geo.Positions.match`) or in its lists.
 
     Raises:
         StoreError: when there is no complete store.
@@ -73,7 +73,7 @@ def open_tiles(folder: Path, data: Path | None = None) -> TileSource:
 
 
 def _positions(root: Path, names: list[str]) -> Float64Array:
-    """Return the positions of tiles from geo.csv, or those of a data set without one, such as DenseUAV, UAV-VisLoc, or VIGOR."""
+    """Return the positions of tiles from geo.csv, or from a layout with positions, such as DenseUAV, UAV-VisLoc, or VIGOR."""
     known, reason = geo.positions(root), ""
     try:
         known = known or open_dataset(root).positions()

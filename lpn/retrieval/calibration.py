@@ -1,6 +1,6 @@
 """Calibration without labels: the zoom at which drone pictures and tiles show equal ground, and the mean of each view.
 
-A drone's picture shows more ground than its tile, or less, by its height and lens. For their ratio r, the middle 1/r of
+Height and lens decide how much more or less ground a drone picture shows than a tile. For their ratio r, the middle 1/r of
 a drone picture is compared with whole tiles (r >= 1), or whole drone pictures with the middle r of the tiles (r < 1).
 Pictures at equal scale have nearer neighbours. So the common ratio is the one with the greatest mean over drone pictures of
     s(r) = max over tiles t of <q(r), t>,
@@ -48,7 +48,7 @@ class ZoomLevel:
 
     Attributes:
         zoom: see `Picture.zoom`.
-        cost: the least gain of a picture's cosine at this zoom.
+        cost: subtracted from a picture's cosine at this zoom before zooms are compared.
         mean: of all drone pictures at this zoom, (n, D).
     """
 
@@ -59,7 +59,7 @@ class ZoomLevel:
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """Zooms and means that compensate for pictures unlike the training's.
+    """Zooms and means that compensate for differences from the training pictures.
 
     Attributes:
         means: the mean descriptor of each view at the zoom of its pictures, (n, D).
@@ -135,7 +135,7 @@ class Calibration:
             model: with or without the calibration.
 
         Raises:
-            InputError: if pictures of the view took no part.
+            InputError: if the calibration has no pictures of the view.
         """
         if view not in self.zooms:
             raise InputError(
@@ -181,9 +181,9 @@ def calibrate(
 ) -> Calibration:
     """Choose the zoom of drone pictures and tiles, and take the mean descriptor of each view.
 
-    The common ratio is sought from 1 in steps of 2^(1/4), as long as one of two steps is better, within a factor of 4, by at most
-    200 drone pictures and 1,000 tiles. Then all drone pictures are described at up to five zooms. Street views, panoramas,
-    and unrolled tiles keep their zoom.
+    The search for the common ratio goes up and down from 1 in steps of 2^(1/4), to a factor of 4, or until two steps do not help.
+    It takes 200 drone pictures and 1,000 tiles at most. Then all drone pictures are described at up to five zooms. Street views,
+    panoramas, and unrolled tiles keep their zoom.
 
     Args:
         model: see `Model.for_task`.
@@ -232,9 +232,9 @@ def ground_ratio(
     tiles: Sequence[Picture],
     read: descriptors.Reader = descriptors.cached_descriptors,
 ) -> float:
-    """Return how much more ground drone pictures show, in side length, than tiles: the common ratio, without labels.
+    """Return the common ratio, without labels: the ground's side on drone pictures divided by its side on tiles.
 
-    It is sought as in `calibrate`, by at most 200 drone pictures and 1,000 tiles.
+    The search is that of `calibrate`, with at most 200 drone pictures and 1,000 tiles.
 
     Raises:
         InputError: if there are fewer than 20 pictures of a view, one is not a picture from above, or the model lacks a view.
@@ -259,7 +259,7 @@ class _Side:
         self.files = [picture.path for picture in self.pictures]
 
     def read(self, step: int) -> Float32Array:
-        """Return the descriptors of all at the zoom STEP^step, (N, n, D), read list by list like the tasks."""
+        """Return the descriptors of all files at the zoom STEP^step, (N, n, D), read list by list, as tasks read them."""
         described = np.concatenate([self._described(pictures, step) for pictures in self._lists])
         first: dict[Path, int] = {}
         for row, path in enumerate(picture.path for pictures in self._lists for picture in pictures):
@@ -298,7 +298,7 @@ def _comparable(model: Model, sides: Mapping[View, _Side]) -> bool:
 
 
 def _step_of_all(sides: Mapping[View, _Side]) -> tuple[int, dict[float, float]]:
-    """Return the power of STEP with the nearest neighbours, and the mean cosine at each tried ratio."""
+    """Return the power of STEP with the greatest mean cosine of nearest neighbours, and this mean at each tried ratio."""
     drones, tiles, tried = sides["drone"], sides["satellite"], dict[float, float]()
 
     def value(step: int) -> float:

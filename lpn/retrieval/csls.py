@@ -1,6 +1,6 @@
 """Cross-domain similarity local scaling (CSLS): a tile that is near to all queries counts as less near to each.
 
-With r(t) the mean inner product of a tile with its K nearest queries, and r(q) that of a query with its K nearest tiles,
+Let r(t) be the mean inner product of a tile with its K nearest queries, and r(q) that of a query with its K nearest tiles.
 CSLS ranks by 2 <q, t> - r(t) - r(q) (Conneau et al., "Word translation without parallel data", 2018, section 2.3). For one
 query, r(q) is constant. So with
 

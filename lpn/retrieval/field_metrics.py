@@ -6,7 +6,7 @@ Two metrics are called SDM@K, and their values do not compare:
     GTA-UAV     sum over i < K of (K - i) exp(-0.001 d_i) / sum of (K - i),   d_i in metres
 
 where d_i is the distance from the query to the tile of rank i. Near the equator 5000 per degree is about 0.045 per metre, so
-DenseUAV's decays 45 times as fast. Distances are (Q, R): from each query to its R nearest tiles, highest score first.
+DenseUAV's SDM decays 45 times as fast. Distances are (Q, R): from each query to its R nearest tiles, highest score first.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from lpn.retrieval.ranks import Scores
 # Decay of DenseUAV's SDM, per degree, and of GTA-UAV's, per metre.
 DENSEUAV_DECAY = 5000.0
 GTA_UAV_DECAY = 0.001
-# The equatorial radius of WGS 84 in metres, which DenseUAV's evaluation takes for a sphere's.
+# DenseUAV's evaluation takes this equatorial radius of WGS 84, in metres, as the radius of a sphere.
 _EQUATOR = 6_378_137.0
 
 

@@ -52,7 +52,7 @@ class Match:
         cosines: of each part, (n,).
         contributions: each part's exact share of distance2, (n,); under CSLS, with the part's share of both of its terms.
         true: True for a tile of the query's place; None if the place is unknown.
-        constants: CSLS's subtrahends of the score for the query and for the tile, under the part weights; None without CSLS.
+        constants: the two numbers that CSLS subtracts from the score, for query and tile; None without CSLS.
     """
 
     rank: int
@@ -67,7 +67,7 @@ class Match:
 
     @property
     def shown_gap(self) -> float | None:
-        """The gap beside the rounded squared distances of both tiles, see `shown_difference`."""
+        """The gap as the difference of both tiles' rounded squared distances, see `shown_difference`."""
         return None if self.gap is None else shown_difference(self.distance2 + self.gap, self.distance2)
 
 
@@ -96,7 +96,7 @@ class Ranking:
 
     @property
     def similarities(self) -> Float32Array:
-        """The summands of the scores under the part weights, (G, n): the cosines, under CSLS less its terms."""
+        """The values whose weighted sums are the scores, (G, n): the cosines, under CSLS less its terms."""
         return self.cosines if self.csls is None else self.cosines - self.csls.query - self.csls.tiles
 
     def match(self, position: int) -> Match:
@@ -118,7 +118,7 @@ class Ranking:
         )
 
     def csls_of(self, index: int) -> tuple[Float32Array, Float32Array] | None:
-        """Return CSLS's subtrahends of each part's cosine for query and gallery picture, (n,) each; None without CSLS."""
+        """Return the terms that CSLS subtracts from the cosines, for query and gallery picture, (n,) each; None without CSLS."""
         return None if self.csls is None else (self.csls.query, self.csls.tiles[index])
 
     def gains(self, leader: int, follower: int) -> Float64Array:

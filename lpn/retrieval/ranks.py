@@ -5,7 +5,7 @@ errors decide the order. Closer false tiles are compared in double precision, an
 many close tiles, as in a collapsed network, has all scores in double precision.
 
 An inner product of F numbers in single precision (u = 2^-24), summed in any order over chunks of L and then over the chunks,
-has an error of at most (L + ceil(F / L) + 2) u |q| |g|, which includes two roundings of the numbers themselves (Higham, "Accuracy
+has an error of at most (L + ceil(F / L) + 2) u |q| |g|. This includes two roundings of the numbers themselves (Higham, "Accuracy
 and Stability of Numerical Algorithms", 3.1). Numbers far from 1 are multiplied by powers of two first, so no product overflows.
 """
 
@@ -65,7 +65,7 @@ class Lists:
 class GroundTruth:
     """The true tiles and the junk of each query, and the tiles that are junk for all queries.
 
-    `trapezoid` tells each query's average precision, (Q,). `among` has the only ranked tiles of each query, None for all.
+    `trapezoid` is the kind of each query's average precision, (Q,). `among` has the ranked tiles of each query, None for all.
     """
 
     true: Lists
@@ -134,7 +134,7 @@ class Scores:
         factors: multiplied into each query first, (F,).
 
     Attributes:
-        exponents: the products of `blocks` are the true ones divided by 2 to these powers, (Q,).
+        exponents: `blocks` yields the products divided by 2 to these powers, (Q,).
     """
 
     def __init__(
@@ -261,7 +261,7 @@ def _ranks_of(
     """Return the ascending ranks of a query's true tiles, and the nearest of them; None if more than `most` are close."""
     # `score` has the scores of the true tiles, (T,), and `line` those of the false tiles, (G,), -inf for others. Scores that
     # differ by more than `gap` are in their true order.
-    # NumPy 1 compares a number with an array in single precision, so these are rounded outwards.
+    # NumPy 1 compares a number with an array in single precision, so the limits are rounded outwards.
     low, high = _rounded(score - gap, -np.inf), _rounded(score + gap, np.inf)
     near = (line >= low.min()).nonzero()[0]
     order = near[line[near].argsort()]

@@ -38,7 +38,7 @@ log = logging.getLogger(__name__)
 Order = Literal["parts-first", "parts-last"]
 _KEYS = {side: (f"{side}_f", side, "descriptors", "features") for side in ("query", "gallery")}
 _PUBLISHED = ("gallery_f", "gallery_label", "query_f", "query_label")
-# Norms of parts within this share of 1/sqrt(n) cause no warning.
+# A part's norm may differ from 1/sqrt(n) by this share without a warning.
 _TOLERANCE = 0.01
 # Numbers in a block of rows that is scaled at a time.
 _BLOCK = 1 << 18
@@ -89,7 +89,7 @@ class PublishedResult:
                 )
 
     def check_labels(self) -> None:
-        """Raise DataError if no query has a label of the gallery, so that labels could measure no rank."""
+        """Raise DataError if no query has a true match by labels, because no rank could be computed."""
         if not np.isin(self.query_labels, self.gallery_labels).any():
             raise DataError(
                 f"None of the query labels of {self.name}, such as {self.query_labels[0]}, is a gallery label, such as "
@@ -172,8 +172,8 @@ def load_saved(path: str | Path, n_parts: int = 1) -> PublishedResult:
     """Read a `pytorch_result.mat`; needs the extra `train`.
 
     Args:
-        n_parts: number of parts of a descriptor. With 1, descriptors are not divided; metrics over all parts are then equal,
-            except for averaged queries, because each part of an average is normalised.
+        n_parts: number of parts of a descriptor; 1 does not divide it. Metrics do not depend on this number, except for averaged
+            queries, because each part of an average is normalised.
 
     Raises:
         DataError: when the file is missing, is not a MATLAB file, or lacks entries.
@@ -248,7 +248,7 @@ def _pictures_of_rows(
 
 
 def views_of_paths(queries: Sequence[str], gallery: Sequence[str]) -> tuple[View, View] | None:
-    """Return the views of both sides from the folders above those of places, as in .../query_drone/0001/image-01.jpeg."""
+    """Return the views of both sides from the second folder above each file, as in .../query_drone/0001/image-01.jpeg."""
     views: list[View | None] = []
     for role, paths in (("query", queries), ("gallery", gallery)):
         folders = {"".join(path.split("/")[-3:-2]) for path in paths}

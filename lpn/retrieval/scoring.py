@@ -46,7 +46,7 @@ def contributions(
     Args:
         lengths: n |q_i|^2 of each part of a region's query, see `Trace.region`, (n,); 1 by default. The share is then
             w_i (1 + n |q_i|^2 - 2 n q_i . g_i), and `cosines` has n q_i . g_i.
-        terms: CSLS's subtrahends of the cosines, (..., n), which add 2 w_i terms_i to the share.
+        terms: the terms that CSLS subtracts from the cosines, (..., n); they add 2 w_i terms_i to the share.
     """
     query_lengths = np.float32(1) if lengths is None else lengths
     similarities = cosines if terms is None else cosines - terms

@@ -30,7 +30,7 @@ SENTENCE = (
 
 
 def check_model(model: Model) -> TorchModel:
-    """Return a model that gives the map of pictures of any size.
+    """Check that a model computes feature maps of pictures of any size, and return it.
 
     Raises:
         InputError: if it is not an LPN or a baseline in PyTorch.

@@ -5,8 +5,8 @@
     tiles/b.jpg,photos/b1.jpg,test,7
 
 The first line names two or three of satellite, street, drone, and optionally split (train or test; default test) and place
-(a whole number). A cell may be empty if a line has no picture of a view. Without a place, lines with one satellite picture
-(without satellites: one picture of the first view) show one place. Positions stand in a `geo.csv` beside it.
+(a whole number). A cell may be empty if a line has no picture of a view. Without a place, lines that share a satellite picture
+(without satellites, a picture of the first view) show the same place. Positions stand in a `geo.csv` beside it.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ class PairsCSV(Dataset):
                 row = PictureRow(f"{split}/{view}", file, place, Path(file).with_suffix("").as_posix())
                 if (before := rows.setdefault((row.of, file), row).label) != place:
                     raise DataError(f"{where} gives {printable(file)} the place {place}, after {before}; keep one.")
-        # The lists follow the order of the columns, not of the first lines' views.
+        # The lists follow the order of the columns, even if the first lines lack a view.
         return sorted(rows.values(), key=lambda row: views.index(row.of.partition("/")[2]))
 
     def _line(self, views: Sequence[str], where: str, row: dict[str, str]) -> tuple[dict[str, str], str, int | None]:

@@ -65,8 +65,8 @@ class _Pair(NamedTuple):
 class TilePairs(Dataset):
     """A folder of GTA-UAV, or of UAV-VisLoc as GTA-UAV's programs prepare it, in one of its areas.
 
-    A tile's label is its number; a drone picture's is the number of its most overlapping tile. True tiles of test pictures are
-    queries, too.
+    A tile's label is its number. The label of a drone picture is the number of the tile with the greatest overlap. True tiles
+    of test pictures are queries, too.
     """
 
     kind = "GTA-UAV"

@@ -6,8 +6,8 @@
     45/2fps/test/gallery_{satellite,street}/<place>/*
     .../test/query_{drone,satellite,street}/<place>/*       made by its organize_univ.py
 
-Lists that an angle and a rate lack are taken from 45/2fps. Without query_drone, the queries are the videos of the places of
-query_satellite. Bird's-eye views (bev) are not read.
+A list that is missing for an angle and a rate is taken from 45/2fps. Without query_drone, the queries are the gallery's videos
+of the places in query_satellite. Bird's-eye views (bev) are not read.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ class UniV(University):
 
 
 def _videos(root: Path) -> list[str]:
-    """Return the folders of videos below UniV's, 45 degrees and low rates first."""
+    """Return the folders of videos below a folder of UniV, 45 degrees and low rates first."""
     return [
         f"{angle}/{rate.name}"
         for angle in _ANGLES

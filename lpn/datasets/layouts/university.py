@@ -36,7 +36,7 @@ class University(Dataset):
     marks = (
         (PLAN,),
         *((f"{name}/",) for name in LISTS if name.startswith("test/")),
-        # Other layouts have a folder train with one set, too.
+        # A folder `train` with only one of these lists may belong to another layout.
         *(("train/", *sets) for sets in combinations(_NUMBERED, 2)),
     )
     priority = -1

@@ -37,8 +37,8 @@ _HEIGHTS, _STEP = (100, 125, 150), 45
 class WorldUAV(Dataset):
     """A folder of World-UAV in one of its splits, or the folder of one region; its only task is "drone-to-satellite".
 
-    A tile's label is its number; a drone picture's is its first positive's. Groups are the regions. In one region, they are its
-    flights, all of them queries.
+    A tile's label is its number; a drone picture has the label of its first positive. Groups are the regions. If the folder is
+    one region, groups are its flights, and all of them are queries.
     """
 
     kind = "World-UAV"
