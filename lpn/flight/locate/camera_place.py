@@ -25,7 +25,7 @@ _TILT_ERROR, _AIRCRAFT_TILT_ERROR = 1.5, 5.0
 _LEAST_DOWN = 0.5
 # 1-sigma errors of the direction of a tilted camera in degrees, and of its height as a share.
 _DIRECTION_ERROR, _HEIGHT_ERROR = 5.0, 0.1
-# Share of a tilt's default error that radii keep for errors that frames have in common.
+# Radii keep this share of a tilt's default error, for the part that frames have in common.
 COMMON = 0.5
 # Neighbours that are compared with a parabola in time, fewest groups of them, and most seconds between two.
 _NEIGHBOURS = 4
@@ -62,7 +62,7 @@ def camera_place(frame: Frame, size: tuple[int, int], registration: Registration
     tangent.
 
     Returns:
-        None if the tilt is unknown or above 15 degrees, or the model bends too much between the middle and the place.
+        None if the tilt is unknown or above 15 degrees, or the homography's depth halves or doubles from the middle to the place.
     """
     radius, width, homography = registration.radius, registration.width, registration.homography
     if frame.pitch is None or frame.roll is None or frame.fov is None:
@@ -121,10 +121,10 @@ def below_camera(frame: Frame, answer: StageRecord) -> StageRecord:
 def scattered_radii(
     frames: Sequence[LocatedFrame], answers: Sequence[StageRecord]
 ) -> tuple[dict[int, float], list[str]]:
-    """Return smaller radii of accepted cameras by the error of tilts that the flight's scatter shows, and sentences about it.
+    """Return smaller radii of accepted cameras if their places scatter less than the tilts' default error, and sentences.
 
-    A common error of frames, such as that of a camera mounted askew, moves a leg as a whole and does not scatter. So the squares
-    of the scatter and of a share `COMMON` of the default error add up, and radii never grow.
+    An error that frames have in common, such as a camera mounted askew, moves a whole leg and does not scatter. So the variance
+    of the tilt is that of the scatter plus the square of a share `COMMON` of the default error. Radii never grow.
 
     Args:
         answers: of the registration for each frame, without the map's error.

@@ -116,7 +116,7 @@ def level(photo: UInt8Array, frame: Frame, assumed: bool = False) -> PhotoView:
 
     Args:
         photo: (H, W, 3) uint8.
-        assumed: whether the pitch is a guess about the camera; otherwise an aircraft's pitch levels nothing.
+        assumed: whether the pitch is a guess about the camera; if not, the pitch of an aircraft levels nothing.
     """
     height, width = photo.shape[:2]
     plain = PhotoView.plain(photo)

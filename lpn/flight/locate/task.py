@@ -131,7 +131,7 @@ def flight_task(model: Model, model_name: str, located: LocatedFlight, root: Pat
 
 
 def flight_queries(model: Model, flight: Flight, basemap: Map, index: Index, root: Path) -> IndexQueries:
-    """Describe frames as they are compared with the windows of an index.
+    """Describe frames as queries over the windows of an index.
 
     A frame is turned north-up by its heading. If that is uncertain, the tried heading with the nearest window is taken; turned
     windows of the index replace turns of the frame. A frame of known width on the ground is cut to the nearest size of window in
@@ -202,7 +202,7 @@ def _truth(located: LocatedFlight, retrieval: MapRetrieval) -> list[Truth]:
 
 
 def _geometry(located: LocatedFlight, retrieval: MapRetrieval) -> GalleryGeometry:
-    """Return the positions; a frame's is above the photographed place, for a picture as wide as the compared windows."""
+    """Return the positions; a frame is above its photographed place, with a picture as wide as the compared windows."""
     degrees, gallery = located.basemap.frame.degrees, retrieval.gallery
     tiles = [
         Position(float(latitude), float(longitude), width=float(size))

@@ -91,7 +91,7 @@ class FrameVerdict:
         return "contradicted" if self.contradicted and self.located.by_hand is None else self.answer.state
 
     def doubts(self, stage: str | None) -> list[str]:
-        """Return the answers that contradict a stage's: "tag", stages, or "map"; none for a corrected frame."""
+        """Return the answers that contradict a stage: "tag", stages, or "map"; none for a corrected frame."""
         pairs = [] if self.located.by_hand is not None else [(one.one, one.other) for one in self.disagreements]
         return [other if one == stage else one for one, other in pairs if stage in (one, other)]
 

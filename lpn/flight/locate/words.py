@@ -65,7 +65,7 @@ class Reason(NamedTuple):
 
     Attributes:
         code: of the reason.
-        numbers: that its words hold, by name.
+        numbers: the figures in its words, by name.
     """
 
     code: Code
@@ -73,5 +73,5 @@ class Reason(NamedTuple):
 
     @property
     def sentence(self) -> str:
-        """The reason in words; "" of a code without any."""
+        """The reason in words; "" for a code without words."""
         return _WORDS.get(self.code, "").format(**self.numbers)
