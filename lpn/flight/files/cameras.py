@@ -39,7 +39,7 @@ def rotation(heading: float, pitch: float, roll: float) -> Float64Array:
 def from_gimbal(yaw: float, pitch: float, roll: float) -> tuple[float, float, float]:
     """Convert a gimbal's yaw, pitch, and roll about the optical axis to heading, pitch, and roll of a `Frame`, in degrees.
 
-    Above a pitch of -45 degrees the angles are returned as they are: they agree where the roll is 0.
+    Above a pitch of -45 degrees the angles are returned unchanged; both conventions agree where the roll is 0.
     """
     if roll == 0 or pitch > _STEEP:
         return yaw % 360.0, pitch, roll

@@ -1,4 +1,4 @@
-"""Tables of telemetry: the dialects of programs, what marks each, the meaning of its columns, and the rows as numbers.
+"""Tables of telemetry: the dialects of programs, their marks, the meaning of their columns, and the rows as numbers.
 
 The header is the first line, or one of the comments before it. Two formats have none: Pix4D's rows of pictures, and
 OpenDroneMap's geo.txt. Any other file is refused, and the message quotes its first line.
@@ -223,7 +223,7 @@ class LogTable:
                 continue
             number = values.angle(text, letters, self.commas) if letters else values.number(text, self.commas)
             if number is not None:
-                # A unit in the cell counts in place of the column's.
+                # A unit in the cell replaces the column's unit.
                 is_converted = text[-1].isalpha() or text[-1] == "°"
                 numbers[i] = number if is_converted else number * (self.columns[what].factor or 1.0)
             elif what not in ("time", "date"):

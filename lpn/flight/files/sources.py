@@ -71,7 +71,7 @@ class FlightOptions:
         fov: horizontal field of view in degrees, for frames whose files have none.
         pitch: in degrees, for frames whose files have none; -90 is straight down.
         camera: file of the camera's lens, for all frames, see `lpn.flight.files.lenses.read_camera`.
-        clock_offset: seconds to add to the photos' clock for a log's; None estimates it.
+        clock_offset: seconds to add to the photos' times for a log's time; None estimates it.
     """
 
     every: float = 1.0
@@ -153,7 +153,7 @@ def read_any_log(file: Path) -> Log:
 
 
 def _read_logs(inputs: _Files) -> tuple[dict[Path, Log], list[str]]:
-    """Return the logs and tracks, and a note for each file that is nearly a log; move other files to the others."""
+    """Return the logs and tracks, and a note for each file that is nearly a log; move other files to "others"."""
     read: dict[Path, Log] = {}
     notes = []
     for file in list(inputs["logs"]):

@@ -28,7 +28,7 @@ class NamedWindow:
     Attributes:
         latitude, longitude: of its centre, WGS 84 degrees.
         size: its side in metres.
-        heading: what points up in its picture, degrees clockwise from north, 0 to below 360.
+        heading: direction of its picture's top, degrees clockwise from north, 0 to below 360.
     """
 
     latitude: float

@@ -26,7 +26,7 @@ _NODES = np.array([0.0, 0.5, 1.0])
 _OUTLINE = 21
 # Least and most metres of a map's pixel.
 _RESOLUTIONS = (1e-4, 1e4)
-# A sheet with a metric CRS whose coordinates could be degrees is refused if it has fewer metres than this.
+# A sheet with a metric CRS whose coordinates could be degrees is refused if it is smaller than these metres.
 _DEGREES_AT_MOST = 10.0
 # A corner is hardly on a map if both coordinates are smaller than these, in units of the CRS or degrees, or if its UTM easting
 # lies outside of the zone and its neighbours.
@@ -184,7 +184,7 @@ def cells_of(crs: Any, matrix: Float64Array, width: int, frame: LocalFrame, xy: 
 
 
 def datum_notes(sheets: Iterable[tuple[str, Any]]) -> list[str]:
-    """Return a sentence for each old datum that sheets, the name and the rasterio CRS of each, lie on."""
+    """Return a sentence for each old datum of sheets, which are pairs of a name and a rasterio CRS."""
     on: dict[tuple[str, int], list[str]] = {}
     for name, crs in sheets:
         found = re.search(r'\bDATUM\["([^"]+)",SPHEROID\["([^"]+)"', crs.to_wkt())

@@ -302,7 +302,7 @@ def _matrix(path: Path, file: Any) -> Float64Array | None:
 
 
 def _world_file(path: Path) -> Float64Array:
-    """Read a world file: the steps of x and y a column and a row, and the centre of the first pixel."""
+    """Read a world file: the steps of x and y per column and per row, and the centre of the first pixel."""
     try:
         numbers = [float(text.replace(",", ".")) for text in _text(path).split()]
         if len(numbers) != 6 or not np.isfinite(numbers).all():
