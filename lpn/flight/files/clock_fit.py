@@ -1,4 +1,4 @@
-"""The constant offset between the clock of photos and that of a log or track.
+"""The constant offset between the clocks of photos and of a log or track.
 
 A camera's clock often has local time where the log has UTC, or the reverse. Offsets up to 14 hours either way are tried in steps
 of a quarter hour. The best one puts the most photos within the log, and brings the log nearest to the photos' own positions. If
@@ -30,7 +30,7 @@ _BEYOND = 10.0
 
 
 class ClockFit(NamedTuple):
-    """The fit of the photos' clock to a log's.
+    """The fit of the photos' clock to the clock of a log.
 
     Attributes:
         offset: seconds to add to a photo's time for the log's time; None if it is unknown.
@@ -68,7 +68,7 @@ def fit_clocks(photos: Sequence[Photo], telemetry: Telemetry, utc: bool, given: 
 
 
 def _fit(telemetry: Telemetry, times: Float64Array, places: Float64Array, basis: str, is_like: bool) -> ClockFit:
-    """Return the best offset of one of the photos' clocks; `is_like` if it is of the log's kind."""
+    """Return the best offset of one of the photos' clocks; `is_like` if this clock and the log's are both UTC, or neither."""
     offsets = _QUARTER * np.array(sorted(range(-_MOST_QUARTERS, _MOST_QUARTERS + 1), key=abs))
     shares, metres = np.array([_score(telemetry, times + offset, places) for offset in offsets]).T
     likely = shares >= _MOST

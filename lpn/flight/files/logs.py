@@ -183,7 +183,7 @@ def parse_track(text: str, name: str) -> Log:
     """Parse a GPX file's text; a DTD is refused before entities are expanded.
 
     Args:
-        name: the file's, for messages.
+        name: of the file, for messages.
 
     Raises:
         DataError: if it is no GPX file, is damaged, has a DTD, or has no point with a position.

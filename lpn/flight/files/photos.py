@@ -105,7 +105,7 @@ class _Metadata(Properties):
 
     @property
     def zoom(self) -> float:
-        """The factor of the digital zoom, by which the field of view is narrower than the lens's."""
+        """The factor of the digital zoom, which narrows the lens's field of view."""
         return max(self.first("zoom") or 1.0, 1.0)
 
     @property
@@ -328,7 +328,7 @@ def _fovs(known: _Metadata, width: float, height: float) -> Iterator[float]:
             continue
         if not across or abs(2 * across / width - 1) <= _OFF_CENTRE:
             yield cameras.fov_of_sensor(width, focal)
-        # A picture of another size was reduced. If its proportions are less wide, the calibration is another camera's.
+        # A picture of another size was reduced. If its proportions are less wide, the calibration is of another camera.
         elif not down or width / height * down / across >= 1 - _OFF_CENTRE / 2:
             yield cameras.fov_of_sensor(2 * across, focal)
         else:

@@ -181,7 +181,7 @@ def _refuse(file: Path) -> None:
     if suffix not in (".csv", ".geojson", ".gpx"):
         return
     head = b""
-    with contextlib.suppress(OSError), file.open("rb") as opened:  # its own reader tells why
+    with contextlib.suppress(OSError), file.open("rb") as opened:  # the reader of its kind reports the error
         head = opened.read(4096)
     if _OWN_TRACK.match(head):
         raise DataError(
@@ -300,7 +300,7 @@ def _is_map(file: Path) -> bool:
             tags = picture.getexif()
             return any(tag in tags for tag in _GEOTIFF)
     except (*DAMAGED, Image.DecompressionBombError):
-        return False  # its own reader tells why
+        return False  # the reader of photos reports the error
 
 
 def _no_pictures(files: _Files) -> str:

@@ -99,8 +99,8 @@ def parse_subtitles(blocks: Sequence[SubtitleBlock], name: str, gps_order: GpsOr
 
     Args:
         name: of the file, for messages.
-        gps_order: order of the first two values in GPS(a, b, c); None takes the dialect's, else infers it from degrees beyond 90,
-            else takes latitude first with a note.
+        gps_order: order of the first two values in GPS(a, b, c); None infers it from letters, degrees beyond 90, or numbers
+            of satellites, else takes latitude first with a note.
 
     Raises:
         DataError: if no subtitle holds telemetry; the message quotes a line.

@@ -78,7 +78,7 @@ class Vehicle:
         self.others: set[int] = set()
         self.outside = 0
         self._needs_position = needs_position
-        # The time and value of what each system told last.
+        # The last time and number of each value, by system.
         self._held: defaultdict[int, dict[str, tuple[float, float]]] = defaultdict(dict)
         self._filtered = self._placed = self._last = -math.inf
 

@@ -123,8 +123,8 @@ def scattered_radii(
 ) -> tuple[dict[int, float], list[str]]:
     """Return smaller radii of accepted cameras if their places scatter less than the tilts' default error, and sentences.
 
-    An error that frames have in common, such as a camera mounted askew, moves a whole leg and does not scatter. So the variance
-    of the tilt is that of the scatter plus the square of a share `COMMON` of the default error. Radii never grow.
+    An error that frames have in common, such as a camera mounted askew, moves a whole leg and does not scatter. So the error
+    of the tilt is the root of the sum of two squares: of the scatter, and of `COMMON` times the default error. Radii never grow.
 
     Args:
         answers: of the registration for each frame, without the map's error.
@@ -170,7 +170,7 @@ def tilt_error(
     A drone flies smoothly, so its place is nearly a parabola in time over four neighbouring frames, and their third divided
     difference is pure error. Its variance is the sum of the squared coefficients times spread^2 + (height tan(tilt))^2. The tilt
     solves Huber's second proposal: the squares over their variances, limited to 4, have the mean of normal errors. An error that
-    a leg's frames have in common, such as that of a camera mounted askew, stays unseen.
+    a leg's frames have in common, such as a camera mounted askew, stays unseen.
 
     Args:
         times: seconds, ascending, (N,).

@@ -51,7 +51,7 @@ _CUT = 4.0
 _REACH = 0.02
 # Ground within this many widths of the picture's middle, by the plane's model, may be in the picture.
 _SEEN = 1.0
-# Sigmas by which a pose's tilt may differ from the photo's.
+# Sigmas by which a pose's tilt may differ from the tilt in the photo's file.
 _SIGMAS = 3.0
 # 1-sigma error of a match in pixels of the compared pictures.
 _MATCH_ERROR = 1.0
@@ -199,7 +199,7 @@ class PoseMatches:
         return gric(self._residuals(camera), parameters) <= gric(flat, self.plane_parameters) + margin
 
     def covariance(self, camera: _Camera, inliers: BoolArray, free: bool) -> Float64Array:
-        """Return the covariance of place and angles, (6, 6), see `CameraPose`; NaN if the matches do not tell them."""
+        """Return the covariance of place and angles, (6, 6), see `CameraPose`; NaN if the matches do not determine them."""
         inner = self._inner_covariance(camera, inliers, free)[:6, :6]
 
         def outer(values: Float64Array) -> Float64Array:
@@ -278,7 +278,7 @@ class PoseMatches:
         return np.where(np.isnan(off), np.inf, off)
 
     def _inner_covariance(self, camera: _Camera, inliers: BoolArray, free: bool) -> Float64Array:
-        """Return the covariance of turn, shift, and the focal length's logarithm; NaN if the matches do not tell them."""
+        """Return the covariance of turn, shift, and the focal length's logarithm; NaN if the matches do not determine them."""
         off, jacobian = (values[np.repeat(inliers, 2)] for values in self._linearised(camera, free))
         variance = max(float(off @ off) / max(len(off) - jacobian.shape[1], 1), (_FINEST / 2) ** 2)
         count = int(inliers.sum())
@@ -366,7 +366,7 @@ def photo_pose(basemap: Map, frame: Frame, view: PhotoView, registration: Regist
 
 
 def _contradiction(frame: Frame, solved: CameraPose, turned: bool) -> str:
-    """Return a sentence if pitch or roll contradict the photo's; "" if they agree within three sigmas."""
+    """Return a sentence if pitch or roll contradict the photo's file; "" if they agree within three sigmas."""
     if frame.pitch is None or frame.roll is None:
         return ""
     way = -1 if turned else 1  # the file was turned after the flight

@@ -231,7 +231,7 @@ class PhotoSearch:
         side: metres of the windows that the frame's places come from; None if they come from no windows.
         quick: whether to try only the width by height and field of view, if known, and only the photo's own tilt.
         on_progress: called before each try of a matcher and a width; an exception in it ends the search.
-        anywhere: whether the photo may be of another place than the map's. All matchers together then need more support, and only
+        anywhere: whether the photo may be of a place off the map. All matchers together then need more support, and only
             the photo's own tilt is tried.
     """
 

@@ -54,7 +54,7 @@ _NONE = np.zeros(0, np.complex128)
 
 
 def is_turned_over(turn: float | None) -> bool:
-    """Tell whether a turn in degrees against the heading is about 180, such as that of a file turned after the flight."""
+    """Tell whether a turn in degrees against the heading is about 180, as of a file turned after the flight."""
     return turn is not None and abs(turn) > 135
 
 
@@ -65,9 +65,9 @@ class Expectation:
     Attributes:
         width: metres of ground across the picture.
         heading: of the picture's top, degrees clockwise from north; None if unknown.
-        certain: whether the heading is the picture's, not a course's or an aircraft's. Unless an uncertain heading or its
+        certain: whether the heading is of the picture, not of a course or an aircraft. Unless an uncertain heading or its
             opposite has twice the needed support and ratio, all headings are tried, and the best supported one is taken.
-        guess: heading to try first if none is known, such as an earlier stage's. Unless it has twice the needed support and
+        guess: heading to try first if none is known, as by an earlier stage. Unless it has twice the needed support and
             ratio, all headings are tried.
         tried: whether the width is only a try, which may be wrong by a factor of 2.
     """
@@ -109,7 +109,7 @@ class PhotoPlace:
         return cast(Float64Array, np.abs(self.a * self.u + self.b - self.m))
 
     def is_apart(self, other: PhotoPlace) -> bool:
-        """Tell whether another place lies beyond a quarter of this one's ground width."""
+        """Tell whether another place is farther away than a quarter of the ground width."""
         return abs(other.b - self.b) > APART * abs(self.a)
 
 

@@ -84,7 +84,7 @@ class FrameViews:
         share: of the frame's width that the squares show, see `lpn.flight.files.cut.cut_square`.
         headings: of the comparison in degrees.
         described: number of the first headings that are described; turned windows replace the others.
-        aircraft: whether the first five headings are within 20 degrees of an aircraft's.
+        aircraft: whether the first five headings are within 20 degrees of the aircraft's heading.
     """
 
     level: float
@@ -261,7 +261,7 @@ class MapRetrieval:
 
 
 def heading_is_certain(frame: Frame) -> bool:
-    """Tell whether a frame's heading is its picture's, not a course or an aircraft's."""
+    """Tell whether a frame's heading is of its picture, not of a course or an aircraft."""
     return frame.heading is not None and frame.heading_source not in ("course", "aircraft")
 
 
@@ -302,7 +302,7 @@ def retrieve(
     to the model. Then the parts are whitened, see `whitening_of`. With fewer than 20 distinct frames, a note replaces both.
 
     Args:
-        sizes: sides of windows in metres; by default those of `pyramid_sizes`.
+        sizes: sides of windows in metres; by default from `pyramid_sizes`.
         overlap: share of a window's side that its neighbour also covers.
         index: an index of described windows, a folder or milvus://host:port/collection, which replaces `sizes` and `overlap`.
         shipped: descriptors that ship with the flight, used if they fit the windows and frames.

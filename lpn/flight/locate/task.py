@@ -60,7 +60,7 @@ _VERDICTS = {
 def flight_task(model: Model, model_name: str, located: LocatedFlight, root: Path) -> Task:
     """Return the task of a located flight; query i is frame i, and gallery picture j is window j of the retrieval.
 
-    Scores are the retrieval's. If it centred and whitened the descriptors, so does the task's model (`Model.centred`). A frame
+    Scores are by the retrieval. If it centred and whitened the descriptors, so does the task's model (`Model.centred`). A frame
     that was described at several headings is a query at the heading of its best window, and its whole ranking is at this heading.
 
     The true tiles of a frame are the windows that hold the place of `LocatedFlight.photographed` (the tag, or the registration if

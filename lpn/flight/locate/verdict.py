@@ -18,8 +18,8 @@ from lpn.flight.locate.words import AGAINST, DECIDED
 TAG_RADIUS = 5.0
 # Answers contradict each other beyond this multiple of their common 1-sigma radius.
 SIGMAS = 3.0
-# Degrees from straight down within which a camera of unknown tilt nearly always looks, and above which a known tilt tells
-# nothing.
+# Degrees from straight down within which a camera of unknown tilt nearly always looks, and the largest tilt for which a shift
+# is computed.
 TILT, _MOST_TILT = 15.0, 85.0
 
 
@@ -58,7 +58,7 @@ class FrameVerdict:
     Attributes:
         located: the frame with the answers of its stages.
         stage: the stage whose position counts, corrections by hand ignored; None without a position.
-        answer: the best answer: the correction by hand, else that of `stage`, else a refused one without a position.
+        answer: the best answer: the correction by hand, else the answer of `stage`, else a refused one without a position.
         sign: True if the position of `stage` may be believed, None if it is unverified or contradicted, False without one.
         summary: the verdict in a few words without figures.
         headline: the verdict in a few words.

@@ -12,7 +12,7 @@ Code = Literal[
     "off the map", "wide", "unsure", "beyond", "unproven", "few", "turned", "jump", "unreachable",
 ]  # fmt: skip
 
-# The summary of a verdict by the stage whose position counts, and what may contradict this position.
+# The summary of a verdict by the stage whose position counts, and the evidence against this position.
 DECIDED: Mapping[str | None, str] = {
     "registration": "Placed by its details",
     "sequence": "Placed by its neighbours only",

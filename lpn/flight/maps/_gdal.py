@@ -67,7 +67,7 @@ def rasterio() -> Any:
     import rasterio.vrt
     import rasterio.warp
 
-    # GDAL's messages would repeat ours.
+    # GDAL's messages would repeat the errors of this package.
     logging.getLogger("rasterio").setLevel(logging.CRITICAL)
     return rasterio
 

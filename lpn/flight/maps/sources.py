@@ -53,7 +53,7 @@ class MapOptions:
     """Facts about a map's files that they do not state.
 
     Attributes:
-        crs: coordinate reference system, such as EPSG:32632; it takes precedence over the files' own.
+        crs: coordinate reference system, such as EPSG:32632; it takes precedence over the CRS of the files.
         corners: latitude and longitude of the top-left, then of the bottom-right corner of a picture.
         bands: numbers, from 1, of the bands shown as red, green, and blue, or of one shown as grey.
         keep_borders: True if white and black borders belong to the picture.
