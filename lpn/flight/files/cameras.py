@@ -1,7 +1,7 @@
 """The pinhole camera over flat ground: fields of view, footprints, and widths of pictures on the ground.
 
-A camera that looks straight down with the picture's top to the north is turned about three axes: first about the picture's
-upward direction (roll), then about its rightward direction (pitch + 90), then about the vertical (heading). Near the
+The angles turn a camera that looks straight down with the picture's top to the north. The first turn is about the picture's
+upward direction (roll), the second about its rightward direction (pitch + 90), the third about the vertical (heading). Near the
 vertical, where nearly all pictures of a map are taken, the three angles are distinct. A gimbal counts its roll about the
 optical axis instead, which near the vertical is the heading; `from_gimbal` converts.
 

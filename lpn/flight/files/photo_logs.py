@@ -29,8 +29,8 @@ _ANGLES = ("heading", "pitch", "roll", "heading_source")
 def with_log(photos: Sequence[Photo], log: Log, clock_offset: float | None = None) -> tuple[list[Photo], list[str]]:
     """Return photos with a log's values, and notes.
 
-    Rows are matched by file name if the log has file names, else by time. The log's values replace those of the photos, except
-    for a heading whose source is worse than the photo's, and the field of view of a photo whose lens is known.
+    Rows are matched by file name if the log has file names, else by time. The log's values replace the photos' values. Two
+    stay: a heading of a better source than the log's, and the field of view of a photo of known lens.
 
     Args:
         clock_offset: seconds to add to the photos' times for the log's time; None estimates it.

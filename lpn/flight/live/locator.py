@@ -1,8 +1,8 @@
 """A locator of frames in the order of their arrival: windows, sequence, registration, and verdict of a whole flight.
 
 The sequence of `lpn.flight.locate.sequence` runs forward only: a frame's answer depends on earlier frames. Frames in quick
-succession show nearly the same ground, so a frame's scores are weighted by the distance flown since the last frame, as a share
-of the distance between two windows. Descriptors are centred by the mean of the frames so far, from 20 distinct ones on. An
+succession show nearly the same ground. So a frame's scores are weighted by the distance flown since the last frame, as a share
+of the distance between two windows. Descriptors are centred by the mean of the frames so far, once 20 are distinct. An
 accepted registration is also evidence for the next frame's place. It is refused if the drone can hardly have flown there.
 """
 

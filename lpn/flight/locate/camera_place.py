@@ -57,7 +57,7 @@ def height_of_width(frame: Frame, width: float) -> float:
 def camera_place(frame: Frame, size: tuple[int, int], registration: Registration) -> tuple[Float64Array, float] | None:
     """Return the place below the camera in metres, (2,), and its 1-sigma radius.
 
-    Evenly spread matches determine the photo's middle best: a linear model's variance at (x, y) is 1 + 12 (x / w)^2 +
+    Evenly spread matches determine the photo's middle best. A linear model's variance at (x, y) is 1 + 12 (x / w)^2 +
     12 (y / h)^2 times the variance at the middle of w x h pixels. An error of the tilt moves the place by the height times its
     tangent.
 
@@ -178,7 +178,7 @@ def tilt_error(
         spreads: 1-sigma radii of the places without the tilt's error, (N,) metres.
         heights: above ground in metres, (N,).
         most: the largest result in degrees. It is returned if the places scatter more, as in a flight that turns between its
-            frames, or if there are fewer than 12 groups of four frames less than 30 s apart.
+            frames. It is also returned for fewer than 12 groups of four frames less than 30 s apart.
     """
     squares, shares = [], []
     for i in range(len(times) - _NEIGHBOURS + 1):

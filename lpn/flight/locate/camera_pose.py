@@ -393,8 +393,8 @@ def solve_pose(
     inliers. An unknown focal length is one more parameter. The covariance is (J^T J)^-1 times the inliers' variance. Neighbours
     err alike, so each cell of a grid over the photo counts as one match.
 
-    The pose is compared with the plane's model by GRIC (Torr, "Geometric motion segmentation and model selection", 1998): the sum
-    of squared residuals over their variance, each at most 4, plus the number of parameters times log(4 n), for n such cells. The
+    The pose is compared with the plane's model by GRIC (Torr, "Geometric motion segmentation and model selection", 1998). GRIC
+    is the sum of squared residuals over their variance, each at most 4, plus log(4 n) for each parameter, with n such cells. The
     pose is rejected if the plane is better by more than log(4 n).
 
     Args:

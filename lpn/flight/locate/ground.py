@@ -42,7 +42,7 @@ _lock = threading.Lock()
 class MapFeatures:
     """Features of a map's blocks: in memory for later frames, and on disk for later runs.
 
-    A block's file is named by the digest of the map, the matcher with its version, and the block, so a change of one of them
+    A block's file is named by the digest of the map, the matcher with its version, and the block. A change of one of them
     makes a new file. An unreadable file is replaced; a cache that cannot be written costs only time.
 
     Args:

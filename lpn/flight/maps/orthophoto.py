@@ -199,7 +199,7 @@ def middles_and_tags(
 def place_error(middles: Float64Array, tags: Float64Array) -> float | None:
     """Return the 1-sigma error in metres along each axis of a map's places, from the scatter of the tags.
 
-    A similarity from the middles to the tags is fitted again without each of five groups of consecutive photos, and the error is
+    A similarity from the middles to the tags is fitted again without each of five groups of consecutive photos. The error is
     the scatter of its places (block jackknife; Kuensch, 1989). Blocks keep together the errors that neighbouring tags share,
     as with a receiver that lags along a leg.
 

@@ -1,6 +1,6 @@
 """One raster as RGB and alpha of 8 bits each, cut by turned rectangles from any thread.
 
-A VRT in memory turns the bands of a file into red, green, blue, and alpha: its sources stretch numbers, look up a palette, join
+A VRT in memory turns the bands of a file into red, green, blue, and alpha. Its sources stretch numbers, look up a palette, join
 masks, and cut a border without data out of the alpha. Every map is read through it. It names its file by
 `vrt://FILE?if=DRIVER`, so that GDAL opens it by the driver that `_gdal.opened` chose.
 """

@@ -28,8 +28,8 @@ _OUTLINE = 21
 _RESOLUTIONS = (1e-4, 1e4)
 # A sheet with a metric CRS whose coordinates could be degrees is refused if it is smaller than these metres.
 _DEGREES_AT_MOST = 10.0
-# A corner is hardly on a map if both coordinates are smaller than these, in units of the CRS or degrees, or if its UTM easting
-# lies outside of the zone and its neighbours.
+# A corner is hardly on a map if both coordinates are smaller than these, in units of the CRS or degrees. The same holds for a
+# UTM easting outside of the zone and its neighbours.
 _ORIGIN, _ORIGIN_DEGREES, _UTM_EASTINGS = 1000.0, 0.01, (100_000.0, 900_000.0)
 
 # Old datums by their WKT names, with the error in metres of EPSG's best transformation to WGS 84 without a national grid; 0 if
