@@ -70,7 +70,7 @@ class LiveInput(ModelOptions):
         Args:
             outputs: receivers of each fix.
             stack: closes the opened sources if a later step fails.
-            on_windows: called while the map's windows are described, beside what is printed.
+            on_windows: called while the map's windows are described, in addition to the printed progress.
 
         Raises:
             InputError: if an option is out of range, or a source cannot be opened.

@@ -144,7 +144,7 @@ class LocateCommand(ModelOptions):
         options = LocateOptions(self.sequence, self.register, self.matcher, self.prior, self.map_error, self.size)
         basemap, flight = open_map(self.map), open_flight(self.flight)
         flight = replace(flight, frames=flight.frames[: self.limit])
-        survey = self._survey(basemap, flight, console)  # what is wrong with it is told before the flight is located
+        survey = self._survey(basemap, flight, console)  # its errors come before the long work
         kept = corrections.read_corrections(own_file(self.flight, corrections.NAME)) if self.corrections else {}
         network = None if self.model is None else self.load()
         return survey, locate(basemap, flight, network, options, kept, self.index)
@@ -237,7 +237,7 @@ def _cells(errors: Errors) -> list[str]:
 
 
 def _truth_sentence(located: LocatedFlight, known: bool) -> str:
-    """Name the truth of the errors, and the whole of the table's shares; `known` if some frame has a truth."""
+    """Name the truth of the errors, and the photos that the table's shares refer to; `known` if some frame has a truth."""
     from lpn.flight.locate.errors import RIGHT_CALIBRATION, percents
 
     if not known:

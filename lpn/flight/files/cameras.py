@@ -1,7 +1,7 @@
 """The pinhole camera over flat ground: fields of view, footprints, and widths of pictures on the ground.
 
-A camera that looks straight down with the picture's top to the north is turned about three axes: first about the picture's
-upward direction (roll), then about its rightward direction (pitch + 90), then about the vertical (heading). Near the
+The angles turn a camera that looks straight down with the picture's top to the north. The first turn is about the picture's
+upward direction (roll), the second about its rightward direction (pitch + 90), the third about the vertical (heading). Near the
 vertical, where nearly all pictures of a map are taken, the three angles are distinct. A gimbal counts its roll about the
 optical axis instead, which near the vertical is the heading; `from_gimbal` converts.
 
@@ -39,7 +39,7 @@ def rotation(heading: float, pitch: float, roll: float) -> Float64Array:
 def from_gimbal(yaw: float, pitch: float, roll: float) -> tuple[float, float, float]:
     """Convert a gimbal's yaw, pitch, and roll about the optical axis to heading, pitch, and roll of a `Frame`, in degrees.
 
-    Above a pitch of -45 degrees the angles are returned as they are: they agree where the roll is 0.
+    Above a pitch of -45 degrees the angles are returned unchanged; both conventions agree where the roll is 0.
     """
     if roll == 0 or pitch > _STEEP:
         return yaw % 360.0, pitch, roll

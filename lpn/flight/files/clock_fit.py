@@ -1,9 +1,9 @@
-"""The constant offset between the clock of photos and that of a log or track.
+"""The constant offset between the clocks of photos and of a log or track.
 
-A camera's clock is often local time where a log's is UTC, or the reverse. Offsets up to 14 hours either way are tried in steps of
-a quarter hour. The best one puts the most photos within the log, and brings the log nearest to the photos' own positions. If
-several are as good, the offset is unknown, and the user gives it as --clock-offset. Only offset 0 between clocks of one kind
-needs no proof.
+A camera's clock often has local time where the log has UTC, or the reverse. Offsets up to 14 hours either way are tried in steps
+of a quarter hour. The best one puts the most photos within the log, and brings the log nearest to the photos' own positions. If
+several are as good, the offset is unknown, and the user gives it as --clock-offset. Between clocks of one kind, offset 0 is
+taken if it is among them.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from lpn.flight.files.photos import Photo
 from lpn.flight.files.telemetry import Telemetry
 
 _QUARTER, _MOST_QUARTERS = 900.0, 56
-# An offset is possible from the first share of photos within the log (a log may be of one battery), and likely from the second.
+# An offset is possible if the share _SOME of photos is within the log (a log may be of one battery), and likely if _MOST is.
 _SOME, _MOST = 0.1, 0.9
 # Positions of photos and log whose median distance is below _NEAR metres are simultaneous. An offset is as good as the best if
 # its median is below _CLEAR times the best median, or less than _CLEAR_METRES above it.
@@ -30,10 +30,10 @@ _BEYOND = 10.0
 
 
 class ClockFit(NamedTuple):
-    """The fit of the photos' clock to a log's.
+    """The fit of the photos' clock to the clock of a log.
 
     Attributes:
-        offset: seconds to add to a photo's clock for that of the log; None if it is unknown.
+        offset: seconds to add to a photo's time for the log's time; None if it is unknown.
         basis: the photos' clock: "UTC", or "their clock".
         sentence: the end of a note about the fit, or about the reason for none.
     """
@@ -68,7 +68,7 @@ def fit_clocks(photos: Sequence[Photo], telemetry: Telemetry, utc: bool, given: 
 
 
 def _fit(telemetry: Telemetry, times: Float64Array, places: Float64Array, basis: str, is_like: bool) -> ClockFit:
-    """Return the best offset of one of the photos' clocks; `is_like` if it is of the log's kind."""
+    """Return the best offset of one of the photos' clocks; `is_like` if this clock and the log's are both UTC, or neither."""
     offsets = _QUARTER * np.array(sorted(range(-_MOST_QUARTERS, _MOST_QUARTERS + 1), key=abs))
     shares, metres = np.array([_score(telemetry, times + offset, places) for offset in offsets]).T
     likely = shares >= _MOST

@@ -1,4 +1,4 @@
-"""Tables of telemetry: the dialects of programs, what marks each, the meaning of its columns, and the rows as numbers.
+"""Tables of telemetry: the dialects of programs, their marks, the meaning of their columns, and the rows as numbers.
 
 The header is the first line, or one of the comments before it. Two formats have none: Pix4D's rows of pictures, and
 OpenDroneMap's geo.txt. Any other file is refused, and the message quotes its first line.
@@ -41,7 +41,7 @@ _GROUP = re.compile(r"(?:EXIF|XMP|GPS|File|Composite|IFD0|ExifIFD)[\w-]*:(?=\w)"
 _COMMENT = ("#", "%")
 # Most comments that are searched for the header, and most names in it.
 _MOST_COMMENTS, _MOST_NAMES = 200, 1000
-# The first line of OpenDroneMap's lists is a projection; only those of `_DEGREES` give degrees.
+# The first line of OpenDroneMap's lists is a projection; only projections of `_DEGREES` give degrees.
 _PROJECTION = re.compile(r"EPSG:\s*\d+|\+proj=.*|WGS84 UTM \d+[NS]?", re.IGNORECASE)
 _DEGREES = re.compile(r"EPSG:\s*(?:4326|4979)|\+proj=(?:longlat|latlong).*", re.IGNORECASE)
 _GEO_TXT = ["image_name", "geo_x", "geo_y", "geo_z"]
@@ -190,7 +190,7 @@ class LogTable:
     """The known columns of a log.
 
     Attributes:
-        columns: of the values that the table tells.
+        columns: by their values, which are keys of `UNITS`.
         texts: of each of these values, one a row; "" where it is unknown.
         lines: the number of each row's line, from 1.
         name: of the file, for messages.
@@ -223,7 +223,7 @@ class LogTable:
                 continue
             number = values.angle(text, letters, self.commas) if letters else values.number(text, self.commas)
             if number is not None:
-                # A unit in the cell counts in place of the column's.
+                # A unit in the cell replaces the column's unit.
                 is_converted = text[-1].isalpha() or text[-1] == "°"
                 numbers[i] = number if is_converted else number * (self.columns[what].factor or 1.0)
             elif what not in ("time", "date"):
@@ -241,7 +241,7 @@ def table_of(text: str, name: str) -> LogTable:
     """Find the header in a log's text, and split the lines below it into cells.
 
     Args:
-        name: the file's, for messages.
+        name: of the file, for messages.
 
     Raises:
         DataError: if it is of no known dialect, or has no row; the message shows its first line, or names a damaged one.
@@ -359,7 +359,7 @@ def columns_of(header: Sequence[str], name: str) -> tuple[Dialect, dict[str, Log
     """Return the dialect of a header, the column of each known value, and notes about columns that are not read or in doubt.
 
     Args:
-        name: the log's, for notes.
+        name: of the log, for notes.
 
     Raises:
         DataError: if the column of a latitude or longitude has an unknown unit.

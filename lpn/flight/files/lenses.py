@@ -31,7 +31,7 @@ _FOCALS, _OFF_CENTRE, _MOST = (0.04, 20.0), 0.25, 100.0
 _MOST_BYTES, _MOST_BRACKETS = 1_000_000, 1000
 # A number or list of numbers in a block list; OpenCV's parser wants its dash farther right than the key.
 _DASHED = re.compile(r"^( *-)(?= [-.\d'\"\[])", re.MULTILINE)
-# The end of that parser's message: the line's number, and what is wrong there.
+# The end of that parser's message: the line's number, and the error there.
 _DAMAGE = re.compile(r".*\((\d+)\): (.+)'", re.DOTALL)
 
 

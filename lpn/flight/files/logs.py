@@ -37,7 +37,7 @@ _ANGLES = {
 }
 _RANGES = {"latitude": (-90.0, 90.0), "longitude": (-180.0, 180.0), **_ANGLES, "fov": cameras.FOV_RANGE}
 _LOOKS_UP = 30.0
-# Share of positions, or of a column's angles, beyond their range above which all of them are in doubt.
+# If a larger share of the positions, or of a column's angles, lies beyond its range, all of them are in doubt.
 _MOST_BEYOND = 0.1
 # A recording shorter than this, in seconds, marks only the beginning of a video.
 _LEAST_RECORDING = 1.5
@@ -183,7 +183,7 @@ def parse_track(text: str, name: str) -> Log:
     """Parse a GPX file's text; a DTD is refused before entities are expanded.
 
     Args:
-        name: the file's, for messages.
+        name: of the file, for messages.
 
     Raises:
         DataError: if it is no GPX file, is damaged, has a DTD, or has no point with a position.
@@ -252,7 +252,7 @@ def nearest_in_folders(path: Sequence[str], candidates: Sequence[Sequence[str]])
 
 
 def moments(log: Log) -> tuple[list[TelemetryEntry], list[str]]:
-    """Return the entries that have a clock, with it as their time, and notes; of equal moments the first row with a position.
+    """Return the entries with a clock, which becomes their time, and notes; the first of equal moments with a position counts.
 
     A clock in whole seconds gets its fraction from the column of elapsed time.
     """
@@ -282,7 +282,7 @@ def _distinct(entries: Sequence[TelemetryEntry], name: str) -> tuple[list[Teleme
 
 
 def for_video(log: Log, number: int, began: float | None = None) -> tuple[list[TelemetryEntry], list[str]]:
-    """Return the entries of a log's recording with times from its start, and notes about them; those of subtitles unchanged.
+    """Return the entries of a log's recording, timed from its start, and notes; entries of subtitles stay unchanged.
 
     Args:
         number: of the recording, from 0, in a log that marks recordings.

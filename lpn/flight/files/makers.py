@@ -262,7 +262,7 @@ class Properties:
 
 
 def _properties(element: ElementTree.Element, tags: tuple[str, ...]) -> Iterator[tuple[str, str, str]]:
-    """Yield address, name, and text of the properties of an element, within those of `tags`, in the order of the packet."""
+    """Yield address, name, and text of an element's properties in the order of the packet; `tags` are the elements around it."""
     tags = tags if element.tag.startswith(_FRAME) else (*tags, element.tag)
     for tag, text in [*element.attrib.items(), ("", element.text or "")]:
         path = [name.removeprefix("{").rpartition("}") for name in (*tags, tag) if name]

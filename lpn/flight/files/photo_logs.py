@@ -21,7 +21,7 @@ from lpn.flight.files.telemetry import Log, Telemetry, TelemetryEntry
 
 # A row belongs to one of several photos of its name if that photo is this many times nearer to it than the others.
 _CLEARLY = 3.0
-# Median distance in metres of a log's positions from the photos' own above which a note doubts them.
+# A note doubts a log's positions if their median distance in metres from the photos' positions is larger.
 _ELSEWHERE = 1000.0
 _ANGLES = ("heading", "pitch", "roll", "heading_source")
 
@@ -29,11 +29,11 @@ _ANGLES = ("heading", "pitch", "roll", "heading_source")
 def with_log(photos: Sequence[Photo], log: Log, clock_offset: float | None = None) -> tuple[list[Photo], list[str]]:
     """Return photos with a log's values, and notes.
 
-    Rows are matched by file name if the log has file names, else by time. The log's values replace those of the photos, except
-    for a heading whose source is worse than the photo's, and the field of view of a photo whose lens is known.
+    Rows are matched by file name if the log has file names, else by time. The log's values replace the photos' values. Two
+    stay: a heading of a better source than the log's, and the field of view of a photo of known lens.
 
     Args:
-        clock_offset: seconds to add to the photos' clock for the log's; None estimates it.
+        clock_offset: seconds to add to the photos' times for the log's time; None estimates it.
     """
     named = logs.entries_by_name(log)
     how, why_not, notes = "by name", "", list[str]()
@@ -111,7 +111,7 @@ def _metres_apart(frame: Frame, entry: TelemetryEntry) -> float:
 
 
 def _at_its_time(photo: Photo, telemetry: Telemetry, utc: bool, by_utc: bool, offset: float) -> Photo:
-    """Return a photo with the telemetry at its time; the photo itself where that has no position."""
+    """Return a photo with the telemetry at its time; unchanged where the telemetry has no position."""
     time = photo.utc if by_utc else photo.local
     known = {} if time is None else telemetry.at(time + offset)
     if time is None or "latitude" not in known:

@@ -1,6 +1,6 @@
 """Photos with EXIF and XMP, read as frames.
 
-`lpn.flight.files.makers` lists the properties of each maker, best first. A maker's XMP precedes EXIF's position, which some
+`lpn.flight.files.makers` lists the properties of each maker, best first. A maker's XMP replaces EXIF's position, which some
 firmware truncates. A position (0, 0) is unknown, and so are a camera's angles that are all 0. Oddities of a photo are collected.
 """
 
@@ -79,7 +79,7 @@ class Photo:
     camera: str = ""
 
     def facts(self, data: bytes) -> list[tuple[str, str]]:
-        """Return names and values for display, of a photo's file of these bytes; a missing value is named as missing."""
+        """Return names and values of a photo for display; `data` are its file's bytes. A missing value is "not told"."""
         frame, place = self.frame, "not told"
         if frame.latitude is not None:
             place = f"{frame.latitude:.6f}, {frame.longitude:.6f} (latitude and longitude of the camera)"
@@ -105,7 +105,7 @@ class _Metadata(Properties):
 
     @property
     def zoom(self) -> float:
-        """The factor of the digital zoom, by which the field of view is narrower than the lens's."""
+        """The factor of the digital zoom, which narrows the lens's field of view."""
         return max(self.first("zoom") or 1.0, 1.0)
 
     @property
@@ -238,7 +238,7 @@ def _altitude(known: _Metadata) -> float | None:
 
 
 def _angles(known: _Metadata, turns: int) -> _Angles:
-    """Return the angles of the upright picture: the heading of the best source, and the tilt of the same one if it has any."""
+    """Return the angles of the upright picture: the heading of the best source, and the tilt of this source if it has one."""
     told = list(_told_angles(known))
     best = next((angles for angles in told if angles.heading is not None), _Angles())
     tilt = next((angles for angles in (best, *told) if angles.pitch is not None), _Angles())
@@ -328,7 +328,7 @@ def _fovs(known: _Metadata, width: float, height: float) -> Iterator[float]:
             continue
         if not across or abs(2 * across / width - 1) <= _OFF_CENTRE:
             yield cameras.fov_of_sensor(width, focal)
-        # A picture of another size was reduced. If its proportions are less wide, the calibration is another camera's.
+        # A picture of another size was reduced. If its proportions are less wide, the calibration is of another camera.
         elif not down or width / height * down / across >= 1 - _OFF_CENTRE / 2:
             yield cameras.fov_of_sensor(2 * across, focal)
         else:

@@ -71,7 +71,7 @@ class FlightOptions:
         fov: horizontal field of view in degrees, for frames whose files have none.
         pitch: in degrees, for frames whose files have none; -90 is straight down.
         camera: file of the camera's lens, for all frames, see `lpn.flight.files.lenses.read_camera`.
-        clock_offset: seconds to add to the photos' clock for a log's; None estimates it.
+        clock_offset: seconds to add to the photos' times for a log's time; None estimates it.
     """
 
     every: float = 1.0
@@ -153,7 +153,7 @@ def read_any_log(file: Path) -> Log:
 
 
 def _read_logs(inputs: _Files) -> tuple[dict[Path, Log], list[str]]:
-    """Return the logs and tracks, and a note for each file that is nearly a log; move other files to the others."""
+    """Return the logs and tracks, and a note for each file that is nearly a log; move other files to "others"."""
     read: dict[Path, Log] = {}
     notes = []
     for file in list(inputs["logs"]):
@@ -181,7 +181,7 @@ def _refuse(file: Path) -> None:
     if suffix not in (".csv", ".geojson", ".gpx"):
         return
     head = b""
-    with contextlib.suppress(OSError), file.open("rb") as opened:  # its own reader tells why
+    with contextlib.suppress(OSError), file.open("rb") as opened:  # the reader of its kind reports the error
         head = opened.read(4096)
     if _OWN_TRACK.match(head):
         raise DataError(
@@ -300,7 +300,7 @@ def _is_map(file: Path) -> bool:
             tags = picture.getexif()
             return any(tag in tags for tag in _GEOTIFF)
     except (*DAMAGED, Image.DecompressionBombError):
-        return False  # its own reader tells why
+        return False  # the reader of photos reports the error
 
 
 def _no_pictures(files: _Files) -> str:

@@ -7,7 +7,7 @@
     GPS(W: 70.5, S: 33.4, 812.5m) ReH:40.0                                  Autel: letters of hemispheres, with an altitude
 
 rel_alt, BAROMETER, Hb, H, and ReH are heights above take-off; abs_alt and altitude are above the sea. (0, 0), written before the
-first fix, is an unknown position. The gimbal's heading precedes the aircraft's. The time of day has no zone.
+first fix, is an unknown position. The gimbal's heading replaces the aircraft's. The time of day has no zone.
 """
 
 from __future__ import annotations
@@ -99,8 +99,8 @@ def parse_subtitles(blocks: Sequence[SubtitleBlock], name: str, gps_order: GpsOr
 
     Args:
         name: of the file, for messages.
-        gps_order: order of the first two values in GPS(a, b, c); None takes the dialect's, else infers it from degrees beyond 90,
-            else takes latitude first with a note.
+        gps_order: order of the first two values in GPS(a, b, c); None infers it from letters, degrees beyond 90, or numbers
+            of satellites, else takes latitude first with a note.
 
     Raises:
         DataError: if no subtitle holds telemetry; the message quotes a line.
@@ -161,7 +161,7 @@ def _order(lists: Sequence[list[str]], chosen: GpsOrder | None, name: str) -> tu
 
 
 def _told(text: str, items: Sequence[str], order: GpsOrder) -> dict[str, float | None]:
-    """Return the values of one subtitle, named as in `lpn.flight.files.dialects.UNITS`; `items` are those of its GPS list."""
+    """Return the values of one subtitle, named as in `lpn.flight.files.dialects.UNITS`; `items` are its GPS values."""
     named = {key.strip(): number for inside in _BRACKET.findall(text) for key, number in _NAMED.findall(inside)}
     told = _listed_values(items, order) if items else {}
     if height := _HEIGHT.search(text):

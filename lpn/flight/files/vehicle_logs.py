@@ -1,7 +1,7 @@
 """Autopilots: logs of PX4 (.ulg), ground stations (MAVLink's .tlog), and ArduPilot (.bin, or .log as text), and their messages.
 
 One mapping serves all messages, in logs and by live links. The latest attitude, gimbal angles, and heights complete each
-position. A gimbal's angles precede the aircraft's; without a gimbal the camera is assumed to look down from the aircraft's
+position. A gimbal's angles replace the aircraft's; without a gimbal the camera is assumed to look down from the aircraft's
 belly. The extra `live` has the packages that read the files.
 """
 
@@ -29,7 +29,7 @@ _FIRST_EPOCH = 10**8
 # Topics of PX4 that are used.
 _PX4_GPS = ("vehicle_gps_position", "sensor_gps")
 _PX4 = ("vehicle_global_position", "vehicle_local_position", "vehicle_attitude", "gimbal_device_attitude_status")
-# Seconds for which an angle or a height holds, and for which a filtered position suppresses raw ones.
+# Seconds for which an angle or a height counts; a filtered position suppresses raw ones for twice as long.
 _HOLD = 1.0
 # Least seconds between two entries, enough for pictures and small for a log of an hour.
 _LEAST_STEP = 0.1
@@ -78,7 +78,7 @@ class Vehicle:
         self.others: set[int] = set()
         self.outside = 0
         self._needs_position = needs_position
-        # The time and value of what each system told last.
+        # The last time and number of each value, by system.
         self._held: defaultdict[int, dict[str, tuple[float, float]]] = defaultdict(dict)
         self._filtered = self._placed = self._last = -math.inf
 
@@ -123,7 +123,7 @@ class Vehicle:
             return None
         elif kind not in _RECEIVERS:
             self._filtered = time
-        # A clock that steps back starts again. A position does not wait for an entry without one.
+        # A clock that steps back starts again. A position does not wait for an entry without a position.
         last = self._last if entry.latitude is None else self._placed
         if 0 <= time - last < _LEAST_STEP - 1e-6:
             return None

@@ -80,7 +80,7 @@ def read_frames(
             raise DataError(
                 f"{name} has no positions, so frames cannot be chosen by metres flown; choose them by seconds."
             )
-    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # its own messages would add to ours
+    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # FFmpeg's messages would confuse the user
     capture = cv2.VideoCapture(str(video))
     frames, turns, times = [], turns_of(capture), [0.0]
     try:
@@ -116,7 +116,7 @@ def _notes(name: str, log: Log, duration: float, frames: Sequence[Frame], turns:
         sources = {frame.heading_source for frame in frames if frame.heading is not None}
         heading = ", and its heading with it." if sources else "."
         if "aircraft" in sources:
-            # The gimbal may have rolled the camera; then the aircraft's heading is not that of the upright picture's top.
+            # The gimbal may have rolled the camera; then the aircraft's heading is not the heading of the upright picture's top.
             heading += " If the gimbal itself turned the camera, the heading, which is that of the aircraft, is off by as much."
         notes.append(f"{name} is turned by {90 * turns}° by its file{heading}")
     return notes
@@ -130,7 +130,7 @@ def turns_of(capture: Any) -> int:
 
 def position(capture: Any, count: int) -> float:
     """Return the seconds of the capture's current picture, before which `count` pictures were read."""
-    # Some containers have no times of their own.
+    # Some containers store no times.
     rate = float(capture.get(cv2.CAP_PROP_FPS))
     return float(capture.get(cv2.CAP_PROP_POS_MSEC)) / 1000 or (count / rate if rate > 0 else 0.0)
 

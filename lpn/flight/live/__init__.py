@@ -1,4 +1,4 @@
-"""A flight that goes on: its newest frame is located while it flies, with bounded memory and latency.
+"""A flight in progress: its newest frame is located with bounded memory and latency.
 
     frames        pictures of a folder that fills, a video, or a stream; one waits, and a newer one replaces it
     telemetry     heading, height, and position by MAVLink, or from a log

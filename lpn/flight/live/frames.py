@@ -63,11 +63,11 @@ PictureReader = Callable[[threading.Event], Iterator[ArrivedPicture]]
 
 
 class LiveSource:
-    """A source of pictures, read by a thread of its own; the newest picture waits.
+    """A source of pictures, read in a separate thread; the newest picture waits.
 
     Args:
         read: of the pictures.
-        say: receives sentences about what is odd.
+        say: receives sentences about oddities.
 
     Attributes:
         dropped: pictures that newer ones replaced before anybody took them.
@@ -170,7 +170,7 @@ def stream_pictures(source: Path | str, say: Say, fov: float | None = None) -> P
         InputError: if it cannot be opened.
     """
     name, is_file = shown_name(source), isinstance(source, Path)
-    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # its own messages would add to ours
+    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # FFmpeg's messages would confuse the user
     limits = [cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, _SILENT_MS, cv2.CAP_PROP_READ_TIMEOUT_MSEC, _SILENT_MS]
 
     def opened() -> Any:
@@ -223,7 +223,7 @@ def open_source(source: str, say: Say, fov: float | None = None) -> LiveSource:
     """Open a folder, a video file, or a stream by its address.
 
     Args:
-        say: receives sentences about what is odd.
+        say: receives sentences about oddities.
         fov: horizontal field of view of a video or stream in degrees.
 
     Raises:

@@ -1,8 +1,8 @@
 """A locator of frames in the order of their arrival: windows, sequence, registration, and verdict of a whole flight.
 
 The sequence of `lpn.flight.locate.sequence` runs forward only: a frame's answer depends on earlier frames. Frames in quick
-succession show nearly the same ground, so a frame's scores are weighted by the distance flown since the last frame, as a share
-of the distance between two windows. Descriptors are centred by the mean of the frames so far, from 20 distinct ones on. An
+succession show nearly the same ground. So a frame's scores are weighted by the distance flown since the last frame, as a share
+of the distance between two windows. Descriptors are centred by the mean of the frames so far, once 20 are distinct. An
 accepted registration is also evidence for the next frame's place. It is refused if the drone can hardly have flown there.
 """
 
@@ -59,7 +59,7 @@ _FALSE = 0.2
 _GRID = 1.15
 # A longer step in seconds is a jump of the clock.
 _LONGEST_STEP = 3600.0
-# The headings of a filter without any.
+# The headings of a filter over places alone.
 _NO_HEADING = np.array([math.nan])
 
 
@@ -100,7 +100,7 @@ class LiveLocator:
         self._scored: deque[tuple[float, Float64Array, BoolArray]] = deque(maxlen=_SCORED)
         self._time = math.nan
         self._prior = FlightPrior()
-        # Turns of the last registrations with whether they stand, and the time of the last one.
+        # Turns of the last registrations, each with True if it stands, and the time of the last registration.
         self._turns: deque[tuple[float, bool]] = deque(maxlen=_TURNED)
         self._registered_at = math.nan
         # True if the last registered place lies within a window's side of the map's border.
@@ -109,7 +109,7 @@ class LiveLocator:
         self._fresh = self._unfit_said = False
 
     def prepare(self, sizes: Sequence[float]) -> None:
-        """Describe the map's windows of these sides in metres; the user's cache has those of earlier runs.
+        """Describe the map's windows of these sides in metres; the user's cache has the windows of earlier runs.
 
         Raises:
             InputError: if no window has data.
@@ -308,7 +308,7 @@ class LiveLocator:
         return np.asarray(np.log((1 - _FALSE) * near + _FALSE / len(gallery.places))[:, None])
 
     def _other_turn(self, frame: Frame, answer: StageRecord) -> float | None:
-        """Return the degrees between a registration's turn and earlier ones if these show that it is another place."""
+        """Return the degrees between a registration's turn and earlier ones if these show that its place is false."""
         if answer.turn is None:
             return None
         usual, refused = self._told_turns(), [turn for turn, stands in self._turns if not stands]
@@ -320,7 +320,7 @@ class LiveLocator:
             kept = [*((turn, True) for turn in usual), *((turn, False) for turn in alike), (answer.turn, False)]
             self._turns = deque(kept, _TURNED)
             return degrees
-        # Its turn is that of earlier registrations, or enough registrations share it that the headings count as changed.
+        # The turn fits earlier registrations, or so many share it that the headings count as changed.
         standing = usual if degrees is None else alike
         self._turns = deque([*((turn, True) for turn in standing), (answer.turn, True)], _TURNED)
         return None

@@ -186,7 +186,7 @@ def _without_place(fix: LiveFix, near_border: bool) -> str:
 
 
 def live_answer(located: LocatedFrame) -> FrameVerdict:
-    """Return the verdict with its best answer, as of `lpn locate --best`: an accepted registration, else the sequence's.
+    """Return the verdict with its best answer, as of `lpn locate --best`: an accepted registration, else the sequence.
 
     It is moved below the camera where the tilt is known, see `below_camera`. The sequence's answer may be a refused one.
     """

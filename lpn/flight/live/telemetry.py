@@ -19,10 +19,10 @@ from lpn.flight.files.telemetry import Telemetry, TelemetryEntry
 from lpn.flight.files.vehicle_logs import Vehicle, mavlink_package
 from lpn.flight.live.frames import ArrivedPicture, Say
 
-# Seconds for which quickly changing values hold, and heights.
+# Seconds for which values count: quickly changing ones, and heights.
 FRESH, _HEIGHT_HOLDS = 2.0, 10.0
 _SLOW = ("height_above_ground", "height_above_takeoff", "altitude", "fov")
-# Most entries of a link in memory, some seconds' worth.
+# Most entries of a link in memory, enough for some seconds.
 _ENTRIES = 256
 _WAIT = 0.2
 
@@ -51,7 +51,7 @@ def _with(picture: ArrivedPicture, told: dict[str, Any], across_longer_side: boo
 
 
 class LogTelemetry(LiveTelemetry):
-    """A log or track, matched by UTC where both have it, else with the first picture at the log's first row.
+    """A log or track, matched by UTC where both have it; else the first picture counts from the log's first row.
 
     Raises:
         DataError: if it has no times.
@@ -84,7 +84,7 @@ class LogTelemetry(LiveTelemetry):
 
 
 class MavlinkLink(LiveTelemetry):
-    """A link by MAVLink, read by a thread of its own.
+    """A link by MAVLink, read in a separate thread.
 
     Heading, tilt, and position count for 2 s, heights for 10 s.
 
@@ -101,7 +101,7 @@ class MavlinkLink(LiveTelemetry):
         self._address = printable(address)
         try:
             self._link = mavutil.mavlink_connection(address, dialect="all")
-        except Exception as error:  # sockets, serial ports, and pymavlink raise what they like
+        except Exception as error:  # sockets, serial ports, and pymavlink raise all kinds of errors
             reason = printable(str(error) or type(error).__name__)[:150]
             raise InputError(
                 f"The MAVLink address {self._address} cannot be opened ({reason}); expected one such as udp:127.0.0.1:14550, "

@@ -1,7 +1,7 @@
-"""Offsets between a registered photo and the map, place by place: of its matched details, and of patches all over it.
+"""Offsets between a registered photo and the map: at its matched details, and at patches all over it.
 
-A mosaic's seams, a lens, and objects on the ground bend a photo against its map, beyond the one transformation of the
-registration. Square places of the laid photo are matched with the map around them by normalised cross-correlation, and back.
+Seams of a mosaic, the lens, and objects on the ground shift parts of a photo, which one homography cannot follow. Square places
+of the laid photo are searched on the map by normalised cross-correlation, and each match is searched again on the photo.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from lpn.flight.maps import Map, Window
 
 # Pixels of the square around the laid photo, of a place's side, and of the search around a place.
 _PHOTO, _PLACE, _REACH = 456, 56, 64
-# Pixels of the square of ground that is compared: places at the photo's border are searched there and back.
+# Side in pixels of the compared square of ground, with room for the search from photo to map and back.
 _SIDE = _PHOTO + 4 * _REACH
 # The most metres that a photo's square may hold.
 _LARGEST = 5000.0
@@ -32,11 +32,11 @@ _BLUR = 8.0
 _LEAST, _STANDS_OUT, _BESIDE, _BACK = 0.55, 0.15, 5, 3.0
 # Least share of a place that photo and map show, and its least contrast in grey levels.
 _SHOWN, _CONTRAST = 0.98, 2.0
-# Fewer places of a photo tell nothing of the rest.
+# Fewest places that are evidence on the rest of the photo.
 _FEW_PLACES = 3
 # Most matched details in a sample, as a person cannot distinguish more, and rows in which they are numbered from left to right.
 _SAMPLE, _ROWS = 24, 4
-# Beyond this share of the searched distance, other places may lie outside of the search.
+# From this share of the reach on, larger offsets may lie outside of the search.
 _BORDER = 0.9
 
 
@@ -75,8 +75,8 @@ class MatchedDetails(PhotoPlaces, frozen=True):
     """The matches of a photo that agree with its registration, and a sample spread over the photo.
 
     Attributes:
-        rows: of the sample.
-        median: of all these matches' distances in metres.
+        rows: see `PhotoPlaces`; of the sample.
+        median: the median distance of all these matches in metres.
         limit: metres within which a match agrees.
     """
 
@@ -146,7 +146,7 @@ class MapAgreement(PhotoPlaces, frozen=True):
 
     @property
     def unchecked(self) -> str:
-        """A sentence that too few places are found to check the photo away from its middle; "" if enough are."""
+        """A sentence that places are too few to check the photo away from its middle; "" if they are enough."""
         count = len(self.rows)
         if count >= _FEW_PLACES:
             return ""
@@ -167,8 +167,8 @@ def map_agreement(basemap: Map, photo: UInt8Array, homography: Float64Array, siz
 
     Args:
         photo: RGB (H, W, 3) of any size, without the distortion of its lens.
-        homography: from pixels of the photo in its own size to metres of the map's frame, (3, 3).
-        size: the photo's own width and height in pixels.
+        homography: from pixels of the original photo to metres of the map's frame, (3, 3).
+        size: the original photo's width and height in pixels.
     """
     corners = apply_homography(homography, corner_pixels(*size))
     middle = apply_homography(homography, middle_pixel(*size))
@@ -179,7 +179,7 @@ def map_agreement(basemap: Map, photo: UInt8Array, homography: Float64Array, siz
     side = _SIDE / scale
     photo = images.shrink(photo, _PHOTO)
     height, width = photo.shape[:2]
-    # From pixels of this photo to pixels of its own size, to metres, to pixels of the square of ground.
+    # From pixels of the small photo to pixels of the original, to metres, to pixels of the square of ground.
     zoom = np.array([size[0] / width, size[1] / height])
     own = np.array([[zoom[0], 0, (zoom[0] - 1) / 2], [0, zoom[1], (zoom[1] - 1) / 2], [0, 0, 1]])
     half = (_SIDE - 1) / 2

@@ -28,13 +28,13 @@ class TagAudit:
     Attributes:
         frames: number of frames with both.
         median, largest: metres between tag and registered position.
-        lag: seconds by which tags are late; this and what follows is NaN if it cannot be estimated.
+        lag: seconds by which tags are late; if it cannot be estimated, it and all figures below are NaN.
         lag_error: its standard error in seconds.
         without_lag: median residual in metres after the lag and a constant offset are subtracted.
-        offset: metres of that offset, from the positions to the tags; it may be the map's error.
+        offset: length of that constant offset in metres, from positions to tags; it may be the map's error.
         without_offset: median residual in metres after the best constant offset alone is subtracted.
-        ahead: metres flown in the lag at the median speed. A tilted camera may look ahead (behind, if negative) by as much
-            instead. NaN if the positions are the camera's.
+        ahead: metres flown in the lag at the median speed. A camera that looks as far ahead (behind, if
+            negative) explains the tags as well. NaN if the positions are the camera's.
     """
 
     frames: int
@@ -76,8 +76,8 @@ class TagAudit:
 def audit_tags(times: Float64Array, tags: Float64Array, positions: Float64Array, middles: bool = False) -> TagAudit:
     """Compare tags with registered positions, and estimate the lag of the tags.
 
-    A tag that is late by s seconds has the place of s seconds before: tag - position = -s v + offset. The lag is the robust slope
-    over the velocities v of the registered track.
+    A tag that is late by s seconds has the place of s seconds before: tag - position = -s v + offset. A robust fit over
+    the velocities v of the registered track gives s.
 
     Args:
         times: seconds, (N,); NaN where unknown.
@@ -112,7 +112,7 @@ def audit_tags(times: Float64Array, tags: Float64Array, positions: Float64Array,
 
 
 def corrected_tags(times: Float64Array, tags: Float64Array, lag: float) -> Float64Array:
-    """Return tags without a constant lag, (N, 2): the tags' place `lag` seconds later, interpolated linearly.
+    """Return tags without a constant lag, (N, 2): each place is taken `lag` seconds later, interpolated linearly.
 
     A place is NaN if a tag before or after it is missing, or these are more than 30 seconds apart. The audit's offset is not
     subtracted, because it may be the map's error.

@@ -25,7 +25,7 @@ _TILT_ERROR, _AIRCRAFT_TILT_ERROR = 1.5, 5.0
 _LEAST_DOWN = 0.5
 # 1-sigma errors of the direction of a tilted camera in degrees, and of its height as a share.
 _DIRECTION_ERROR, _HEIGHT_ERROR = 5.0, 0.1
-# Share of a tilt's default error that radii keep for errors that frames have in common.
+# Radii keep this share of a tilt's default error, for the part that frames have in common.
 COMMON = 0.5
 # Neighbours that are compared with a parabola in time, fewest groups of them, and most seconds between two.
 _NEIGHBOURS = 4
@@ -57,12 +57,12 @@ def height_of_width(frame: Frame, width: float) -> float:
 def camera_place(frame: Frame, size: tuple[int, int], registration: Registration) -> tuple[Float64Array, float] | None:
     """Return the place below the camera in metres, (2,), and its 1-sigma radius.
 
-    Evenly spread matches determine the photo's middle best: a linear model's variance at (x, y) is 1 + 12 (x / w)^2 +
+    Evenly spread matches determine the photo's middle best. A linear model's variance at (x, y) is 1 + 12 (x / w)^2 +
     12 (y / h)^2 times the variance at the middle of w x h pixels. An error of the tilt moves the place by the height times its
     tangent.
 
     Returns:
-        None if the tilt is unknown or above 15 degrees, or the model bends too much between the middle and the place.
+        None if the tilt is unknown or above 15 degrees, or the homography's depth halves or doubles from the middle to the place.
     """
     radius, width, homography = registration.radius, registration.width, registration.homography
     if frame.pitch is None or frame.roll is None or frame.fov is None:
@@ -121,10 +121,10 @@ def below_camera(frame: Frame, answer: StageRecord) -> StageRecord:
 def scattered_radii(
     frames: Sequence[LocatedFrame], answers: Sequence[StageRecord]
 ) -> tuple[dict[int, float], list[str]]:
-    """Return smaller radii of accepted cameras by the error of tilts that the flight's scatter shows, and sentences about it.
+    """Return smaller radii of accepted cameras if their places scatter less than the tilts' default error, and sentences.
 
-    A common error of frames, such as that of a camera mounted askew, moves a leg as a whole and does not scatter. So the squares
-    of the scatter and of a share `COMMON` of the default error add up, and radii never grow.
+    An error that frames have in common, such as a camera mounted askew, moves a whole leg and does not scatter. So the error
+    of the tilt is the root of the sum of two squares: of the scatter, and of `COMMON` times the default error. Radii never grow.
 
     Args:
         answers: of the registration for each frame, without the map's error.
@@ -170,7 +170,7 @@ def tilt_error(
     A drone flies smoothly, so its place is nearly a parabola in time over four neighbouring frames, and their third divided
     difference is pure error. Its variance is the sum of the squared coefficients times spread^2 + (height tan(tilt))^2. The tilt
     solves Huber's second proposal: the squares over their variances, limited to 4, have the mean of normal errors. An error that
-    a leg's frames have in common, such as that of a camera mounted askew, stays unseen.
+    a leg's frames have in common, such as a camera mounted askew, stays unseen.
 
     Args:
         times: seconds, ascending, (N,).
@@ -178,7 +178,7 @@ def tilt_error(
         spreads: 1-sigma radii of the places without the tilt's error, (N,) metres.
         heights: above ground in metres, (N,).
         most: the largest result in degrees. It is returned if the places scatter more, as in a flight that turns between its
-            frames, or if there are fewer than 12 groups of four frames less than 30 s apart.
+            frames. It is also returned for fewer than 12 groups of four frames less than 30 s apart.
     """
     squares, shares = [], []
     for i in range(len(times) - _NEIGHBOURS + 1):

@@ -39,9 +39,8 @@ _OVER_CHANCE = 2.0
 _WORST = 0.25
 # The 1-sigma error of an assumed focal length, and so of the height, as a share.
 _ASSUMED_ERROR = 0.15
-# Relief that the flat model lacks moves groups of matches alike. On the rendered flight, over houses and trees, errors of the
-# flat model are _RELIEF times what the inliers' scatter predicts, and heights are off by _RELIEF_METRES: they also refer to
-# roofs.
+# The flat model ignores relief, which moves groups of matches alike. On the rendered flight, over houses and trees, the errors
+# are _RELIEF times the prediction by the inliers' scatter. Heights are off by _RELIEF_METRES, as they also refer to roofs.
 _RELIEF, _RELIEF_METRES = 8.0, 6.0
 _ITERATIONS = 30
 # Residuals below this many pixels are finer than the sampling of pictures.
@@ -52,7 +51,7 @@ _CUT = 4.0
 _REACH = 0.02
 # Ground within this many widths of the picture's middle, by the plane's model, may be in the picture.
 _SEEN = 1.0
-# Sigmas by which a pose's tilt may differ from the photo's.
+# Sigmas by which a pose's tilt may differ from the tilt in the photo's file.
 _SIGMAS = 3.0
 # 1-sigma error of a match in pixels of the compared pictures.
 _MATCH_ERROR = 1.0
@@ -128,7 +127,7 @@ class CameraPose(msgspec.Struct, frozen=True):
 
 @dataclass(frozen=True, eq=False)
 class PoseMatches:
-    """The observations of a pose, which is solved about a point in their middle.
+    """The matches by which a pose is solved, in coordinates about their middle.
 
     Attributes:
         pixels: of the photo, (M, 2).
@@ -138,7 +137,7 @@ class PoseMatches:
         plane_parameters: 8 for a homography, 4 for a similarity, or 6 for a similarity as the special case of a pose of known
             tilt.
         noise: expected 1-sigma error of a match in pixels.
-        middle: the point about which trial cameras are, (3,).
+        middle: the origin of the trial cameras' coordinates, (3,).
     """
 
     pixels: Float64Array
@@ -188,7 +187,7 @@ class PoseMatches:
         return len(np.unique(cells[:, 0] * _GRID + cells[:, 1]))
 
     def explained_by(self, camera: _Camera, parameters: int, clearly: bool) -> bool:
-        """Tell by GRIC whether a pose explains the matches as well as the plane's model, or clearly better."""
+        """Tell by GRIC whether a pose explains the matches as well as the plane's model, or, if `clearly`, better."""
         flat = np.linalg.norm(apply_homography(inverse(self.plane), self.points[:, :2]) - self.pixels, axis=1)
         cells = self.cells()
         share, worth = min(cells / len(flat), 1.0), math.log(4 * cells)
@@ -200,7 +199,7 @@ class PoseMatches:
         return gric(self._residuals(camera), parameters) <= gric(flat, self.plane_parameters) + margin
 
     def covariance(self, camera: _Camera, inliers: BoolArray, free: bool) -> Float64Array:
-        """Return the covariance of place and angles, (6, 6), see `CameraPose`; NaN if the matches do not tell them."""
+        """Return the covariance of place and angles, (6, 6), see `CameraPose`; NaN if the matches do not determine them."""
         inner = self._inner_covariance(camera, inliers, free)[:6, :6]
 
         def outer(values: Float64Array) -> Float64Array:
@@ -279,7 +278,7 @@ class PoseMatches:
         return np.where(np.isnan(off), np.inf, off)
 
     def _inner_covariance(self, camera: _Camera, inliers: BoolArray, free: bool) -> Float64Array:
-        """Return the covariance of turn, shift, and the focal length's logarithm; NaN if the matches do not tell them."""
+        """Return the covariance of turn, shift, and the focal length's logarithm; NaN if the matches do not determine them."""
         off, jacobian = (values[np.repeat(inliers, 2)] for values in self._linearised(camera, free))
         variance = max(float(off @ off) / max(len(off) - jacobian.shape[1], 1), (_FINEST / 2) ** 2)
         count = int(inliers.sum())
@@ -337,7 +336,7 @@ def photo_pose(basemap: Map, frame: Frame, view: PhotoView, registration: Regist
         return ""
     heights = None if basemap.elevation is None else basemap.heights
     noise = _MATCH_ERROR * max(1.0, ground.resolution * view.size[0] / metres)
-    # If neither heights nor the photo tell the tilt, noise and relief may pass for one.
+    # If neither heights nor the photo tell the tilt, noise and relief may pass for a tilt.
     proven = heights is None and (frame.pitch is None or frame.roll is None)
     parameters = 8 if registration.model == "homography" else 4 if proven else 6
 
@@ -367,7 +366,7 @@ def photo_pose(basemap: Map, frame: Frame, view: PhotoView, registration: Regist
 
 
 def _contradiction(frame: Frame, solved: CameraPose, turned: bool) -> str:
-    """Return a sentence if pitch or roll contradict the photo's; "" if they agree within three sigmas."""
+    """Return a sentence if pitch or roll contradict the photo's file; "" if they agree within three sigmas."""
     if frame.pitch is None or frame.roll is None:
         return ""
     way = -1 if turned else 1  # the file was turned after the flight
@@ -394,16 +393,16 @@ def solve_pose(
     inliers. An unknown focal length is one more parameter. The covariance is (J^T J)^-1 times the inliers' variance. Neighbours
     err alike, so each cell of a grid over the photo counts as one match.
 
-    The pose is compared with the plane's model by GRIC (Torr, "Geometric motion segmentation and model selection", 1998): the sum
-    of squared residuals over their variance, each at most 4, plus the number of parameters times the logarithm of 4 n. The pose
-    is rejected if the plane is better by one parameter's worth.
+    The pose is compared with the plane's model by GRIC (Torr, "Geometric motion segmentation and model selection", 1998). GRIC
+    is the sum of squared residuals over their variance, each at most 4, plus log(4 n) for each parameter, with n such cells. The
+    pose is rejected if the plane is better by more than log(4 n).
 
     Args:
         matches: of the registration.
         fov: horizontal field of view in degrees; None if unknown.
         heights: returns the ground's heights in metres at places (K, 2), NaN where unknown; None if the ground counts as flat.
         rematch: matches again near predicted pixels; its argument maps points (N, 3) to pixels (N, 2).
-        proven: True if the pose must be better than the plane by one parameter's worth.
+        proven: True if the pose must be better than the plane by log(4 n).
 
     Returns:
         The pose, or a sentence with the reason for none.
@@ -418,7 +417,7 @@ def solve_pose(
         return "The matches agree on no pose of the camera."
     camera, source = solved
     inliers = matches.agreeing(camera)
-    # Matches of a second round favour the pose that predicted them, so the first round's are compared.
+    # Matches of a second round favour the pose that predicted them, so matches of the first round are compared.
     if not matches.explained_by(camera, 6 + (source == "solved"), proven):
         return (
             "On flat ground the matches do not show how far the camera was tilted, so there is no pose."

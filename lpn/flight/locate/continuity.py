@@ -1,11 +1,11 @@
 """Registrations that contradict the rest of a flight: short jumps away and back, and pictures at another turn.
 
-Equal houses in a row give good registrations one house too far, which the drone cannot have reached and left in time. A false
-alarm costs a true position, so the limits are generous: only short runs between consistent neighbours count, and none if there
-are many.
+Equal houses in a row give good registrations one house too far. The drone cannot have reached such a place and left it in time.
+A false alarm costs a true position, so the limits are generous: only short runs between consistent neighbours count, and none if
+there are many.
 
-Beyond the map's edge photos in a row fit an equal building on the map. Their turns against certain headings reveal them. The
-error of headings may change from leg to leg, so turns that many frames share count as right.
+Several photos from beyond the map's edge may fit one equal building on the map. Their turns against certain headings reveal them.
+The error of headings may change from leg to leg, so turns that many frames share count as right.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from lpn.flight.locate.retrieval import heading_is_certain
 _REGISTERED, _TAGGED = 1.2, 1.3
 # Neighbours on each side whose tags count as near.
 _NEAR = 10
-# Least speed limits in metres a second: with tags, and, for common drones, without.
+# Least speed limits in metres a second: with tags, and without tags for common drones.
 _LEAST, _COMMON = 10.0, 20.0
 _RADII = 2.0
 # Fewest positions for a usual speed.
@@ -52,7 +52,7 @@ def refuse_contradicted(frames: Sequence[LocatedFrame]) -> list[str]:
 
 
 def _refuse_turned(frames: Sequence[LocatedFrame]) -> list[str]:
-    """Refuse registrations whose turn against a certain heading differs from the others'; return a sentence about them."""
+    """Refuse registrations of an unusual turn against a certain heading; return a sentence about them."""
     # There is no limit on their share: beyond the edge of a map 5 of 21 were false.
     turned = [
         (located, answer, answer.turn)
@@ -75,7 +75,7 @@ def _refuse_turned(frames: Sequence[LocatedFrame]) -> list[str]:
 
 
 def _refuse_jumps(frames: Sequence[LocatedFrame], of_camera: bool) -> list[str]:
-    """Refuse places of cameras, or of middles, that the drone cannot have reached and left, unless they are many."""
+    """Refuse places of cameras, or of pictures' middles, that the drone cannot reach and leave in time, unless they are many."""
     timed = [
         (located, answer)
         for located in frames
@@ -105,7 +105,7 @@ def _refuse_jumps(frames: Sequence[LocatedFrame], of_camera: bool) -> list[str]:
 
 
 def top_speeds(times: Float64Array, places: Float64Array, tags: Float64Array) -> Float64Array | None:
-    """Return the metres a second that the drone can fly from each position to the next, (N - 1,); None if they are too few.
+    """Return the metres a second that the drone can fly from each position to the next, (N - 1,); None for too few positions.
 
     The speed is a multiple of the 80th percentile of the speeds between neighbours, and of the largest speed of the tags near by.
     Tags are ignored if half of them repeat the tag before.
@@ -134,9 +134,9 @@ def jumps(times: Float64Array, places: Float64Array, radii: Float64Array, speeds
     """Return which positions are jumps away and back, (N,).
 
     A step between two positions is possible if its length is at most the distance flown at these speeds plus twice the joint
-    1-sigma radius. Times in whole seconds may be wrong by one. The best track has the most frames, less 6 for each impossible
-    step, and of equal ones is the shortest. A step may leave out up to 5 frames. These are jumps if the step is possible, but
-    neither the way to them nor the way back is, or not the whole way over them. Time and memory are linear in N.
+    1-sigma radius. Times in whole seconds may be wrong by one. The best track maximises the frames on it minus 6 for each
+    impossible step; the shorter of two equal tracks wins. A step may leave out up to 5 frames. They are jumps if this step is
+    possible, but the ways to them and back are both impossible, or the whole way over them is. Time and memory are linear in N.
 
     Args:
         times, places: see `top_speeds`, which returns `speeds`.
@@ -180,8 +180,8 @@ def jumps(times: Float64Array, places: Float64Array, radii: Float64Array, speeds
 def other_turn(turn: float, turns: Float64Array) -> float | None:
     """Return the degrees, 0 .. 180, between a turn and the median of others, (N,) with N > 0; None if it fits them.
 
-    A turn fits within 5 degrees, or within twice the others' spread. Half turns are ignored for this, as files may be saved
-    upside down. The returned degrees include them: they are the difference to the way up of most others.
+    A turn fits within 5 degrees, or within twice the spread of the others. The comparison ignores half turns, as files may be
+    saved upside down. The returned degrees include half turns, against the way up of most others.
     """
     from_first = _half_turn(turns - turns[0])
     usual = turns[0] + float(np.median(from_first))
@@ -193,10 +193,10 @@ def other_turn(turn: float, turns: Float64Array) -> float | None:
 
 
 def other_turns(turns: Float64Array) -> dict[int, float]:
-    """Return the registrations of a flight at another turn, with the degrees of `other_turn`.
+    """Return the indices of turns that do not fit the others, with the degrees of `other_turn`.
 
-    The reference is the turns within 2.5 degrees of the commonest one; they must be half of all, and at least eight. A turn
-    stands if ten frames share it to within 5 degrees, or half as many as the commonest one. Time is O(N log N).
+    The others are the turns within 2.5 degrees of the commonest one; they must be half of all, and at least eight. A turn fits,
+    too, if within 5 degrees of it lie ten turns, or half as many as near the commonest one. Time is O(N log N).
 
     Args:
         turns: against certain headings in degrees, (N,).

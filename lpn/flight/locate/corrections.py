@@ -65,7 +65,7 @@ class Correction:
 
 
 def ground_middle(corners: Float64Array) -> Float64Array:
-    """Return the ground of a picture's middle, (2,), by that of its corners, (4, 2)."""
+    """Return the place of a picture's middle on the ground, (2,), by the places of its corners, (4, 2)."""
     return apply_homography(four_point_homography(corner_pixels(1, 1), corners), (0, 0))
 
 

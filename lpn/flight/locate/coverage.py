@@ -21,7 +21,7 @@ class Outline:
 
     Attributes:
         corners: (4, 2) metres in the map's frame: top left, top right, bottom right, bottom left of the picture.
-        registered: whether they follow from an accepted registration, or from position, height, angles, and field of view.
+        registered: True if by an accepted registration, False if by position, height, angles, and field of view.
     """
 
     corners: Float64Array

@@ -16,7 +16,7 @@ from lpn.core.arrays import Float64Array
 WITHIN = (5, 10, 25, 50, 100)
 # Percent of errors within k standard deviations, 1 - exp(-k^2 / 2), if errors are normal along both axes.
 RIGHT_CALIBRATION = {k: 100 * (1 - math.exp(-(k**2) / 2)) for k in (1, 2, 3)}
-# Three correct radii hold 99 % of the errors; a share below this shows that radii or truths are wrong.
+# Least percent of errors within three radii, ideally 99; fewer show that radii or truths are wrong.
 CONFIRMED_SHARE = 90.0
 # Fewest independent photos for a statement on the bias, and the multiple of the standard error that makes it systematic.
 _LEAST_FOR_BIAS, _SYSTEMATIC = 8, 3.0
@@ -96,8 +96,8 @@ class Errors:
     def figures(self) -> dict[str, Any]:
         """The figures for tables and JSON, in metres and percent; NaN where there are too few photos.
 
-        They are means (`bias`), standard deviations with N - 1 (`spread`), and root mean squares east and north, and effective
-        numbers of independent photos for these means, as neighbours err alike, besides the other properties.
+        Each axis has its mean (`bias`), standard deviation with N - 1 (`spread`), root mean square, and effective number of
+        independent photos, because neighbours err alike. The figures include the other properties.
         """
         offsets = self.offsets if self.photos else np.full((1, 2), math.nan)
         squares = np.sqrt((offsets**2).mean(axis=0))

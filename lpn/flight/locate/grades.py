@@ -33,8 +33,8 @@ def is_doubtful(flight: LocatedFlight, task: Task, query: int, answer: int, righ
     """Tell whether the grade of a flight's photo is in doubt.
 
     Details are in doubt if the tag, the neighbours, or the map contradict them. A tag is in doubt if the details grade this
-    answer the opposite way: they place the photo's middle on a wrong answer, or off a right one, by more than the 1-sigma radius
-    without the map's error, which moves both alike.
+    answer the opposite way, by more than their 1-sigma radius. The radius excludes the map's error, which moves windows and
+    details alike.
 
     Args:
         answer: the first tile's position in the gallery.

@@ -33,8 +33,8 @@ _ENLARGED = 2.0
 # Most blocks that one photo is compared with.
 MAX_BLOCKS = 48
 
-# Blocks of all maps of a process, the last used ones last: as many as one photo needs of two matchers. A block of XFeat takes
-# 2 MB, and one of SIFT 4 MB.
+# Blocks of all maps of a process in the order of their last use, enough for one photo and two matchers. A block of XFeat takes
+# 2 MB, and a block of SIFT 4 MB.
 in_memory: dict[tuple[str, int, int, int], Ground] = {}
 _lock = threading.Lock()
 
@@ -42,12 +42,12 @@ _lock = threading.Lock()
 class MapFeatures:
     """Features of a map's blocks: in memory for later frames, and on disk for later runs.
 
-    A block's file is named by the digest of the map, the matcher with its version, and the block, so a change of one of them
+    A block's file is named by the digest of the map, the matcher with its version, and the block. A change of one of them
     makes a new file. An unreadable file is replaced; a cache that cannot be written costs only time.
 
     Args:
         basemap: the map.
-        matcher: describes it.
+        matcher: describes the map.
     """
 
     def __init__(self, basemap: Map, matcher: Matcher) -> None:

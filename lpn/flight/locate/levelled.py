@@ -38,9 +38,9 @@ class PhotoView:
 
     Attributes:
         size: width and height of the photo in pixels.
-        picture: (H, W, 3) uint8; its middle shows the same ground as the photo's.
+        picture: (H, W, 3) uint8; its middle shows the same ground as the photo's middle.
         valid: pixels that the photo shows, (H, W); None for all.
-        matrix: the homography from pixels of the photo to those of the picture, (3, 3).
+        matrix: the homography from pixels of the photo to pixels of the picture, (3, 3).
         wider: metres of ground across the picture as a multiple of those across the photo's middle row.
     """
 
@@ -116,7 +116,7 @@ def level(photo: UInt8Array, frame: Frame, assumed: bool = False) -> PhotoView:
 
     Args:
         photo: (H, W, 3) uint8.
-        assumed: whether the pitch is a guess about the camera; otherwise an aircraft's pitch levels nothing.
+        assumed: whether the pitch is a guess about the camera; if not, the pitch of an aircraft levels nothing.
     """
     height, width = photo.shape[:2]
     plain = PhotoView.plain(photo)

@@ -58,7 +58,7 @@ class StageRecord(msgspec.Struct, frozen=True, omit_defaults=True):
             camera's; None if unknown.
         details: the `inliers` of a registration, with a sample of them; None for other answers.
         code: the reason of a refusal, see `lpn.flight.locate.words`; "" if `finding` has it.
-        numbers: of that reason.
+        numbers: the figures in the words of that reason.
         alone: whether the photo's details suffice without a flight, see `lpn.flight.locate.registration.proven`.
     """
 
@@ -343,9 +343,9 @@ class LocatedFlight:
 
     @cached_property
     def radii_confirmed(self) -> dict[str, bool]:
-        """Tell by stage whether tags confirm its radii: three of these hold about as many errors as they should.
+        """Tell for each stage whether tags confirm the radii: at least 90 % of the errors are within three radii.
 
-        A search with a prior finds nothing far from the tags, so these may refute its radii, but not confirm them.
+        A search with a prior finds nothing far from the tags, so tags can refute its radii, but not confirm them.
         """
         checked = {stage: one.calibration for stage, one in self.errors().items() if one.calibration}
         confirmed = {stage: shares[3] >= CONFIRMED_SHARE for stage, shares in checked.items()}

@@ -11,8 +11,8 @@ proves nothing by itself.
     tags        photos that lie where their GPS tags say
 
 The share of photos that agree on the right map is unknown, so all shares are equally likely. On the right map few photos may fit
-and none overlap, so number and neighbours are mixed with no evidence at all, and their lack costs little. If false places are
-independent, a sum of 3 has a probability of at most exp(-3) (Markov's inequality). Photos of one view count once.
+and none overlap, so number and neighbours count as evidence on only a share of right maps, and their lack costs little. If false
+places are independent, a sum of 3 has a probability of at most exp(-3) (Markov's inequality). Photos of one view count once.
 """
 
 from __future__ import annotations
@@ -102,8 +102,8 @@ class MapEvidence:
         """Add the evidence of a photo, registered or not.
 
         Args:
-            searched: side in metres of the search about the sequence's answer, without the photo's own ground; by default a
-                window's.
+            searched: side in metres of the search about the sequence's answer, without the photo's own ground; by default the
+                side of a window.
         """
         before, self._before = self._before, None
         self._photos += 1
@@ -144,12 +144,12 @@ class MapEvidence:
     def _chance(
         self, located: LocatedFrame, view: _View, point: Float64Array, distance: float, margin: float | None
     ) -> float:
-        """Return the share, 0 < share <= 1, of the searched ground of a photo's middle within `distance` metres of a point."""
+        """Return the share, 0 < share <= 1, of the ground searched for a photo's middle within `distance` metres of a point."""
         west, south, east, north = self._bounds
         places = None if margin is None else located.searched_places(around_tag=self._side is None)
         if margin is None or places is None:
             return min(1.0, math.pi * distance**2 / ((east - west) * (north - south)))
-        # The ground is searched beyond the photo's own, too.
+        # The search reaches beyond the ground that the photo shows.
         reach = margin + (AROUND - 0.5) * view.width
         steps = reach * (np.arange(_POINTS) * 2 + 1 - _POINTS) / _POINTS
         points = (places[:, None] + np.stack(np.meshgrid(steps, steps), axis=-1).reshape(1, -1, 2)).reshape(-1, 2)
@@ -163,7 +163,7 @@ class MapEvidence:
 
 
 def judge_map(frames: Sequence[LocatedFrame], evidence: MapEvidence) -> list[str]:
-    """Accept the sequence's answers if the map is of the flight's place, else refuse its registrations; return sentences.
+    """Accept the sequence's answers if the map is of the flight's place, else refuse all registrations; return sentences.
 
     The map is of the place if `MapEvidence` suffices, a person has corrected a photo, the sequence has an accepted answer (by the
     direction of flight), or the details of one photo suffice alone, see `StageRecord.alone`.

@@ -69,7 +69,7 @@ class Matcher(ABC):
         name: in reports and tracks.
         tolerance: degrees by which two pictures of one place may be turned against each other and still match.
         ratio: largest ratio of the distances to the nearest and to the second nearest descriptor; 1 for mutual matches alone.
-        package: of the features; another version of it may compute others.
+        package: computes the features; another version may compute other features.
     """
 
     name: str
@@ -90,7 +90,7 @@ class Matcher(ABC):
         """Return at most `limit` features of a picture (H, W, 3), only on valid pixels (H, W)."""
 
     def match(self, photo: Float32Array, ground: Ground) -> Int64Array:
-        """Return mutual nearest neighbours that pass the ratio test, (M, 2) int64: of a photo's descriptors and of `ground`."""
+        """Return indices of mutual nearest neighbours in photo and `ground` that pass the ratio test, (M, 2) int64."""
         if len(photo) < 2 or len(ground.points) < 2:
             return np.zeros((0, 2), np.int64)
         # The map's features are the rows of the product, because argmax over columns is slow.

@@ -23,7 +23,7 @@ class LocateOptions:
         map_error: 1-sigma error of the map's places in metres, along each axis; None takes `Map.default_error`.
         sizes: sides of windows in metres; None chooses them from the flight.
         overlap: of neighbouring windows, 0 to below 1.
-        speed: of a live flight, metres a second, one standard deviation; a whole flight's is the most probable one.
+        speed: standard deviation of a live flight's steps in metres a second; a whole flight takes the most probable speed.
     """
 
     sequence: bool = True

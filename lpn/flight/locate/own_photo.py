@@ -57,7 +57,7 @@ def register_own_photo(
         frame: the data of the photo's file; None without any. They are ignored if the tag lies farther off the map than the map
             is wide: either the photo is of another place, or the data are of another photo.
         windows: the most similar windows, about which a large map is searched.
-        on_progress: called before each try with the numbers of tries made and of all; an exception in it ends the search.
+        on_progress: called before each try with the numbers of finished tries and of all; an exception in it ends the search.
         map_error: see `LocateOptions.map_error`.
     """
     height, width = photo.shape[:2]

@@ -49,7 +49,7 @@ def locate(
 
     Args:
         model: for the retrieval; without one, registration searches the whole map, or around the tags with a prior.
-        corrections: a person's, by the frame's name. They change no stage's answer, but are the truth of errors and audit, and
+        corrections: of a person, by the frame's name. They change no stage's answer, but are the truth of errors and audit, and
             replace registrations in the track.
         index: an index of the map's windows by the model, see `retrieve`; without it, windows are described.
         shipped: a folder of answers that ship with the flight, used if they fit, see `lpn.flight.locate.shipped`.

@@ -24,12 +24,12 @@ from lpn.flight.locate.sequence import (
 )
 from lpn.flight.maps import Map
 
-# A place is accepted if windows within this share of a side of it have this probability together.
+# A place is accepted if the windows around it, within this share of a side, together have this probability.
 OVERLAP = 0.75
 CONFIDENCE = 0.98
 # Log odds of steps along the headings from which the map counts as of the flight's place.
 EVIDENCE = 4.0
-# Probability of places beyond the map from which a frame counts as there.
+# A frame counts as beyond the map if places there have more than this probability.
 _LEFT = 0.5
 # A place within the map's bounds counts as beyond the map if the map shows less than this share of its window.
 _SHOWN = 0.5
@@ -68,9 +68,9 @@ def enter_sequence(
 ) -> None:
     """Enter the answers of the sequence.
 
-    A frame with a heading has only this state, and each window has its best score over the tried turns. Other frames have all
-    tried headings as states. If the direction of flight does not prove that the map is of its place, answers are refused until
-    `judge_map`.
+    A frame with a heading has this one as its only state, and each window has its best score over the tried turns. Other frames
+    have all tried headings as states. Unless the direction of flight proves that the map is of the flight's place, answers are
+    refused until `judge_map`.
 
     Args:
         beyond: places beyond the map in metres, (B, 2), see `places_beyond`.
@@ -96,7 +96,7 @@ def enter_sequence(
         return units(i, best[i][:, None] if len(headings[i]) == 1 else retrieval.scores_by_heading(i))
 
     motion, temperature, evidence = fitted(scores, headings, gallery.places, times, gallery.step)
-    # The first frame counts as alike its neighbour as the second does.
+    # No frame precedes the first, so it takes the likeness of the second.
     alike = motion.alike(np.concatenate([elapsed[1:2], elapsed[1:]]), gallery.side) if len(frames) > 1 else [0.0]
 
     def log_emissions(i: int) -> Float64Array:

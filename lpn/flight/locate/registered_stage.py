@@ -63,7 +63,7 @@ AROUND = 0.75
 _BEYOND = 0.05
 # Pitches in degrees for levelling a photo of unknown pitch that is not placed unlevelled.
 _TRIED_PITCHES = (-60.0, -42.0)
-# Photos of a flight of fewer photos are first searched as single photos, as so few are little evidence together.
+# A flight of fewer photos gives little evidence, so each photo is first searched as a single photo.
 FEWEST = 5
 # Multiple of the usual support for a photo levelled by a guess: each try is a chance to agree with a wrong place.
 _TRIED_SUPPORT = 2.0
@@ -105,7 +105,7 @@ def register_frames(
     on_frame: CountProgress,
     shipped: Mapping[str, StageRecord],
 ) -> list[str]:
-    """Enter the answers of the registration, first shipped ones and records of a killed run; return sentences on them.
+    """Enter the answers of the registration, with shipped ones and records of a killed run; return sentences on them.
 
     Args:
         on_frame: called after each frame with the numbers of frames done and of all.
@@ -231,7 +231,7 @@ class PhotoSearch:
         side: metres of the windows that the frame's places come from; None if they come from no windows.
         quick: whether to try only the width by height and field of view, if known, and only the photo's own tilt.
         on_progress: called before each try of a matcher and a width; an exception in it ends the search.
-        anywhere: whether the photo may be of another place than the map's. All matchers together then need more support, and only
+        anywhere: whether the photo may be of a place off the map. All matchers together then need more support, and only
             the photo's own tilt is tried.
     """
 
@@ -349,7 +349,7 @@ def _posed(search: PhotoSearch, found: _Found) -> tuple[Registration, CameraPose
 
 
 def _clearest(plain: _Found, tilted: Sequence[_Found]) -> _Found:
-    """Return the tilted search with clearly more support than `plain` and than other tilts elsewhere, else `plain`."""
+    """Return the tilted search with clearly more support than `plain`, and than other tilts at other places, else `plain`."""
     clearest = max(tilted, key=lambda search: search.best.support)
     best = clearest.best
     if not best.accepted or best.support < _TRIED_SUPPORT * MIN_SUPPORT:
@@ -381,7 +381,7 @@ def _searched(search: PhotoSearch, frame: Frame, quick: bool, near: Registration
     widths = [replace(expected, width=width * view.wider, tried=not known) for width, known in tried]
     found = _tried(search, view, widths, centres)
     if search.side is not None and centres is not None and _reaches_out(found[0], view, centres, found[1]):
-        # A wrong place at the border of the searched ground has no rival, as the true one beyond was not searched.
+        # A wrong place at the border of the searched ground has no rival if the true place lies beyond.
         assert found[0].centre is not None
         found = _tried(search, view, widths, found[0].centre[None])
     best, reach = found
@@ -439,7 +439,7 @@ def _reaches_out(answer: Registration, view: PhotoView, centres: Float64Array, r
 
 
 def tried_widths(basemap: Map, known_width: float | None, widths: Collection[float]) -> Iterator[tuple[float, bool]]:
-    """Yield ground widths to try, each with whether it is known: by the height, by earlier frames, or a range."""
+    """Yield ground widths to try, by the height, by earlier frames, or over a range, each with True if it is known."""
     if known_width is not None:
         yield known_width, True
         # The height may be above take-off, and the correction by earlier frames may be wrong.

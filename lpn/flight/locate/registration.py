@@ -35,7 +35,7 @@ FREE_FACTOR = 2.0
 _HEADING_TOLERANCE = 40.0
 # Least support: the sum of 1 - (residual / radius)^2 over the inliers, less the expectation by chance.
 MIN_SUPPORT = 15.0
-# The support must be this multiple of the best other place's.
+# The support must be this multiple of the support of the best other place.
 MIN_RATIO = 1.7
 # Beyond these degrees from the expected heading, where few pictures lie, a place needs this multiple of the support.
 _FAR_TURN = 60.0
@@ -54,7 +54,7 @@ _NONE = np.zeros(0, np.complex128)
 
 
 def is_turned_over(turn: float | None) -> bool:
-    """Tell whether a turn in degrees against the heading is about 180, such as that of a file turned after the flight."""
+    """Tell whether a turn in degrees against the heading is about 180, as of a file turned after the flight."""
     return turn is not None and abs(turn) > 135
 
 
@@ -65,9 +65,9 @@ class Expectation:
     Attributes:
         width: metres of ground across the picture.
         heading: of the picture's top, degrees clockwise from north; None if unknown.
-        certain: whether the heading is the picture's, not a course's or an aircraft's. Unless an uncertain heading or its
+        certain: whether the heading is of the picture, not of a course or an aircraft. Unless an uncertain heading or its
             opposite has twice the needed support and ratio, all headings are tried, and the best supported one is taken.
-        guess: heading to try first if none is known, such as an earlier stage's. Unless it has twice the needed support and
+        guess: heading to try first if none is known, as by an earlier stage. Unless it has twice the needed support and
             ratio, all headings are tried.
         tried: whether the width is only a try, which may be wrong by a factor of 2.
     """
@@ -84,9 +84,9 @@ class PhotoPlace:
     """A place of a photo: the similarity m = a u + b, see the module.
 
     Attributes:
-        support: see `MIN_SUPPORT`; before guided matching, by all matches and with those by chance.
+        support: see `MIN_SUPPORT`; before guided matching, of all matches, without the subtraction of chance.
         u, m: its guided matches on photo and map, (M,) complex each; empty before guided matching.
-        matches: number of matches by which the support counts, which are within a larger reach.
+        matches: number of matches in the support, which are within a larger reach than `u` and `m`.
         seen: the photo's features, turned as the place needs them.
     """
 
@@ -105,11 +105,11 @@ class PhotoPlace:
 
     @property
     def residuals(self) -> Float64Array:
-        """Metres from the matches to where the similarity puts them, (M,)."""
+        """Metres on the map from the matches to their predictions by the similarity, (M,)."""
         return cast(Float64Array, np.abs(self.a * self.u + self.b - self.m))
 
     def is_apart(self, other: PhotoPlace) -> bool:
-        """Tell whether another place lies beyond a quarter of this one's ground width."""
+        """Tell whether another place is farther away than a quarter of the ground width."""
         return abs(other.b - self.b) > APART * abs(self.a)
 
 
@@ -165,11 +165,11 @@ class Registration:
         return f"The picture is turned by {abs(self.turn):.0f} degrees against its heading."
 
     def laid(self, homography: Float64Array, size: tuple[int, int], expected: float | None) -> Registration:
-        """Return the registration with a homography from pixels of a picture, (3, 3), and the pose in the plane by it.
+        """Return the registration with a homography from pixels, (3, 3), and with centre, heading, width, and turn by it.
 
         Args:
             size: width and height of the picture in pixels.
-            expected: heading in degrees, against which the picture's turn is told.
+            expected: heading in degrees, from which the picture's turn is measured.
         """
         middle = middle_pixel(*size)
         right, up = np.array([size[0] / 2, 0]), np.array([0, -0.01 * size[0]])
@@ -212,7 +212,7 @@ def register(
 ) -> Registration:
     """Register a photo to described ground.
 
-    A place at a given heading is more probable than others: one at another heading must have more support, and is no rival.
+    A place at the expected heading is more probable. A place at another heading must have more support, and is no rival.
 
     Args:
         ground: features of the searched part of the map.
@@ -278,7 +278,7 @@ def contested(
 def proven(answer: Registration, photo: PhotoView, others: Sequence[tuple[Matcher, Ground]]) -> Registration:
     """Refuse an accepted answer for a photo that may be of another place, unless its support by all matchers is high.
 
-    By one matcher, two pictures of meadows can agree by chance as well as two of one place; another matcher then finds no
+    By one matcher, pictures of two meadows can agree as well as pictures of one place; another matcher then finds no
     agreement. So the support by all matchers together must reach 15 for each matcher and another 15.
 
     Args:

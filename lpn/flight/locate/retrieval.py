@@ -45,7 +45,7 @@ _SIZES = 5
 _TURNS = 8
 # Least distance between the centres of a frame's best windows, as a share of their side: overlapping windows show one place.
 APART = 0.5
-# Fewest distinct frames for centring: the mean of fewer holds their own differences. Frames of a greater cosine are alike.
+# Fewest distinct frames for centring: a mean of fewer still contains their differences. Frames of a greater cosine are alike.
 MIN_DISTINCT = 20
 ALIKE = 0.99
 # Turns in degrees from an aircraft's heading that its pictures mostly have, as it drifts and banks.
@@ -54,7 +54,7 @@ _AIRCRAFT_TURNS = (0.0, -10.0, 10.0, -20.0, 20.0)
 _OTHER_TURN = 1.5
 # Added to the variances of whitening, as a share of their mean: few samples estimate small variances badly.
 _SHRINKAGE = 1.0
-# Most bytes of frames' scores in memory: a sequence uses each frame's a dozen times.
+# Most bytes of frames' scores in memory: the sequence reads the scores of each frame a dozen times.
 _HELD_SCORES = 1 << 26
 # Most windows of an index that are all compared with each frame: 400 MB with 4 parts of 512 numbers.
 MOST = 50_000
@@ -81,10 +81,10 @@ class FrameViews:
     Attributes:
         level: the size of window that the frame is cut for; NaN if its width on the ground is unknown, so that windows of all
             sizes are compared.
-        share: of its width that the squares show, see `lpn.flight.files.cut.cut_square`.
+        share: of the frame's width that the squares show, see `lpn.flight.files.cut.cut_square`.
         headings: of the comparison in degrees.
         described: number of the first headings that are described; turned windows replace the others.
-        aircraft: whether the first five headings are within 20 degrees of an aircraft's.
+        aircraft: whether the first five headings are within 20 degrees of the aircraft's heading.
     """
 
     level: float
@@ -159,7 +159,7 @@ class WindowGallery:
         """Return the score of each window at each of a frame's headings, (W, H); (W, 1) zeros for an unreadable frame.
 
         Headings more than 20 degrees from an aircraft's lose 1.5 standard deviations of the frame's scores. Windows that are not
-        compared get the lowest best score of a window.
+        compared get the lowest of all windows' best scores.
 
         Args:
             described: the frame at its described headings, (H, n, D); None if it is unreadable.
@@ -261,12 +261,12 @@ class MapRetrieval:
 
 
 def heading_is_certain(frame: Frame) -> bool:
-    """Tell whether a frame's heading is its picture's, not a course or an aircraft's."""
+    """Tell whether a frame's heading is of its picture, not of a course or an aircraft."""
     return frame.heading is not None and frame.heading_source not in ("course", "aircraft")
 
 
 def pyramid_sizes(basemap: Map, frames: Sequence[Frame]) -> list[float]:
-    """Return sides of windows in metres: of frames of known width, else from small to most of the map."""
+    """Return sides of windows in metres: by frames of known width, else up to 60 % of the map's shorter side, or 300 m."""
     cuts = [cut for frame in frames if (cut := cut_size(frame)) is not None]
     if cuts:
         low, high = np.log(np.quantile(cuts, (0.02, 0.98)))
@@ -298,11 +298,11 @@ def retrieve(
 ) -> MapRetrieval:
     """Describe windows and frames, or read earlier descriptions from the user's cache.
 
-    The mean descriptors of windows and of frames are subtracted part by part, against differences of the views that are new to
-    the model, and the parts are whitened, see `whitening_of`. With fewer than 20 distinct frames neither is done, with a note.
+    The mean descriptors of windows and of frames are subtracted part by part, to remove differences of the views that are new
+    to the model. Then the parts are whitened, see `whitening_of`. With fewer than 20 distinct frames, a note replaces both.
 
     Args:
-        sizes: sides of windows in metres; by default those of `pyramid_sizes`.
+        sizes: sides of windows in metres; by default from `pyramid_sizes`.
         overlap: share of a window's side that its neighbour also covers.
         index: an index of described windows, a folder or milvus://host:port/collection, which replaces `sizes` and `overlap`.
         shipped: descriptors that ship with the flight, used if they fit the windows and frames.
@@ -437,7 +437,7 @@ def turns_of(record: WindowsRecord) -> list[float]:
 def _indexed(
     where: str, record: WindowsRecord, model: Model, basemap: Map, described: Float32Array
 ) -> tuple[list[Window], Float32Array, list[str]]:
-    """Read windows to compare with described frames (Q, n, D): north up, with descriptors (T W, n, D), and sentences."""
+    """Return north-up windows to compare with described frames (Q, n, D), their descriptors (T W, n, D), and sentences."""
     notes, turns, whole = [], turns_of(record), record.count * record.turns
     with open_index(where, model.fingerprint) as index:
         held = index.count()

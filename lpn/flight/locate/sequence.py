@@ -4,11 +4,10 @@ A state is a window of the map and a heading of the picture. The emission is a s
 a floor for misleading scores. Forward-backward gives each frame's posterior (Rabiner, Proc. IEEE 77, 1989).
 
 Speed, kind of motion, and temperature maximise the probability of the flight's scores. A window's scores are divided by its usual
-score from frames of other places, so that a window that resembles many frames, such as one of many ploughed fields, proves
-little.
+score from frames of other places. So a window that resembles many frames, such as a ploughed field, proves little.
 
 A drone may leave the map, so places beyond its edge are states, too. They have no window, so a frame has one emission for all of
-them. A frame lies there if its windows on the way are no better than others, and the way leads there. Leaving the map is rare.
+them. A frame lies there if the flight's way leads there, and windows on it fit no better than others. Leaving the map is rare.
 """
 
 from __future__ import annotations
@@ -48,12 +47,12 @@ _ALONG_DEVIATION = 0.3
 _LEGS = (0.0, 0.25, 0.5, 0.75, 1.0)
 # Standard deviations in degrees between a picture's heading and the nearest tried one, and of the turns in a second.
 _HEADING_DEVIATION, _TURN_RATE = 20.0, 1.0
-# Probability that a heading is independent of the one before.
+# Probability that a heading is independent of the heading before.
 _ANY_HEADING = 0.1
 # Multiple of the usual seconds above which a step may be a pause, and the probability of a pause.
 _LONG, _PAUSE = 3.0, 0.5
-# Log odds of a place beyond the map against a window of mean share if a frame shows the ground of the last one: a wrong window
-# that suits the last frame also suits this one.
+# Log odds of a place beyond the map against a window of mean share, for a frame on the ground of the last frame: a wrong
+# window then suits both.
 _ALIKE = 1.5
 # Factor of the probability of a step off the map, and probability of a first frame beyond it.
 _LEAVE, _BEGIN = 1e-3, 0.1
@@ -69,8 +68,8 @@ _HELD_STEPS = 1 << 26
 class MotionModel:
     """The motion of the flight between frames.
 
-    A step goes along the headings, or in any direction. Along the headings it follows the heading before it for a part of the
-    time, and then the heading after it, if that is unique. A step of more than three times the usual seconds is a pause with
+    A step goes along the headings, or in any direction. Along the headings, it follows the heading before it for a part of
+    the time, then the heading after it, if that is unique. A step of more than three times the usual seconds is a pause with
     probability 1/2: the drone hovers or lands, and goes on by one usual step.
 
     Attributes:
@@ -93,11 +92,11 @@ class MotionModel:
         return np.where(np.isnan(seconds), _UNKNOWN_STEP, np.hypot(self.speed * seconds, self.spacing))
 
     def alike(self, elapsed: npt.ArrayLike, side: float) -> Float64Array:
-        """Return the share of a window's side in metres that frames have in common after a step; 0 if its time is unknown."""
+        """Return the share of a window's `side`, in metres, that frames have in common after a step; 0 if its time is unknown."""
         return np.nan_to_num(np.clip(1 - self.speed * np.asarray(elapsed, np.float64) / side, 0, 1))
 
     def turns(self, elapsed: float, before: Float64Array, after: Float64Array) -> Float64Array:
-        """Return the probability of each heading after a step, (K, M), in rows of 1.
+        """Return the probability of each heading after a step, (K, M); each row sums to 1.
 
         Args:
             elapsed: seconds, NaN if unknown.
@@ -115,14 +114,14 @@ class MotionModel:
 
 
 def elapsed_seconds(times: npt.ArrayLike) -> Float64Array:
-    """Return the seconds of each frame since the one before, (T,), by their times; NaN where unknown, and for the first."""
+    """Return the seconds from the frame before to each frame, (T,), by their times; NaN where unknown, and for the first."""
     return np.abs(np.diff(np.asarray(times, np.float64), prepend=math.nan))
 
 
 def score_units(
     scores: npt.ArrayLike, deviations: Float64Array, side: float, compared: BoolArray
 ) -> Callable[[int, Float64Array], Float64Array]:
-    """Return a function that converts scores of a frame, (N, K), to units of its usual scores, and of each window's.
+    """Return a function that converts scores of a frame, (N, K), to units of the usual scores of the frame and of each window.
 
     Each frame's scores get mean 0 and variance 1, or become 0 if they are all equal. Each score is then divided by the root mean
     square of its window's scores from frames of other places and from 30 more frames of unit score.
@@ -239,7 +238,7 @@ class ForwardFilter:
         places: centres of the windows, then places beyond the map, in metres, (N + B, 2). Fewer distinct x and y take less time.
         motion: of the flight.
         beyond: number of places beyond the map, B.
-        held: most bytes of steps that are kept, because equal ones follow.
+        held: most bytes of steps in memory, for equal steps that follow.
 
     Attributes:
         belief: probability of each place at each heading, (N + B, K), by all likelihoods so far; None before the first frame.
@@ -253,12 +252,12 @@ class ForwardFilter:
         self.headings = np.array([math.nan])
 
     def step(self, elapsed: float, before: Float64Array, after: Float64Array) -> _Step:
-        """Return the step of some seconds, NaN if unknown, from headings before it to those after it."""
+        """Return the step of some seconds, NaN if unknown, from headings before it to headings after it."""
         key = elapsed, before.tobytes(), after.tobytes()
         return self._held.get(key, lambda: _Step(self._grid, self._motion, elapsed, before, after))
 
     def predict(self, elapsed: float, headings: Float64Array) -> None:
-        """Move the belief to the next frame, after some seconds, NaN if unknown, and at its headings, (K,)."""
+        """Move the belief to the next frame and its headings, (K,), after some seconds, NaN if unknown."""
         if self.belief is None:
             self.belief = self._grid.start(len(headings))
         else:
@@ -323,8 +322,7 @@ def fitted(
     """Return the motion model and the temperature at which scores are most probable, and the evidence of the headings.
 
     The trials use the 100 frames in the middle of the flight. The first are speeds in any direction and along the headings, at
-    the temperature 0.4. Then come half of the spacing, speeds beside the best one for a motion along the headings, and
-    temperatures.
+    the temperature 0.4. Then come half of the spacing, speeds near the best speed along the headings, and temperatures.
 
     The evidence is the log odds of steps along the headings against the likeliest of steps backwards and at right angles; 0 if
     steps go in any direction. Over a map of another place, scores do not depend on the direction of flight, so one direction is
@@ -333,7 +331,7 @@ def fitted(
     Args:
         scores: of each frame, (N, K), see `score_units`.
         headings, places, times: see `posteriors`; without places beyond the map.
-        spacing: largest one of the motion model in metres.
+        spacing: largest spacing of the motion model in metres.
     """
     start = max(len(headings) - _FITTED, 0) // 2
     chosen = range(start, min(start + _FITTED, len(headings)))
@@ -419,9 +417,9 @@ class _Grid:
 class _Step:
     """The transition from one frame to the next.
 
-    Its kernel is a mixture of Gaussians of the way between two places, for each heading before the step, normalised by source.
-    Steps from a window to a place beyond the map are less probable by a factor. A Gaussian is a product of one along x and one
-    along y, so sums over all pairs of places are products of matrices.
+    Its kernel is a mixture of Gaussians of the way between two places, for each heading before the step, normalised per source.
+    Steps from a window to a place beyond the map are less probable by a factor. A Gaussian is a product of Gaussians along x
+    and y, so sums over all pairs of places are products of matrices.
     """
 
     def __init__(
@@ -458,7 +456,7 @@ class _Step:
         return sum(array.nbytes for array in (self._x, self._y, self._scale, self._turns))
 
     def push(self, weights: Float64Array) -> Float64Array:
-        """Return the distribution (N, M) after the step from the one before it, (N, K)."""
+        """Return the distribution (N, M) after the step from the distribution before it, (N, K)."""
         scaled, out = weights / self._scale, self._grid.is_beyond[:, None]
         after = self._grid.values(self._blurred(self._grid.image(np.where(out, 0, scaled))))
         if out.any():
@@ -486,7 +484,7 @@ class _Step:
         return cast(Float64Array, (y @ image[:, None] @ x).sum(axis=1))
 
     def _blurred_beyond(self, image: Float64Array, back: bool = False) -> Float64Array:
-        """Compute `_blurred` for an image that is 0 except beyond the map, which is few rows and columns."""
+        """Compute `_blurred` for an image that is 0 except beyond the map, in few rows and columns."""
         (x, y), (rows, columns) = self._kernels(back), self._grid.bands
         beside = image[:, None, :, columns]
         beside[..., rows, :] = 0

@@ -4,8 +4,8 @@
     windows/       store of the map's windows
     frames/        store of the flight's frames at the tried headings
 
-They are used only for the same model, map, and photos, and descriptors also only for the same windows and headings. Otherwise
-they are computed again.
+They are used only for the same model, map, and photos. Descriptors also need the same windows and headings. Answers that do not
+fit are computed again.
 """
 
 from __future__ import annotations
@@ -96,14 +96,14 @@ class ShippedAnswers:
 
 
 def identity(model: Model, basemap: Map, flight: Flight) -> tuple[str, str, str, Files, Files]:
-    """Return what answers are of: formats of file and registration, the model, and the files of map and photos."""
+    """Return the identity of answers: formats of file and registration, the model, and the files of map and photos."""
     files = [file for sheet in basemap.sheets for file in sheet.raster.files()]
     photos = [(frame.name, frame.file.stat().st_size) for frame in flight.frames]
     return FORMAT, REGISTERED, model.fingerprint, [(file.name, file.stat().st_size) for file in files], photos
 
 
 def window_rows(windows: Sequence[Window], side: int) -> list[Row]:
-    """Return the rows of windows in shipped answers; `side` is their pictures' in pixels."""
+    """Return the rows of windows in shipped answers; `side` is the side of their pictures in pixels."""
     return [_row((window.x, window.y, window.size, window.heading), size=side) for window in windows]
 
 

@@ -76,7 +76,7 @@ class Residual:
         photo: the frame's name.
         point: the surveyed point.
         answered: the answer's point, the camera or the ground at the photo's middle; it differs from `point` if the answer has no
-            place of that. None without an answer.
+            such place. None without an answer.
         stage, state, doubt: of the best answer, as in a track.
         surveyed: metres in the map's frame.
         east, north: metres along the axes of the map's UTM zone, answer minus survey; NaN without an answer.
@@ -129,7 +129,7 @@ def read_surveyed(file: Path, frame: LocalFrame, crs: str | None = None) -> list
             raise DataError(f"{line} has no photo; expected its file name.")
         if point not in ("camera", "ground"):
             raise DataError(f"{line} has the point {printable(point)[:100]!r}; expected camera or ground.")
-        # The frame takes the longitude of a geographic CRS first. Spreadsheets may write EPSG codes as 32614.0.
+        # `LocalFrame.from_crs` takes longitude before latitude. Spreadsheets may write EPSG codes as 32614.0.
         keys = _DEGREES[::-1] if degrees else _METRES
         numbers.append([_number(cells[key], key, line, decimal_comma) for key in keys])
         systems.setdefault(cells.get("crs", "").removesuffix(".0"), line)
@@ -249,7 +249,7 @@ def match_surveyed(
 
 
 def _frame_of(path: str, names: Sequence[str], by_stem: Mapping[str, set[int]]) -> int | None:
-    """Return the index of the frame that a table names; None unless the shorter path's folders end the longer one's."""
+    """Return the index of the frame that a table names; None unless one path's folders end with all folders of the other."""
     wanted = path_parts(path)
     ranked: dict[int, tuple[bool, bool, bool, int]] = {}
     for i in by_stem.get(PurePath(wanted[-1]).stem, set()) | by_stem.get(wanted[-1], set()):
@@ -287,7 +287,7 @@ def compare_surveyed(located: LocatedFlight, matched: MatchedSurvey) -> list[Res
 
 
 def _at_point(located: LocatedFrame, answer: StageRecord, point: SurveyedPoint) -> StageRecord:
-    """Return an answer moved to the wanted point if it has it."""
+    """Return an answer moved to the wanted point, or unchanged if it has no such place."""
     if point == "ground" and answer.camera and answer.homography is not None:
         x, y = located.middle(answer).tolist()
         return msgspec.structs.replace(answer, x=x, y=y, radius=answer.middle_radius, camera=False)

@@ -60,7 +60,7 @@ _VERDICTS = {
 def flight_task(model: Model, model_name: str, located: LocatedFlight, root: Path) -> Task:
     """Return the task of a located flight; query i is frame i, and gallery picture j is window j of the retrieval.
 
-    Scores are the retrieval's. If it centred and whitened the descriptors, so does the task's model (`Model.centred`). A frame
+    Scores are by the retrieval. If it centred and whitened the descriptors, so does the task's model (`Model.centred`). A frame
     that was described at several headings is a query at the heading of its best window, and its whole ranking is at this heading.
 
     The true tiles of a frame are the windows that hold the place of `LocatedFlight.photographed` (the tag, or the registration if
@@ -131,7 +131,7 @@ def flight_task(model: Model, model_name: str, located: LocatedFlight, root: Pat
 
 
 def flight_queries(model: Model, flight: Flight, basemap: Map, index: Index, root: Path) -> IndexQueries:
-    """Describe frames as they are compared with the windows of an index.
+    """Describe frames as queries over the windows of an index.
 
     A frame is turned north-up by its heading. If that is uncertain, the tried heading with the nearest window is taken; turned
     windows of the index replace turns of the frame. A frame of known width on the ground is cut to the nearest size of window in
@@ -202,7 +202,7 @@ def _truth(located: LocatedFlight, retrieval: MapRetrieval) -> list[Truth]:
 
 
 def _geometry(located: LocatedFlight, retrieval: MapRetrieval) -> GalleryGeometry:
-    """Return the positions; a frame's is above the photographed place, for a picture as wide as the compared windows."""
+    """Return the positions; a frame is above its photographed place, with a picture as wide as the compared windows."""
     degrees, gallery = located.basemap.frame.degrees, retrieval.gallery
     tiles = [
         Position(float(latitude), float(longitude), width=float(size))

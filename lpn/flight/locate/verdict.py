@@ -18,8 +18,8 @@ from lpn.flight.locate.words import AGAINST, DECIDED
 TAG_RADIUS = 5.0
 # Answers contradict each other beyond this multiple of their common 1-sigma radius.
 SIGMAS = 3.0
-# Degrees from straight down within which a camera of unknown tilt nearly always looks, and above which a known tilt tells
-# nothing.
+# Degrees from straight down within which a camera of unknown tilt nearly always looks, and the largest tilt for which a shift
+# is computed.
 TILT, _MOST_TILT = 15.0, 85.0
 
 
@@ -58,7 +58,7 @@ class FrameVerdict:
     Attributes:
         located: the frame with the answers of its stages.
         stage: the stage whose position counts, corrections by hand ignored; None without a position.
-        answer: the best answer: the correction by hand, else that of `stage`, else a refused one without a position.
+        answer: the best answer: the correction by hand, else the answer of `stage`, else a refused one without a position.
         sign: True if the position of `stage` may be believed, None if it is unverified or contradicted, False without one.
         summary: the verdict in a few words without figures.
         headline: the verdict in a few words.
@@ -91,7 +91,7 @@ class FrameVerdict:
         return "contradicted" if self.contradicted and self.located.by_hand is None else self.answer.state
 
     def doubts(self, stage: str | None) -> list[str]:
-        """Return the answers that contradict a stage's: "tag", stages, or "map"; none for a corrected frame."""
+        """Return the answers that contradict a stage: "tag", stages, or "map"; none for a corrected frame."""
         pairs = [] if self.located.by_hand is not None else [(one.one, one.other) for one in self.disagreements]
         return [other if one == stage else one for one, other in pairs if stage in (one, other)]
 

@@ -12,7 +12,7 @@ Code = Literal[
     "off the map", "wide", "unsure", "beyond", "unproven", "few", "turned", "jump", "unreachable",
 ]  # fmt: skip
 
-# The summary of a verdict by the stage whose position counts, and what may contradict this position.
+# The summary of a verdict by the stage whose position counts, and the evidence against this position.
 DECIDED: Mapping[str | None, str] = {
     "registration": "Placed by its details",
     "sequence": "Placed by its neighbours only",
@@ -65,7 +65,7 @@ class Reason(NamedTuple):
 
     Attributes:
         code: of the reason.
-        numbers: that its words hold, by name.
+        numbers: the figures in its words, by name.
     """
 
     code: Code
@@ -73,5 +73,5 @@ class Reason(NamedTuple):
 
     @property
     def sentence(self) -> str:
-        """The reason in words; "" of a code without any."""
+        """The reason in words; "" for a code without words."""
         return _WORDS.get(self.code, "").format(**self.numbers)

@@ -19,8 +19,8 @@ from lpn.core.files import first_few, printable
 if TYPE_CHECKING:
     from lpn.core.arrays import Float64Array
 
-# Formats that surveys deliver. VRT, WMS, KML, NITF, and netCDF are left out: they open files that their contents name, as HFA
-# does.
+# Formats that surveys deliver. VRT, WMS, KML, NITF, and netCDF are left out: they open files that their contents name. HFA does,
+# too, and `_flaw` checks it.
 _DRIVERS = [
     *("GTiff", "JPEG", "PNG", "WEBP", "JP2OpenJPEG", "GPKG", "HFA", "BMP", "GIF", "ENVI"),
     *("MBTiles", "AAIGrid", "EHdr", "DTED", "SRTMHGT", "USGSDEM"),
@@ -67,7 +67,7 @@ def rasterio() -> Any:
     import rasterio.vrt
     import rasterio.warp
 
-    # GDAL's messages would repeat ours.
+    # GDAL's messages would repeat the errors of this package.
     logging.getLogger("rasterio").setLevel(logging.CRITICAL)
     return rasterio
 
@@ -98,7 +98,7 @@ def opened(path: Path) -> Iterator[Any]:
             raise DataError(f"{printable(str(beside))} holds no overviews and no mask; delete it, or make it again.")
     with quietly():
         try:
-            # GDAL takes an absolute path for no address or other name.
+            # GDAL never takes an absolute path for an address or another name.
             file = rasterio().io.DatasetReader(str(path.absolute()), driver=_DRIVERS)
             flaw = _flaw(file, path)
         except failures() as error:
@@ -168,7 +168,7 @@ def names_a_path(crs: str) -> bool:
 
 
 def open_vrt(xml: str) -> Any:
-    """Open a VRT of ours from its text."""
+    """Open a VRT from its text."""
     with quietly():
         return rasterio().MemoryFile(xml.encode(), ext=".vrt").open(driver="VRT")
 

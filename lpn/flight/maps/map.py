@@ -40,7 +40,7 @@ _MAX_WIDTH = 400_000.0
 _MAX_PIXELS = 16_384
 # Fewest pixels of a map along its shorter side: fewer show no place.
 _MIN_SIDE = 16
-# Default error of a map's places in pixels, and at least in metres: that of a map from tags without ground control.
+# Default error of a map's places in pixels, and its least metres, as of a map from tags without ground control.
 _PIXELS, _METRES = 3.0, 1.0
 
 SEASONS = ("spring", "summer", "autumn", "winter")
@@ -209,7 +209,7 @@ class Map:
             pixels: side of the picture, 1 to 16384.
 
         Returns:
-            RGB, (pixels, pixels, 3), 0 where nothing is known, and which pixels are valid, (pixels, pixels).
+            RGB, (pixels, pixels, 3), 0 where nothing is known, and the valid pixels, (pixels, pixels).
 
         Raises:
             InputError: if `pixels` is out of range.

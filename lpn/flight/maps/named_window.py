@@ -1,7 +1,7 @@
 """Windows of a map named by their places, so that each can be cut again from its name and the map.
 
 48.0042137,9.0133251,70m            centre in WGS 84 degrees (7 decimals are 1 cm), side in metres, north up
-48.0042137,9.0133251,70m,30deg      the heading that points up, where it is not north
+48.0042137,9.0133251,70m,30deg      heading of the picture's top, where it is not north
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ class NamedWindow:
     Attributes:
         latitude, longitude: of its centre, WGS 84 degrees.
         size: its side in metres.
-        heading: what points up in its picture, degrees clockwise from north, 0 to below 360.
+        heading: direction of its picture's top, degrees clockwise from north, 0 to below 360.
     """
 
     latitude: float

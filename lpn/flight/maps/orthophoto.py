@@ -197,15 +197,15 @@ def middles_and_tags(
 
 
 def place_error(middles: Float64Array, tags: Float64Array) -> float | None:
-    """Return the 1-sigma error in metres along each axis of a map's places, as far as the tags' scatter tells it.
+    """Return the 1-sigma error in metres along each axis of a map's places, from the scatter of the tags.
 
-    A similarity from the middles to the tags is fitted again without each of five groups of consecutive photos, and the error is
-    the scatter of its places (block jackknife; Kuensch, 1989). Blocks keep errors together that neighbouring tags share, such as
-    those of a receiver that lags along a leg.
+    A similarity from the middles to the tags is fitted again without each of five groups of consecutive photos. The error is
+    the scatter of its places (block jackknife; Kuensch, 1989). Blocks keep together the errors that neighbouring tags share,
+    as with a receiver that lags along a leg.
 
     The map may also bend. Residuals of neighbouring photos of two groups are then alike, and the mean of their products is the
-    square of that error. An error that all tags share stays unseen. So an error under 5 m, which the tags of one leg may share,
-    is not returned where one leg has more than two thirds of the photos.
+    square of the error by bending. An error that all tags share stays unseen. So an error under 5 m, which the tags of one leg
+    may share, is not returned where one leg has more than two thirds of the photos.
 
     Args:
         middles: of the photos on the map in the order of the flight, metres, (N, 2).

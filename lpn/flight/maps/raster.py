@@ -1,6 +1,6 @@
 """One raster as RGB and alpha of 8 bits each, cut by turned rectangles from any thread.
 
-A VRT in memory turns the bands of a file into red, green, blue, and alpha: its sources stretch numbers, look up a palette, join
+A VRT in memory turns the bands of a file into red, green, blue, and alpha. Its sources stretch numbers, look up a palette, join
 masks, and cut a border without data out of the alpha. Every map is read through it. It names its file by
 `vrt://FILE?if=DRIVER`, so that GDAL opens it by the driver that `_gdal.opened` chose.
 """
@@ -40,7 +40,7 @@ _OTHER_COLOURS = {"hue": "HSL", "cyan": "CMYK", "Y": "YCbCr"}
 # Inner parts of a band's source: 255 wherever it has data, and 255 for every number above 0.
 _OPAQUE = "<ScaleOffset>255</ScaleOffset><ScaleRatio>0</ScaleRatio>"
 _SOME = "<LUT>0:0,1e-6:255</LUT>"
-# Side above which a copy gets overviews; means of the pixels themselves are sharper.
+# Side above which a copy gets overviews; without them, GDAL averages the pixels, which is sharper.
 _LARGE = 2048
 # Creation options of the copy in a map's folder.
 _COPY = {
@@ -59,13 +59,13 @@ class Raster:
         bands: numbers, from 1, of the bands to show, one or three; None takes the bands marked as colours.
         keep_borders: do not look for white and black borders.
         name: of the file in notes; by default its own.
-        decided: the file is RGB and alpha of a map's folder, of which nothing is left to decide.
+        decided: True for a file of RGB and alpha in a map's folder, which needs no decisions.
 
     Attributes:
         path: the file.
         width, height: in pixels.
         notes: sentences about how the file is read.
-        shown: what decides its colours, for a digest.
+        shown: text of the decisions on its colours, for a digest.
 
     Raises:
         DataError: if it cannot be read, its numbers are complex, or it has no valid pixel.
@@ -99,10 +99,10 @@ class Raster:
         Args:
             matrix: (2, 3), from column and row of the picture to those of the raster; 0 is the corner of the first pixel.
             size: columns and rows of the picture.
-            reduction: pixels of the raster on a side of one of the picture.
+            reduction: pixels of the raster along a side of one pixel of the picture.
 
         Returns:
-            RGB, (rows, columns, 3), and which pixels are valid, (rows, columns).
+            RGB, (rows, columns, 3), and the valid pixels, (rows, columns).
 
         Raises:
             DataError: if the file is damaged.
@@ -228,7 +228,7 @@ class Raster:
         values: AnyArray = self._overview(file, chosen) if look or deep else np.zeros((0, 1, 1))
         borders = find_borders(values, deep) if look else {}
         if nodata and borders and np.logical_or.reduce(list(borders.values())).all():
-            borders = {}  # a dark picture, whose own nodata value says that it is none
+            borders = {}  # the picture is dark all over, and has another nodata value
         for colour, region in borders.items():
             self.notes.append(f"The {colour} border of {self._called} ({region.mean():.0%} of it) is taken as no data.")
             valid &= ~region

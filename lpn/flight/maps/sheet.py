@@ -26,10 +26,10 @@ _NODES = np.array([0.0, 0.5, 1.0])
 _OUTLINE = 21
 # Least and most metres of a map's pixel.
 _RESOLUTIONS = (1e-4, 1e4)
-# A sheet with a metric CRS whose coordinates could be degrees is refused if it has fewer metres than this.
+# A sheet with a metric CRS whose coordinates could be degrees is refused if it is smaller than these metres.
 _DEGREES_AT_MOST = 10.0
-# A corner is hardly on a map if both coordinates are smaller than these, in units of the CRS or degrees, or if its UTM easting
-# lies outside of the zone and its neighbours.
+# A corner is hardly on a map if both coordinates are smaller than these, in units of the CRS or degrees. The same holds for a
+# UTM easting outside of the zone and its neighbours.
 _ORIGIN, _ORIGIN_DEGREES, _UTM_EASTINGS = 1000.0, 0.01, (100_000.0, 900_000.0)
 
 # Old datums by their WKT names, with the error in metres of EPSG's best transformation to WGS 84 without a national grid; 0 if
@@ -184,7 +184,7 @@ def cells_of(crs: Any, matrix: Float64Array, width: int, frame: LocalFrame, xy: 
 
 
 def datum_notes(sheets: Iterable[tuple[str, Any]]) -> list[str]:
-    """Return a sentence for each old datum that sheets, the name and the rasterio CRS of each, lie on."""
+    """Return a sentence for each old datum of sheets, which are pairs of a name and a rasterio CRS."""
     on: dict[tuple[str, int], list[str]] = {}
     for name, crs in sheets:
         found = re.search(r'\bDATUM\["([^"]+)",SPHEROID\["([^"]+)"', crs.to_wkt())

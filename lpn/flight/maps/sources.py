@@ -53,7 +53,7 @@ class MapOptions:
     """Facts about a map's files that they do not state.
 
     Attributes:
-        crs: coordinate reference system, such as EPSG:32632; it takes precedence over the files' own.
+        crs: coordinate reference system, such as EPSG:32632; it takes precedence over the CRS of the files.
         corners: latitude and longitude of the top-left, then of the bottom-right corner of a picture.
         bands: numbers, from 1, of the bands shown as red, green, and blue, or of one shown as grey.
         keep_borders: True if white and black borders belong to the picture.
@@ -302,7 +302,7 @@ def _matrix(path: Path, file: Any) -> Float64Array | None:
 
 
 def _world_file(path: Path) -> Float64Array:
-    """Read a world file: the steps of x and y a column and a row, and the centre of the first pixel."""
+    """Read a world file: the steps of x and y per column and per row, and the centre of the first pixel."""
     try:
         numbers = [float(text.replace(",", ".")) for text in _text(path).split()]
         if len(numbers) != 6 or not np.isfinite(numbers).all():

@@ -22,7 +22,7 @@ from lpn.core.errors import DataError
 from lpn.core.files import printable
 from lpn.datasets.integrity import list_errors, stream_error
 
-# Half the side of the square that Web Mercator (EPSG:3857) shows, in its own metres.
+# Half the side of the square that Web Mercator (EPSG:3857) shows, in metres of the projection.
 _HALF = math.pi * 6_378_137.0
 # Most files and folders that are searched for a first tile, and most pixels along a side of the raster.
 _MAX_ENTRIES, _MAX_PIXELS = 20_000, 1 << 30

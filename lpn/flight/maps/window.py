@@ -25,7 +25,7 @@ class Window:
     Attributes:
         x, y: its centre, metres east and north of the frame's origin.
         size: its side in metres.
-        heading: what points up in the cut picture, degrees clockwise from north.
+        heading: direction of the cut picture's top, degrees clockwise from north.
     """
 
     x: float
