@@ -1,4 +1,4 @@
-"""The lines of a flight in the tab's scene, and its mark in the head of the tile."""
+"""The lines of a flight in the tab's scene, and the mark of a photo in the head of the tile."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The flight panel's part of one tab: its messages, and the requests of its script."""
+"""The flight panel of one tab: its messages, and the requests of its script."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ FIELDS: tuple[PanelField[Any], ...] = (
     PAINT,
     SPOT,
     PanelField("flight_over", OneOf(("off", "swipe", "correct")), "off", "flight_over"),
-    # Names of tracks, separated by points, or "none"; empty for tags, corrections, and the most frequent deciding stage.
+    # Names of tracks, separated by points, or "none". Default: tags, corrections, and the most frequent deciding stage.
     PanelField("flight_tracks", Line(), "", "flight_tracks"),
     # The middle and the width of the visible map.
     PanelField("flight_view", MetresOf(3), (), "flight_view"),

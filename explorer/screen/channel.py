@@ -1,4 +1,4 @@
-"""The channel of the screen: JSON over one websocket of the gateway, `set` and `do` up, one result per answer down."""
+"""The channel of the screen, JSON over one websocket: the page sends `set` and `do`, the server one result per answer."""
 
 from __future__ import annotations
 
@@ -63,8 +63,8 @@ class Tabs(Protocol):
 class Outbox:
     """Messages that wait for one page: the newest of each kind, so that a slow page never falls further behind.
 
-    A message's kinds are its keys, except for `kind` itself, which separates messages with equal keys. `put` may be called
-    from any thread.
+    The kinds of a message are its keys without `kind`. Messages with different values of `kind` never replace each other.
+    `put` may be called from any thread.
     """
 
     def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
@@ -72,7 +72,7 @@ class Outbox:
         self._waiting: OrderedDict[tuple[frozenset[str], str], ScreenMessage] = OrderedDict()
 
     def put(self, message: ScreenMessage) -> None:
-        """Queue a message in place of each waiting message whose kinds are all among the kinds of this one."""
+        """Queue a message, and drop each waiting message whose kinds are a subset of its kinds."""
         if not self._loop.is_closed():
             self._loop.call_soon_threadsafe(self._put, message)
 

@@ -154,7 +154,7 @@ class OwnPhotos:
         return "" if held is None else f"{self._published(feeds)[0]}{held.number}"
 
     def message(self, feeds: Feeds) -> ScreenMessage:
-        """Return the list for the rail, and the counts of accepted and skipped files."""
+        """Return the list for the rail, and the number of files, accepted or skipped."""
         with self._lock:
             photos = [[one.number, key, one.picture.name] for key, one in self._held.items()]
         thumbnails = self._published(feeds)[1] if photos else ""

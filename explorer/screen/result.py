@@ -1,4 +1,4 @@
-"""An analysis as one JSON message with everything that the screen shows of an answer, so that no two numbers can differ."""
+"""An answer as one JSON message with all its numbers, so that no number differs between two places of the screen."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from lpn.tasks.task import Task
 
 # Tiles of the strip; the truth takes the last place if it is farther away.
 STRIP = 6
-# For the scale of all bars: maxima of the queries and of the numbers read, and the percentage of bars that fit.
+# For the scale of all bars: most sampled queries, most descriptor values read for them, and the percentage of bars that fit.
 _SAMPLE, _MOST_NUMBERS, _FITS = 200, 2_000_000_000, 99
 # A gain below this is called even.
 _EVEN = 0.005
@@ -240,7 +240,7 @@ class ScreenResult:
         if turn is None:
             return 0
         degrees = turn.degrees
-        if turn.source == "model":  # the maps belong to the turned photo and the analysed tile
+        if turn.source == "model":  # the model compared the turned photo with the tile
             degrees = float(wrap_degrees(degrees - self.state.angle))
         return round(degrees / 90) % 4
 
@@ -283,7 +283,7 @@ class ScreenResult:
         return self.painted(np.tensordot(self.analysis.ranking.weights, np.nan_to_num(losses), 1))
 
     def painted(self, cells: FloatingArray) -> dict[str, Any]:
-        """Return the photo's parts with signed values of its cells, (h, w), on their own scale in place of its activation."""
+        """Return the photo's parts with signed values of its cells, (h, w), scaled to -1 .. 1, instead of the activation."""
         return self._heat(self.analysis.query, self.task.query_view, 0, cells / overlays.evidence_limit(cells))
 
     def _signed(self, side: SideEvidence) -> Float64Array:
@@ -294,7 +294,7 @@ class ScreenResult:
 
 
 def measured_scale(task: Task) -> BarScale:
-    """Return the ends of all bars of a task: 99 % of the bars of a sample's answers and rivals fit."""
+    """Return the ends of all bars of a task; 99 % of the bars fit, in a sample of queries with their answers and rivals."""
     n = task.contract.n_parts
     queries, gallery = task.sides()
     weights = scoring.part_weights(n)

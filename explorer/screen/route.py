@@ -1,7 +1,7 @@
 """The files of the page at `/`: one template, style sheets, and ES modules from `page`, `vendor`, and the panels.
 
 `screen/page/bundle.js` joins all modules of the first page, because each file takes a connection. No two define the same name.
-The addresses of these modules, which panels import, export the whole bundle. `screen/terms.json` has the meanings of terms.
+Panels import these modules at their addresses; each exports the whole bundle. `screen/terms.json` has the meanings of terms.
 """
 
 from __future__ import annotations

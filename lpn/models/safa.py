@@ -71,14 +71,14 @@ def weigh(features: Tensor, attention: Tensor) -> Tensor:
 
 
 def by_part(features: Tensor, attention: Tensor) -> tuple[Tensor, Tensor]:
-    """Return the account of the parts: a map of M C channels for each part, and its cells (0 or 1).
+    """Return a weighted map of M C channels for each part, and the part's cells (0 or 1).
 
     Args:
         features: (B, C, h, w).
         attention: (B, n, M, h, w).
 
     Returns:
-        Maps (B, n, M C, h, w), whose sums are the parts, and cells (B, n, h, w).
+        Maps (B, n, M C, h, w), whose sums over cells are the part embeddings, and cells (B, n, h, w).
     """
     weighted = attention.unsqueeze(3) * features[:, None, None]
     return weighted.flatten(2, 3), (attention != 0).any(dim=2).to(features.dtype)

@@ -1,4 +1,4 @@
-"""The city's drawing of a result: frames, badges, the drone's camera, and the viewpoint. Geometry alone; no viser here."""
+"""The city's drawing of a result: frames, badges, the drone's camera, and the viewpoint. Geometry alone; no viser scene."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from lpn.tasks.gallery_geometry import GalleryGeometry
 FOV = math.radians(38)
 # Metres from the ground to the frames of tiles, and from the drone's camera to its photo.
 LIFT, DEPTH = 3.0, 34.0
-# The view: degrees beside the photo's heading, degrees above the horizon, and the share of the picture that it fills.
+# The view: degrees right of the photo's heading, degrees above the horizon, and the share of the screen that is filled.
 _BESIDE, _BELOW, _ROOM = 35.0, -38.0, 0.8
 # Ranked tiles that have frames.
 _FRAMES = 3

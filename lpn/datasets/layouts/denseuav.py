@@ -5,8 +5,8 @@
     train/satellite/000001/{H80,H90,H100}.tif and {H80,H90,H100}_old.tif
     test/{query,gallery}_{drone,satellite}/000001/*
 
-The text file has one position for each place, named by the folder above a file; a later line replaces an earlier one. The
-gallery also contains the training places.
+Each line of the text file gives the position of a place, the last folder of <path>; a later line replaces an earlier one.
+The gallery also contains the training places.
 """
 
 from __future__ import annotations

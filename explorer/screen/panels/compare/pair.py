@@ -18,7 +18,7 @@ from lpn.explain.counterfactual import Effect
 from lpn.library.answer import pair_evidence
 from lpn.retrieval import Match, scoring
 
-# The lead of rounded distances differs from the cells' sum by less than this.
+# A difference below this between the lead and the sum of the cells comes from rounding.
 _ROUNDED = 0.002
 # Factors of the change, tried in order until the weights, rounded to two digits, put the truth first.
 _FURTHER = (1.0, 1.01, 1.03, 1.1, 1.25, 1.5, 2.0)

@@ -76,7 +76,7 @@ class _Card:
     """An unfinished card. Each of its lines stands for queries, and has the filter that a click on it sets.
 
     Args:
-        conditions: filters of all possible lines; the card ignores them in the filter in force.
+        conditions: filters of all possible lines; the card removes them from the current filter.
         codes: picked queries of all possible lines, see `encode`; the card ignores such a choice, too.
 
     Attributes:

@@ -58,7 +58,7 @@ def _state(base: Workspace, shows: str, number: int) -> tuple[Workspace, ScreenS
 
 
 def _remarks(workspace: Workspace, state: ScreenState) -> list[str]:
-    """List the changes of a step's answer, and the parts of the page that the file lacks."""
+    """List the settings of a step that differ from the defaults, and the panel that the file lacks."""
     weights = ", ".join(f"{weight:g}" for weight in state.weights)
     said = [
         f"Model: {workspace.model_name}." if state.model != "0" else "",
