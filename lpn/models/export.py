@@ -122,7 +122,8 @@ def export(
         path: _graph(loaded, group[0], metadata | {"group": "+".join(group)}, storage)
         for path, group in zip(graph_files(out, groups), groups, strict=True)
     }
-    write_together(graphs)
+    # The first file names the others, so it is replaced last.
+    write_together(dict(reversed(graphs.items())))
     return list(graphs)
 
 

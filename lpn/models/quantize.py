@@ -114,7 +114,8 @@ def quantize(
             "smaller by lpn export --storage int8, or lower --least-cosine."
         )
     targets = graph_files(out, groups)
-    write_together(dict(zip(targets, graphs, strict=True)))
+    # The first file names the others, so it is replaced last.
+    write_together(dict(reversed([*zip(targets, graphs, strict=True)])))
     return targets, agreement
 
 

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import os
 import shutil
 from pathlib import Path
 
@@ -44,11 +45,15 @@ def close(found: np.ndarray, expected: np.ndarray) -> None:
     ],
     ids=["street apart", "leaky", "cvusa"],
 )
-def test_engine_equals_torch(spec: ModelSpec, tmp_path: Path) -> None:
+def test_engine_equals_torch(spec: ModelSpec, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     torch.manual_seed(3)
     save(LPN(spec), tmp_path / "model.safetensors")
+    replaced, replace = list[Path](), os.replace
+    monkeypatch.setattr(os, "replace", lambda *paths: replaced.append(paths[1]) or replace(*paths))
     files = export(tmp_path / "model.safetensors", tmp_path / "model.onnx")
     assert len(files) == len(spec.groups())
+    # A kill between two of them leaves no first file without the others.
+    assert replaced[-1] == files[0] == tmp_path / "model.onnx"
     assert_equal(load_torch(tmp_path / "model.safetensors"), Engine(tmp_path / "model.onnx"), spec)
 
 

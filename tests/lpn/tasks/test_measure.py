@@ -24,8 +24,9 @@ from lpn.datasets.layouts.university import University
 from lpn.descriptors.transforms import Change
 from lpn.descriptors.weather import WEATHERS, Weather
 from lpn.models.base import Model, normalise
-from lpn.models.checkpoints import save
+from lpn.models.checkpoints import TorchModel, save
 from lpn.models.lpn import LPN
+from lpn.models.spec import ModelSpec
 from lpn.retrieval import describe_picture, metrics
 from lpn.retrieval.calibration import centred as without_mean
 from lpn.sources import SourceOptions, open_source
@@ -122,6 +123,14 @@ def test_queries_are_scaled_before_the_resize_and_shifted_after_it(data: Path, m
     unchanged = measure(task)
     assert unchanged.ap != found.ap
     assert "turned" not in unchanged.sentence
+
+
+def test_panoramas_are_turned_by_moving_their_columns_around(tmp_path: Path) -> None:
+    dataset = open_dataset(small_worlds.make_cvusa(tmp_path / "pairs", 3))
+    spec = ModelSpec("resnet18", "layer3", views=("satellite", "street"), shared=False, n_parts=2, input_size=(64, 64))
+    task = turned(lazy_task(TorchModel(LPN(spec), "f" * 16), dataset, "street-to-satellite"), 90)
+    assert task.change == Change(rotate=90).for_picture(dataset.queries("street")[0])
+    assert "columns moved around" in task.evaluate().sentence
 
 
 def test_averaged_queries_are_one_per_place(tmp_path: Path, model_file: Path) -> None:

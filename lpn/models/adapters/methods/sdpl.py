@@ -9,7 +9,7 @@ import torch
 from torch import Tensor, nn
 
 from lpn.core.arrays import Int64Array
-from lpn.core.errors import ModelFileError
+from lpn.core.errors import InputError, ModelFileError
 from lpn.models.adapters.network import Account, PartBranch, by_heads, on_grid
 from lpn.models.adapters.published import PublishedParts, by_role, check_option, numbered, published, size_of
 from lpn.models.adapters.registry import LPN, Adapter
@@ -26,6 +26,7 @@ PARTS = len(PART_NAMES)
 _STRIDE = 16
 # The rings need eight cells along a side, and shifts by two cells need sixteen.
 _SIDE_STEP, _SMALLEST = 128, 256
+_SIZES = f"squares of a multiple of {_SIDE_STEP} pixels from {_SMALLEST}"
 # Lower bound of values in the generalised mean of exponent 3.
 _FLOOR = 1e-6
 _HIDDEN = ("4", "6", "8")
@@ -104,6 +105,14 @@ class Sdpl(PartBranch):
         blocks.fill(self.shift_blocks)
         self.matrix, self.offsets = (nn.Buffer(tensor) for tensor in heads)
 
+    def check_size(self, size: tuple[int, int], trained: tuple[int, int]) -> None:
+        """Check that a picture is a square of a size that fits the rings."""
+        if not _fits(size):
+            raise InputError(
+                f"The images are {size[0]} x {size[1]}; this model was trained with {trained[0]} x {trained[1]} and takes "
+                f"{_SIZES}."
+            )
+
     def shift_weights(self, features: Tensor) -> Tensor:
         """Return the weight of each shift: (B, C, S, S) -> (B, 3)."""
         hidden = torch.relu(self.shift_blocks["0"](features)).mean((2, 3))
@@ -166,14 +175,17 @@ def _mean(values: Tensor) -> Tensor:
     return values.clamp(min=_FLOOR).pow(3).mean(-1).pow(1 / 3)
 
 
+def _fits(size: tuple[int, int]) -> bool:
+    return size[0] == size[1] and size[0] % _SIDE_STEP == 0 and size[0] >= _SMALLEST
+
+
 def build(entries: Entries) -> PublishedParts:
     """Build SDPL: `model_1` describes queries, and `model_2` the gallery."""
     check_option(entries, "views", 2)
     size = size_of(entries, (512, 512))
-    if size[0] != size[1] or size[0] % _SIDE_STEP or size[0] < _SMALLEST:
+    if not _fits(size):
         raise ModelFileError(
-            f"The opts.yaml beside {entries.name} says {size[0]} x {size[1]} pixels; SDPL takes squares of a multiple of "
-            f"{_SIDE_STEP} pixels from {_SMALLEST}."
+            f"The opts.yaml beside {entries.name} says {size[0]} x {size[1]} pixels; SDPL takes {_SIZES}."
         )
     heads = entries.heads([f"classifier{number}" for number in range(PARTS)], 2048)
     branches = by_role([Sdpl(branch, heads, size) for branch in numbered(entries)])

@@ -176,6 +176,12 @@ def test_the_branches_of_sdpl_follow_the_role() -> None:
     wide = Entries("net_350.pth", state, {"h": 320, "w": 320})
     with pytest.raises(ModelFileError, match="320 x 320 pixels; SDPL takes squares of a multiple of 128"):
         sdpl.build(wide)
+    model.network("drone").check_size((384, 384), model.input_size)
+    for size in ((320, 320), (512, 256), (128, 128)):
+        with pytest.raises(
+            InputError, match=f"are {size[0]} x {size[1]}; .* takes squares of a multiple of 128 pixels from 256"
+        ):
+            model.network("drone").check_size(size, model.input_size)
 
 
 @pytest.mark.slow
