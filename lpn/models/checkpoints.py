@@ -269,7 +269,7 @@ def _backbone_of(state: StateDict, path: Path) -> str:
 
 
 def _read_weights(path: Path) -> StateDict:
-    if path.suffix == ".onnx":
+    if path.suffix == ".onnx" and path.is_file():
         raise ModelFileError(
             f"{path.name} is an exported graph; give --init the .safetensors or .pth it was made from."
         )

@@ -87,7 +87,7 @@ class TrainingJob:
     def epochs_done(self) -> int:
         """The number of epochs on disk."""
         log = self.folder / "log.csv"
-        return len(log.read_text("utf-8").splitlines()) - 1 if log.is_file() else 0
+        return len(log.read_text("utf-8").splitlines()[1:]) if log.is_file() else 0
 
     @cached_property
     def steps(self) -> int:

@@ -108,3 +108,13 @@ def test_a_backbone_given_as_a_model_is_told_as_that(backbone: str, prefix: str,
     with pytest.raises(ModelFileError, match=r"timm:NAME:FILE, .* the weights of a backbone go to lpn train --init"):
         lpn.load(tmp_path / "weights.pth")
     assert backbone_in(tmp_path / "weights.pth") == backbone
+
+
+def test_weights_that_are_missing_or_a_graph_are_refused_as_that(tmp_path: Path) -> None:
+    with pytest.raises(ModelFileError, match=r"There is no model file at .*absent\.onnx"):
+        backbone_in(tmp_path / "absent.onnx")
+    (tmp_path / "model.onnx").touch()
+    with pytest.raises(
+        ModelFileError, match=r"model\.onnx is an exported graph; give --init the \.safetensors or \.pth"
+    ):
+        backbone_in(tmp_path / "model.onnx")
