@@ -26,19 +26,22 @@ from lpn.core import images
 from lpn.core.arrays import Float32Array
 from lpn.core.files import write_atomic
 from lpn.core.views import View
-from lpn.datasets import Picture, open_dataset
+from lpn.datasets import Dataset, Picture, open_dataset
 from lpn.descriptors import STORES, DescriptorKind, PartialStore, Precision, descriptor_reader, row_of, write_store
 from lpn.models.base import Model
 from lpn.models.checkpoints import load_torch, save
 from lpn.models.export import export
 from lpn.retrieval.calibration import Calibration
-from lpn.tasks.opening import FOLDER, NAME, calibrated
+from lpn.tasks.opening import FOLDER, NAME, new_calibration
 
 QUALITY = {"drone": 62, "satellite": 72}
 """Quality of WebP; sensor noise does not survive it, and is most of what a better one would cost."""
 
 SAME = {"query_drone": "gallery_drone", "gallery_satellite": "query_satellite"}
 """The other role of each folder's pictures, so that satellite-to-drone is offered too, see `linked_folder`."""
+
+# View, pictures, and precision on disk of a store.
+Side = tuple[View, Sequence[Picture], Precision]
 
 LARGEST = {".onnx": 4_000_000, ".safetensors": 4_000_000}
 """Bytes of a model's file."""
@@ -83,34 +86,33 @@ def pack_model(trained: Path, name: str, out: Path, stores: Path) -> None:
         if (size := file.stat().st_size) > (largest := LARGEST[file.suffix]):
             sys.exit(f"{file.name} has {size:,} bytes, and the demo's may have {largest:,}; train a smaller network.")
     opened, dataset = lpn.load(out / f"{name}.onnx"), open_dataset(out)
-    # 8 bits change a part's cosine by less than 0.001, and halve the largest files.
-    for folder, view, pictures, precision in (
-        ("query_drone", "drone", dataset.queries("drone"), "int8"),
-        ("gallery_satellite", "satellite", dataset.gallery("satellite"), "float16"),
-    ):
+    for folder, (view, pictures, precision) in sides_of(dataset).items():
         files = [picture.path for picture in pictures]
         descriptors.describe(opened, files, view, stores / folder, root=out / "test" / folder, precision=precision)
     link_other_roles(stores)
 
 
-def pack_calibration(out: Path) -> None:
-    """Write the calibration of the demo's model, and the calibrated descriptors."""
-    model, dataset = lpn.load(out / "lpn.onnx"), open_dataset(out)
-    sides: dict[str, tuple[View, Sequence[Picture], Precision]] = {
+def sides_of(dataset: Dataset) -> dict[str, Side]:
+    """Return the view, the pictures, and the precision on disk of each store of the demo, by its name."""
+    # 8 bits change a part's cosine by less than 0.001, and halve the largest files.
+    return {
         "query_drone": ("drone", dataset.queries("drone"), "int8"),
         "gallery_satellite": ("satellite", dataset.gallery("satellite"), "float16"),
     }
-    write_calibration(model, out, calibrated(model, dataset), sides)
+
+
+def pack_calibration(out: Path) -> None:
+    """Write the calibration of the demo's model, and the calibrated descriptors."""
+    model, dataset = lpn.load(out / "lpn.onnx"), open_dataset(out)
+    write_calibration(model, out, new_calibration(model, dataset), sides_of(dataset))
     link_other_roles(out / FOLDER)
 
 
-def write_calibration(
-    model: Model, root: Path, calibration: Calibration, sides: Mapping[str, tuple[View, Sequence[Picture], Precision]]
-) -> None:
+def write_calibration(model: Model, root: Path, calibration: Calibration, sides: Mapping[str, Side]) -> None:
     """Write a calibration of a model, and calibrated descriptors, into a data set's folder.
 
     Args:
-        sides: by the store's name, such as "query_drone": view, pictures, and precision on disk.
+        sides: by the store's name, see `sides_of`.
     """
     read, moved = descriptor_reader(root), calibration.applied(model)
     for name, (view, pictures, precision) in sides.items():

@@ -13,7 +13,6 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import msgspec
-import numpy as np
 
 import lpn
 from explorer.opening import OFFERED_OVERLAP
@@ -28,7 +27,7 @@ from lpn.flight.locate import shipped
 from lpn.flight.locate.located import StageRecord
 from lpn.flight.locate.options import LocateOptions
 from lpn.flight.locate.pipeline import locate
-from lpn.flight.locate.retrieval import retrieve
+from lpn.flight.locate.retrieval import describe_frames, described_windows, retrieve
 from lpn.flight.locate.shipped import FRAMES, WINDOWS, ShippedRecord, frame_rows, identity, window_rows
 from lpn.flight.maps import Map, open_map
 from lpn.models.base import Model
@@ -49,12 +48,13 @@ def pack(map_path: Path, flight_path: Path, out: Path, cache: Path) -> None:
     """Write the answers of one flight; its registrations are read from the cache, where no error of the map is in them yet."""
     model, basemap, flight = lpn.load(DEMO_MODEL), open_map(map_path), open_flight(flight_path)
     options = LocateOptions(overlap=OFFERED_OVERLAP, matcher="sift")
-    plain = retrieve(model, basemap, flight, overlap=OFFERED_OVERLAP, centre=False)
+    found = retrieve(model, basemap, flight, overlap=OFFERED_OVERLAP)
+    described = described_windows(model, basemap, found.gallery.windows)
+    frames, _ = describe_frames(model, flight.frames, found.views, "drone")
     shutil.rmtree(out, ignore_errors=True)
-    frames = np.concatenate([described for described in plain.frames_described if described is not None])
-    windows = window_rows(plain.gallery.windows, plain.pixels)
-    write_descriptors(out, WINDOWS, model, "satellite", windows, plain.gallery.described, "int8")
-    rows = frame_rows(flight, plain.views)
+    windows = window_rows(found.gallery.windows, found.pixels)
+    write_descriptors(out, WINDOWS, model, "satellite", windows, described, "int8")
+    rows = frame_rows(flight, found.views)
     write_descriptors(out, FRAMES, model, "drone", rows, frames, "int8")
     write_record(out, model, basemap, flight)
     located = locate(basemap, flight, model, options, shipped=out)

@@ -89,9 +89,9 @@ def _log_of(table: LogTable) -> Log:
     entries = []
     times, pictures = table.numbers("time").tolist(), table.text("file")
     for i, video in enumerate(table.text("is_video")):
-        entry = entry_of(times[i], clocks[i], {what: float(column[i]) for what, column in columns.items()})
+        told = {what: float(column[i]) for what, column in columns.items()}
         recording = video.casefold() in ("1", "true", "yes") if video else None
-        entries.append(replace(entry, file=pictures[i] or None, recording=recording, line=table.lines[i]))
+        entries.append(entry_of(times[i], clocks[i], told, pictures[i] or None, recording, table.lines[i]))
     if missing := sum(entry.latitude is None for entry in entries):
         notes.append(f"{missing} of {count} rows of {table.name} have no position.")
     return Log(table.name, tuple(entries), utc, tuple(notes))
@@ -211,7 +211,7 @@ def parse_track(text: str, name: str) -> Log:
                 clock = point.time.replace(tzinfo=point.time.tzinfo or UTC).timestamp()
                 utc |= point.time.tzinfo is not None
         told = {"latitude": point.latitude, "longitude": point.longitude, "altitude": point.elevation}
-        entries.append(replace(entry_of(math.nan, clock, told), file=picture_name(point.name or "")))
+        entries.append(entry_of(math.nan, clock, told, picture_name(point.name or "")))
     placed = [entry for entry in entries if entry.latitude is not None]
     if not placed:
         raise DataError(f"{name} has no point with a position on the Earth; expected a track.")

@@ -76,13 +76,21 @@ class Log:
     end: float | None = None
 
 
-def entry_of(time: float, clock: float | None, told: Mapping[str, float | None]) -> TelemetryEntry:
+def entry_of(
+    time: float,
+    clock: float | None,
+    told: Mapping[str, float | None],
+    file: str | None = None,
+    recording: bool | None = None,
+    line: int = 0,
+) -> TelemetryEntry:
     """Return the entry of a row, subtitle, or message, with the angles of the gimbal, camera, or aircraft, in this order.
 
     A position off the Earth or at (0, 0), and a gimbal's or camera's three angles of 0, are unknown.
 
     Args:
         told: values in metres and degrees by their names in `lpn.flight.files.dialects.UNITS`; None or NaN where unknown.
+        time, clock, file, recording, line: see `TelemetryEntry`.
     """
     known = {what: value for what, value in told.items() if value is not None and math.isfinite(value)}
     latitude, longitude = known.get("latitude"), known.get("longitude")
@@ -102,6 +110,9 @@ def entry_of(time: float, clock: float | None, told: Mapping[str, float | None])
         pitch,
         roll,
         known.get("fov"),
+        file,
+        recording,
+        line,
     )
 
 

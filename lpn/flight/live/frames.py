@@ -6,6 +6,7 @@ import os
 import threading
 import time
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -17,7 +18,7 @@ from lpn.core import images
 from lpn.core.arrays import UInt8Array
 from lpn.core.errors import InputError, PictureError
 from lpn.core.files import printable
-from lpn.datasets.base import files_below
+from lpn.datasets.listed_paths import hidden_name
 from lpn.flight.files.base import Frame
 from lpn.flight.files.photos import read_photo
 from lpn.flight.files.sources import PHOTOS
@@ -127,7 +128,7 @@ class LiveSource:
 
 def folder_pictures(folder: Path, say: Say) -> PictureReader:
     """Return a reader of the new photos of a folder and its subfolders; photos that exist already are left out."""
-    seen = set(files_below(folder, PHOTOS))
+    seen = set(_photos(folder))
     if seen:
         say(f"{len(seen)} photos that were in {printable(folder.name)} before are left out.")
     # Files that could not be read, by the time of the first try: a camera may still be writing them.
@@ -137,7 +138,7 @@ def folder_pictures(folder: Path, say: Say) -> PictureReader:
         pause = _POLL
         while not stop.wait(pause):
             began = time.monotonic()
-            photos = [file for file in files_below(folder, PHOTOS) if file not in seen]
+            photos = sorted(file for file in _photos(folder) if file not in seen)
             # Listing a folder of a million photos takes long.
             pause = max(_POLL, min(_BACK_OFF * (time.monotonic() - began), _LONGEST_PAUSE))
             for file in photos:
@@ -155,6 +156,19 @@ def folder_pictures(folder: Path, say: Say) -> PictureReader:
                 yield ArrivedPicture(frame, now, None, photo.utc is not None, photo.turns)
 
     return read
+
+
+def _photos(folder: Path) -> Iterator[Path]:
+    """Yield the photos of all folders that are not hidden; one that cannot be listed now may be at the next scan."""
+    folders = [folder]
+    while folders:
+        with suppress(OSError):
+            for one in os.scandir(folders.pop()):
+                if one.is_dir(follow_symlinks=False):
+                    if not hidden_name(one.name):
+                        folders.append(Path(one))
+                elif not one.name.startswith(".") and one.name.lower().endswith(PHOTOS) and one.is_file():
+                    yield Path(one)
 
 
 def stream_pictures(source: Path | str, say: Say, fov: float | None = None) -> PictureReader:

@@ -188,6 +188,13 @@ def test_recordings_of_a_log_begin_with_the_video(
             for_video(log, 2)
 
 
+def test_each_video_has_its_own_recording_of_a_log(tmp_path: Path) -> None:
+    films = [write_video(tmp_path / name, 2) for name in ("a.mp4", "b.mp4")]
+    flight = make_flight([*films, written(tmp_path, AIRDATA)], tmp_path / "flight")
+    first = {frame.name[0]: frame.latitude for frame in reversed(flight.frames)}
+    assert first == pytest.approx({"a": 47.0003, "b": 47.0008})
+
+
 @pytest.mark.parametrize(
     ("name", "text", "begins", "start", "note"),
     [

@@ -394,6 +394,7 @@ def test_memory_does_not_grow_with_the_flight(town: Map, flight: Flight, monkeyp
 
 def test_new_photos_below_a_folder_are_read_when_they_are_whole(tmp_path: Path) -> None:
     write_photo(tmp_path / "before.jpg")
+    (tmp_path / "later.jpg").symlink_to(tmp_path / "elsewhere")  # there is no photo yet
     said: list[str] = []
     source = LiveSource(folder_pictures(tmp_path, said.append), said.append)
     whole = photo_bytes(exif(main={ExifTags.Base.Orientation: 6}))
@@ -408,6 +409,8 @@ def test_new_photos_below_a_folder_are_read_when_they_are_whole(tmp_path: Path) 
         new.write_bytes(whole)
         picture = source.take(TIMEOUT)
         assert source.take(3 * lpn.flight.live.frames._POLL) is None
+        (tmp_path / "elsewhere").write_bytes(whole)
+        assert source.take(TIMEOUT) is not None
     finally:
         source.close()
     assert picture is not None

@@ -97,7 +97,9 @@ def test_a_flight_is_registered_without_a_model_and_the_turned_picture_is_named(
     assert "turned by 180 degrees" in found.frames[2].sentence
     summary = found.errors()["registration"]
     assert (summary.known, summary.photos) == (4, 4)
-    assert full_track(found)[0]["latitude"] == pytest.approx(flight.frames[0].latitude, abs=1e-5)
+    point, frame = full_track(found)[0], flight.frames[0]
+    assert (point["tag_latitude"], point["tag_longitude"]) == (frame.latitude, frame.longitude)
+    assert point["latitude"] == pytest.approx(frame.latitude, abs=1e-5)
 
 
 def test_a_run_goes_on_after_a_kill(town: Map, flight: Flight, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import json
 import os
 import sqlite3
 import subprocess
@@ -265,12 +266,18 @@ def test_no_crs_is_asked_of_a_server_or_read_from_a_file(tmp_path: Path, listene
 
     (tmp_path / "wkt.txt").write_text(CRS.from_epsg(32632).to_wkt())
     plain = write_geotiff(tmp_path / "b.tif", smooth(60, 60), crs=None)
+    build_map([write_geotiff(tmp_path / "a.tif", smooth(60, 60))], tmp_path / "map").close()
+    record = json.loads((tmp_path / "map" / "map.json").read_text())
     for crs in (f"{listener.address}/crs", str(tmp_path / "wkt.txt")):
         with pytest.raises(InputError, match="There is no CRS"):
             parse_crs(crs)
         plain.with_suffix(".prj").write_text(crs)
         with pytest.raises(DataError, match="holds no coordinate reference system"):
             open_map(plain)
+        record["sheets"][0]["crs"] = crs
+        (tmp_path / "map" / "map.json").write_text(json.dumps(record))
+        with pytest.raises(InputError, match="There is no CRS"):
+            open_map(tmp_path / "map")
     assert not listener.heard()
     # Rasterio itself does both.
     assert CRS.from_user_input(str(tmp_path / "wkt.txt")).to_epsg() == 32632
