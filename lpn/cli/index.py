@@ -187,7 +187,6 @@ def _matches(
 
 
 def _show(matches: list[dict[str, Any]], names: list[str]) -> None:
-
     if not matches:
         print("There is no tile to compare with.")
         return

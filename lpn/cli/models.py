@@ -45,7 +45,6 @@ class ModelsCommand:
 
 
 def _list(cards: tuple[ModelCard, ...], console: Console) -> None:
-
     rows = []
     for card in cards:
         first = [one for one in card.figures if one.task == card.figures[0].task]
@@ -57,7 +56,6 @@ def _list(cards: tuple[ModelCard, ...], console: Console) -> None:
 
 
 def _show(card: ModelCard, console: Console) -> None:
-
     console.print(f"{card.name}: {card.summary}", markup=False, highlight=False)
     for what, lines in (
         ("network", (card.network,)),

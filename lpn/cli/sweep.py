@@ -44,7 +44,6 @@ class Sweep(SourceOptions):
     """File to write the table to, as CSV."""
 
     def run(self) -> None:
-
         check_outputs((self.csv, ".csv"))
         console = wide_console()
         opened = open_source(self, [self.query], part_values(self.weights))

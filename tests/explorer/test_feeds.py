@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -8,9 +9,10 @@ import numpy as np
 import pytest
 
 from explorer.feeds import CHUNK, Feeds
-from explorer.opening import open_model
+from explorer.opening import open_model, open_tasks
 from explorer.server.picture_route import PREFIX
 from explorer.workspace import Workspace
+from lpn.core import images
 
 TASK = "drone-to-satellite"
 
@@ -74,3 +76,16 @@ def test_thumbnails_are_pictures_of_queries_and_tiles_and_other_paths_are_none(
     for path in ("thumb/9/query/0", "thumb/0/quarry/0", "0123456789abcdef/0", "../thumb/0/query/0", ""):
         assert feeds.find(below(feeds, path)) is None
     assert feeds.find("thumb/0/query/0") is None
+
+
+def test_a_tile_is_drawn_at_its_zoom_and_a_query_is_zoomed_by_the_page(workspace: Workspace) -> None:
+    task = workspace.tasks[TASK]
+    query, tile = task.queries[0].load(), task.gallery[0].load()
+    queries, gallery = ([replace(one, zoom=2.0) for one in side] for side in (task.queries, task.gallery))
+    feeds = open_tasks([task.with_fields(queries=queries, gallery=gallery)]).feeds
+    for side, expected in (("query", query), ("tile", images.zoom(tile, 2.0))):
+        compute = feeds.find(below(feeds, f"picture/0/{side}/0"))
+        assert compute is not None
+        shown = cv2.imdecode(np.frombuffer(compute().data, np.uint8), cv2.IMREAD_COLOR)[..., ::-1]
+        assert shown.shape == expected.shape
+        assert np.abs(shown.astype(float) - expected).mean() < 20

@@ -229,6 +229,17 @@ def test_pins_go_from_where_the_photo_has_a_detail_to_where_the_map_has_it(fligh
     assert page.chosen(FlightSnapshot(flight), 0, ADDRESSES)["pins"] == []
 
 
+def test_a_photo_lies_where_a_person_laid_it_and_not_where_it_was_registered(flight: LocatedFlight) -> None:
+    registered = flight.frames[0]
+    assert registered.laid is not None
+    moved = np.array([[1.0, 0, 5], [0, 1, 0], [0, 0, 1]]) @ registered.laid
+    by_hand = msgspec.structs.replace(registered.stages["registration"], homography=moved.ravel().tolist())
+    corrected = replace(flight, frames=[replace(registered, by_hand=by_hand), *flight.frames[1:]])
+    shown = page.chosen(FlightSnapshot(corrected), 0, ADDRESSES)
+    assert shown["corrected"]
+    np.testing.assert_allclose(shown["homography"], moved.ravel())
+
+
 def test_an_own_photo_has_a_card_of_the_same_kind(seen: FlightSnapshot, flight: LocatedFlight) -> None:
     latitude, longitude = flight.basemap.frame.degrees([(30.0, 0.0)])[0].tolist()
     picture = OwnPicture("mine.jpg", np.full((60, 80, 3), 90, np.uint8), (latitude, longitude))

@@ -87,7 +87,7 @@ def test_the_panel_changes_the_steps_of_a_story_as_the_file_has_it(tab: Tab, fil
     tab.act("stories.step", story="Mine", at=0, shows=steps[0].shows, to=0, caption="A", notes="N")
     panel(tab, lambda message: message["steps"][0]["caption"] == "A")
     tab.act("stories.step", story="Mine", at=2, shows=steps[2].shows)
-    tab.error("changed meanwhile"), "the third step is another one"
+    tab.error("changed meanwhile")  # the third step is another one
     tab.act("stories.step", story="Mine", at=1, shows=steps[2].shows)
     panel(tab, lambda message: len(message["steps"]) == 2)
     tab.act("stories.rename", story="Mine", name="Other")

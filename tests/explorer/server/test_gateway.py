@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import http.client
+import logging
 import os
 import socket
 import urllib.error
@@ -476,3 +477,12 @@ def test_a_flood_of_small_frames_ends_its_connection(app: App) -> None:
                 for _ in range(50):
                     tab.socket.socket.sendall(small * 100)
             assert tab.closed(), small
+
+
+def test_the_log_has_neither_token_nor_cookie(locked: App, caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(logging.DEBUG)
+    status, headers, _ = get(locked, "/?token=correct+horse+battery")
+    assert status == 200
+    assert get(locked, cookie=headers["Set-Cookie"].partition(";")[0])[0] == 200
+    assert "horse" not in caplog.text
+    assert locked.authenticator.cookie_value not in caplog.text

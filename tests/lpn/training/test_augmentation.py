@@ -19,9 +19,9 @@ def test_a_recipe_without_changes_leaves_the_picture_alone() -> None:
     np.testing.assert_array_equal(same, small_worlds.place(7))
 
 
-@pytest.mark.parametrize("view", ["drone", "satellite"])
+@pytest.mark.parametrize("view", ["drone", "street", "satellite"])
 @pytest.mark.parametrize("name", ["season", "bands", "shadows", "occlusion", "blur", "noise", "compression", "weather"])
-def test_both_views_of_a_place_are_seen_on_other_days_as_often_as_it_is_told(name: str, view: View) -> None:
+def test_all_views_of_a_place_are_seen_on_other_days_as_often_as_it_is_told(name: str, view: View) -> None:
     def touched(value: float) -> int:
         recipe = Recipe(**{**STILL.__dict__, name: value})
         place = small_worlds.place(7)
