@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
+from pathlib import Path
 
-from playwright.sync_api import BrowserContext, expect
+from playwright.sync_api import BrowserContext, Page, expect
 
-from tests.e2e.conftest import Running, RunningApp, Screen
+from tests.e2e.conftest import Running, RunningApp, Screen, started
+from tools.fixtures.processes import free_port
 
 
 def test_all_that_can_be_pressed_is_reached_by_tab_and_says_its_name(
@@ -75,3 +78,15 @@ def test_without_positions_there_is_no_scene_of_a_place(
     expect(screen.page.locator("#scene.ready iframe")).to_be_visible()
     expect(screen.page.locator("#scene [data-view=city]")).to_be_hidden()
     expect(screen.tiles).to_have_count(6)
+
+
+def test_a_page_finds_its_server_again_as_it_was(app: RunningApp, tmp_path: Path, new_page: Callable[[], Page]) -> None:
+    port = free_port()
+    with started(app.data, app.model, tmp_path / "cache", port=port) as running:
+        screen = Screen(new_page(), running.url).open("?query=0009&angle=30")
+    expect(screen.headline.locator("h1")).to_have_text("Connection lost. Trying again.")
+    expect(screen.rows).to_have_count(4)
+    with started(app.data, app.model, tmp_path / "cache", port=port):
+        expect(screen.headline.locator("h1")).not_to_contain_text("Connection lost")
+        screen.rest("30")
+        expect(screen.page).to_have_url(re.compile("query=0009"))
