@@ -94,13 +94,17 @@ class Engine(Model):
             )
         groups = list(self.contract.groups)
         self._files = graph_files(path, groups)
-        opened = [session, *(open_session(file, threads) for file in self._files[1:])]
-        for group, file, one in zip(groups, self._files, opened, strict=True):
-            if lacking := [name for name in (*self._constants, *self._pass_outputs) if name not in _declared(one)]:
+        opened = [session]
+        for group, file in zip(groups, self._files, strict=True):
+            if file != path:
+                opened.append(open_session(file, threads))
+            if lacking := [
+                name for name in (*self._constants, *self._pass_outputs) if name not in _declared(opened[-1])
+            ]:
                 raise ModelFileError(
                     f"{file.name} lacks the output {lacking[0]} of the file beside it; export the model again."
                 )
-            _check_group(_metadata(one, file), metadata, group, file)
+            _check_group(_metadata(opened[-1], file), metadata, group, file)
         self._use(opened)
 
     def _use(self, sessions: Sequence[ort.InferenceSession]) -> None:

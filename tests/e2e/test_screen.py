@@ -243,22 +243,21 @@ def test_a_part_is_weighed_at_the_head_of_its_row(running: Running, screen: Scre
 def test_evidence_and_occlusion_take_the_place_of_activation(screen: Screen) -> None:
     screen.open()
     painted = "() => document.querySelector('#photo .heat').toDataURL()"
+    differs = f"others => !others.includes(({painted})())"
     before, key = screen.page.evaluate(painted), screen.page.locator("#photo .key")
     screen.key("e")
     expect(key).to_have_text(re.compile("against.*for"))
-    screen.rest()
-    assert screen.page.evaluate(painted) != before
+    screen.page.wait_for_function(differs, arg=[before])
     expect(screen.page).to_have_url(re.compile("shows=evidence"))
+    screen.rest()
     exact = screen.page.evaluate(painted)
     screen.key("e")
     expect(screen.page).to_have_url(re.compile("shows=occlusion"))
     expect(key).to_have_text(re.compile("against.*for"))
-    screen.rest()
-    assert screen.page.evaluate(painted) not in (before, exact)
+    screen.page.wait_for_function(differs, arg=[before, exact])
     screen.key("e")
     expect(key).to_have_text(re.compile("weak.*strong"))
-    screen.rest()
-    assert screen.page.evaluate(painted) == before
+    screen.page.wait_for_function(f"before => ({painted})() === before", arg=before)
     assert not screen.complaints
 
 

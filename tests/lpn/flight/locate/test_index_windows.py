@@ -20,7 +20,7 @@ from lpn.flight.files.base import HeadingSource
 from lpn.flight.locate import retrieval
 from lpn.flight.locate.retrieval import retrieve
 from lpn.flight.maps import Map, Window
-from lpn.index import DescriptorKind, create_index
+from lpn.index import DescriptorKind, create_index, from_map
 from lpn.index.folder import FolderIndex
 from lpn.index.from_map import index_windows as fill_index
 from lpn.index.from_map import window_describer, windows_kind
@@ -29,6 +29,11 @@ from tests.lpn.flight.locate.scenery import GridModel, ground_to_photo, land, ph
 
 KIND = DescriptorKind("grid", 2, 16)
 FRAME = np.ones((1, 2, 16), np.float32)
+
+
+@pytest.fixture(autouse=True)
+def _small_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(from_map, "BLOCK", 8)
 
 
 @pytest.fixture
@@ -61,7 +66,7 @@ def filled(
 
     kind = windows_kind(model(), town, sizes, overlap, turns)
     with create_index(where, kind) as index, suppress(KeyboardInterrupt):
-        fill_index(index, town, described, block=8)
+        fill_index(index, town, described)
     return str(where)
 
 
