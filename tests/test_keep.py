@@ -229,7 +229,7 @@ def test_errors_of_the_rendered_flight_may_not_grow() -> None:
 
 
 def track(*rows: tuple[str, object, object, str]) -> Mapping[str, Any]:
-    """The figures of a real flight of 30 photos, of which some are given by name, metres east and north, and state."""
+    """The figures of a real flight of 30 photos; `rows` sets names, metres east and north, and states of some photos."""
     filled = [(str(i), i, i, "accepted") for i in range(30 - len(rows))]
     return flights.real_figures(
         [

@@ -29,7 +29,7 @@ class FieldKind(Protocol):
         ...
 
     def write(self, value: Any, state: ScreenState, workspace: Workspace) -> str:  # noqa: ARG002
-        """Format a value as text of an address; a text stays as it is."""
+        """Format a value for an address; a text stays unchanged."""
         return str(value)
 
 

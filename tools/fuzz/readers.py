@@ -160,7 +160,7 @@ def _work(name: str, numbers: range, seed: int, to: Connection, current: Any, be
                 to.send((number, said))
             began.value = time.monotonic()
     to.close()
-    # As the explorer does: the interpreter's end would abort a session's thread inside C++ code.
+    # The explorer ends likewise. The interpreter's normal end would abort a session's thread inside C++ code.
     os._exit(0)
 
 

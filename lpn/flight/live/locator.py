@@ -320,7 +320,7 @@ class LiveLocator:
             kept = [*((turn, True) for turn in usual), *((turn, False) for turn in alike), (answer.turn, False)]
             self._turns = deque(kept, _TURNED)
             return degrees
-        # The turn fits earlier registrations, or so many share it that the headings count as changed.
+        # The turn fits earlier registrations, or enough registrations share it to count as a change of the headings.
         standing = usual if degrees is None else alike
         self._turns = deque([*((turn, True) for turn in standing), (answer.turn, True)], _TURNED)
         return None

@@ -195,8 +195,8 @@ def other_turn(turn: float, turns: Float64Array) -> float | None:
 def other_turns(turns: Float64Array) -> dict[int, float]:
     """Return the indices of turns that do not fit the others, with the degrees of `other_turn`.
 
-    The others are the turns within 2.5 degrees of the commonest one; they must be half of all, and at least eight. A turn fits,
-    too, if within 5 degrees of it lie ten turns, or half as many as near the commonest one. Time is O(N log N).
+    The others are the turns within 2.5 degrees of the commonest one; they must be half of all, and at least eight. A turn
+    also fits if ten turns lie within 5 degrees of it, or half as many as near the commonest one. Time is O(N log N).
 
     Args:
         turns: against certain headings in degrees, (N,).

@@ -140,7 +140,7 @@ class FirstToken(PartBranch):
     """One vector without cells, plain or under a head: the first token, or the network's own pooled vector.
 
     Args:
-        trunk: gives tokens (B, T, C), of which the first is a ViT's class token, or the pooled vector (B, C).
+        trunk: returns tokens (B, T, C) or the pooled vector (B, C); a ViT's class token comes first.
         heads: see `PartBranch`.
     """
 
