@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Hashable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from datetime import date
-from functools import partial
-from typing import Generic, Literal, TypeVar
+from functools import lru_cache, partial
+from typing import Literal
 
 import numpy as np
 
@@ -15,15 +15,15 @@ from lpn import retrieval
 from lpn.core import images
 from lpn.core.arrays import Float32Array, Float64Array, UInt8Array
 from lpn.core.errors import InputError
+from lpn.core.views import View
 from lpn.datasets import Picture
 from lpn.datasets.geo import Position
 from lpn.descriptors.transforms import UNCHANGED, Change
 from lpn.library.answer import Answer, pair_evidence
 from lpn.models.base import Model
 from lpn.retrieval import DescribedPicture, Match, Ranking, scoring
+from lpn.retrieval.calibration import Calibration
 from lpn.tasks.task import RankUnderWeights, Task
-
-T = TypeVar("T")
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,17 +69,22 @@ class QueryRequest:
     correspondences: bool = False
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class _Photo:
-    """A query to describe: its pixels before the change, the change, its zoom, and the key of the changed picture."""
+    """A query to describe: its pixels before the change, and the change. Photos of one key are equal.
 
-    own: OwnPicture | None
-    index: int | None
-    name: str
-    source: UInt8Array
-    change: Change
-    zoom: float
+    Attributes:
+        described: its description if it was computed ahead.
+    """
+
     key: Hashable
+    task: Task = field(compare=False)
+    own: OwnPicture | None = field(compare=False)
+    index: int | None = field(compare=False)
+    name: str = field(compare=False)
+    source: UInt8Array = field(compare=False)
+    change: Change = field(compare=False)
+    described: DescribedPicture | None = field(default=None, compare=False)
 
 
 # A cache of described pictures: takes a key, and a function that describes the picture if the cache lacks it.
@@ -90,18 +95,6 @@ def described_key(task: Task, query: int, change: Change) -> Hashable:
     """Return the key of a described query of a task; `change` comes from `Change.for_picture`."""
     picture = task.queries[query]
     return picture.path, picture.box, task.key, change
-
-
-class _LastValue(Generic[T]):
-    """A cache of one value, for the last key."""
-
-    def __init__(self) -> None:
-        self._entry: tuple[Hashable, T] | None = None
-
-    def get(self, key: Hashable, compute: Callable[[], T]) -> T:
-        if self._entry is None or self._entry[0] != key:
-            self._entry = key, compute()
-        return self._entry[1]
 
 
 class QueryAnalyser:
@@ -122,11 +115,10 @@ class QueryAnalyser:
         keep: KeepDescribed = lambda _, describe: describe(),
     ) -> None:
         self._model, self._describe_tile, self._load, self._keep = model, describe_tile, load, keep
-        self._source: _LastValue[UInt8Array] = _LastValue()
-        self._query: _LastValue[DescribedPicture] = _LastValue()
-        self._ahead: dict[QueryRequest, tuple[_Photo, DescribedPicture]] = {}
-        self._zoom: _LastValue[float] = _LastValue()
-        self._search: _LastValue[RankUnderWeights] = _LastValue()
+        self._ahead: dict[QueryRequest, _Photo] = {}
+        # The results of the last request.
+        self._source, self._own_zoom = lru_cache(1)(self._read), lru_cache(1)(self._measure_own_zoom)
+        self._described, self._search = lru_cache(1)(self._describe), lru_cache(1)(self._start_search)
 
     def describe_ahead(self, task: Task, requests: Sequence[QueryRequest]) -> None:
         """Describe the queries of some requests in one batch for later calls of `analyse`, with the same errors."""
@@ -135,7 +127,8 @@ class QueryAnalyser:
         photos = [self._photo(task, request) for request in requests]
         pictures, changes = [photo.source for photo in photos], [photo.change for photo in photos]
         described = retrieval.describe_pictures(self._model.for_task(*task.views), pictures, task.query_view, changes)
-        self._ahead = dict(zip(requests, zip(photos, described, strict=True), strict=True))
+        ahead = (replace(photo, described=one) for photo, one in zip(photos, described, strict=True))
+        self._ahead = dict(zip(requests, ahead, strict=True))
 
     def analyse(self, task: Task, request: QueryRequest, k: int, tile: bool = True) -> Answer:
         """Answer one request.
@@ -149,15 +142,11 @@ class QueryAnalyser:
             LPNError: when a picture cannot be read or described.
         """
         started = time.perf_counter()
-        ahead = self._ahead.pop(request, None)
-        photo = self._photo(task, request) if ahead is None else ahead[0]
-        index = photo.index
-        query = self._query.get(photo.key, lambda: self._described(task, photo) if ahead is None else ahead[1])
+        photo = self._ahead.pop(request, None) or self._photo(task, request)
+        query = self._described(photo)
         weights = scoring.part_weights(task.contract.n_parts, request.weights)
         # The descriptor of a region depends on the part weights.
-        search_key = photo.key, request.region, request.weights if request.region else None
-        search = self._search.get(search_key, lambda: start_search(task, index, query, request.region, weights))
-        ranking = search(weights)
+        ranking = self._search(photo, request.region, request.weights if request.region else None)(weights)
         matches = ranking.top(k)
         if not matches:
             raise InputError("The gallery has no tile that is not junk; a query needs at least one.")
@@ -166,7 +155,7 @@ class QueryAnalyser:
         return Answer(
             task=task,
             name=photo.name,
-            index=index,
+            index=photo.index,
             query=query,
             ranking=ranking,
             matches=matches,
@@ -176,7 +165,7 @@ class QueryAnalyser:
             positive=ranking.positive(),
             errors_m=_errors_m(task, photo),
             source=photo.source,
-            zoom=photo.zoom,
+            zoom=photo.change.zoom,
             pair_evidence=pair_evidence(
                 query, compared, weights, request.correspondences, ranking.csls_of(chosen.index)
             )
@@ -185,9 +174,31 @@ class QueryAnalyser:
             seconds=time.perf_counter() - started,
         )
 
-    def _described(self, task: Task, photo: _Photo) -> DescribedPicture:
+    def _photo(self, task: Task, request: QueryRequest) -> _Photo:
+        """Return the query of a request, and its change."""
+        query = request.query
+        if isinstance(query, OwnPicture):
+            zoom = 1.0 if task.calibration is None else self._own_zoom(task.calibration, query, task.query_view)
+            change = request.change.for_picture(task.queries[0], zoom)
+            return _Photo((query, task.key, change), task, query, None, query.name, query.picture, change)
+        if not 0 <= query < len(task.queries):
+            raise InputError(f"There is no query {query}; queries have positions 0 to {len(task.queries) - 1}.")
+        picture = task.queries[query]
+        change = request.change.for_picture(picture)
+        key = picture, query, task.key, change
+        return _Photo(key, task, None, query, picture.name, self._source(picture), change)
+
+    def _read(self, picture: Picture) -> UInt8Array:
+        return images.crop(self._load(picture), picture.box, picture.name)
+
+    def _measure_own_zoom(self, calibration: Calibration, own: OwnPicture, view: View) -> float:
+        return 1.0 if self._model is None else calibration.own_zoom(self._model, own.picture, view)
+
+    def _describe(self, photo: _Photo) -> DescribedPicture:
         """Describe a query, or take its stored descriptor without a network."""
-        index = photo.index
+        task, index = photo.task, photo.index
+        if photo.described is not None:
+            return photo.described
         if self._model is None:
             if index is None:
                 raise InputError(f"{task.model_name} has no network, only descriptors; choose a query of the data set.")
@@ -196,28 +207,12 @@ class QueryAnalyser:
         describe = partial(retrieval.describe_picture, model, photo.source, task.query_view, photo.change)
         return describe() if index is None else self._keep(described_key(task, index, photo.change), describe)
 
-    def _photo(self, task: Task, request: QueryRequest) -> _Photo:
-        """Return the query of a request, and its change."""
-        query = request.query
-        own, index = (query, None) if isinstance(query, OwnPicture) else (None, query)
-        if index is not None and not 0 <= index < len(task.queries):
-            raise InputError(f"There is no query {index}; queries have positions 0 to {len(task.queries) - 1}.")
-        picture = task.queries[index or 0]
-        key = own or (picture.path, picture.box)
-        source = self._source.get(
-            key, lambda: own.picture if own else images.crop(self._load(picture), picture.box, picture.name)
-        )
-        zoom = picture.zoom if own is None else self._zoom.get((own, task.key), lambda: self._own_zoom(task, own))
-        change = request.change.for_picture(picture, zoom)
-        return _Photo(
-            own, index, own.name if own else picture.name, source, change, zoom, (key, task.key, index, request.change)
-        )
-
-    def _own_zoom(self, task: Task, own: OwnPicture) -> float:
-        """Return the zoom that the task's calibration chooses for the user's own picture; 1 without a calibration."""
-        if self._model is None or task.calibration is None:
-            return 1.0
-        return task.calibration.own_zoom(self._model, own.picture, task.query_view)
+    def _start_search(
+        self, photo: _Photo, region: tuple[int, ...], weights: tuple[float, ...] | None
+    ) -> RankUnderWeights:
+        task = photo.task
+        part_weights = scoring.part_weights(task.contract.n_parts, weights)
+        return start_search(task, photo.index, self._described(photo), region, part_weights)
 
 
 def _errors_m(task: Task, photo: _Photo) -> Float64Array | None:
