@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from unittest.mock import Mock
@@ -24,7 +23,7 @@ from lpn.core.views import views_of
 from lpn.datasets import open_dataset
 from lpn.flight.files import write_flight
 from lpn.models.onnx_engine import Engine
-from lpn.sources import OpenedSource, SourceOptions, TaskSource, known_kinds, open_source, recognise, source_of
+from lpn.sources import OpenedSource, SourceOptions, TaskSource, known_kinds, recognise, source_of
 from tests.lpn.flight.locate.scenery import land, small_flight, write_map
 from tools.fixtures.published_results import save_result
 
@@ -154,15 +153,6 @@ def test_sources_of_one_model_have_the_same_figures_and_tables_of_queries(
     assert all(one == found[0] for one in found)
 
 
-def test_arrays_stand_beside_a_data_set(options: Callable[[str, str], list[str]], tmp_path: Path) -> None:
-    (root, *model), (query, *more) = options("failures", "data"), options("failures", "arrays")
-    given = ["compare", root, query, *more, *model, "--task", TASK, "--resamples", "20"]
-    assert main([*given, "--json", str(tmp_path / "table.json")]) == 0
-    one, other = json.loads((tmp_path / "table.json").read_text())["models"]
-    assert one["name"] != other.pop("name")
-    assert other.items() <= one.items()
-
-
 @pytest.mark.parametrize(
     ("words", "said"),
     [
@@ -272,20 +262,6 @@ def test_seventeen_commands_at_most_show_fifteen_options_each_and_take_all(capsy
                 assert (more is None) == (flag == "--help-all" or counts[0] == len(set(parsing.options(mode)))), name
             assert counts[0] <= 15, name
             assert counts[1] == len(set(parsing.options(mode))), name
-
-
-def test_queries_without_a_label_and_part_weights_do_not_count(tmp_path: Path) -> None:
-    both = np.eye(4, dtype=np.float32).reshape(4, 2, 2)
-    for name in ("q", "g"):
-        np.save(tmp_path / f"{name}.npy", both + 0.01)
-    lines = [f"q{i},query,{i if i < 2 else ''}" for i in range(4)] + [f"g{i},gallery,{i}" for i in range(4)]
-    (tmp_path / "paths.csv").write_text("\n".join(["file,side,label", *lines]))
-    named = SourceOptions(source=str(tmp_path / "q.npy"), gallery=tmp_path / "g.npy", paths=tmp_path / "paths.csv")
-    task = open_source(named).task
-    result = task.evaluate()
-    assert (result.queries, result.recall["1"]) == (2, 100.0)
-    assert replace(task, weights=[1, 0]).evaluate().recall == result.recall
-    assert "Recall@1" in task._repr_html_()
 
 
 @pytest.mark.parametrize(

@@ -146,7 +146,6 @@ class Screen:
     def expect_numbers(self, analysis: Answer) -> None:
         """Check each number in sight against an analysis."""
         first, verdict = analysis.ranking.match(0), analysis.verdict
-        assert verdict.rival is not None
         expect(self.headline.locator("p")).to_contain_text(verdict.headline)
         shares = rounded_to_sum(first.contributions.tolist(), total=first.distance2)
         for row, share, gain in zip(self.rows.all(), shares, verdict.figures, strict=True):

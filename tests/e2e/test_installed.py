@@ -108,7 +108,6 @@ def test_an_installed_wheel_opens_the_demo_and_writes_nothing_beside_it(
         stdout=subprocess.PIPE,
         text=True,
     ) as process:
-        assert process.stdout is not None
         assert f"ready: http://127.0.0.1:{port}" in process.stdout.readline()
         print(f"{time.monotonic() - started:.2f} s to the address")
         try:

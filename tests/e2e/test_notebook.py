@@ -42,7 +42,6 @@ def test_a_notebook_shows_the_page_in_a_cell_and_ends_it_with_its_kernel(
             client.execute_cell(cell, index)
         bundle = next(one for one in notebook.cells[0].outputs if one.output_type == "execute_result").data
         url = re.search(r'<iframe src="(http://127\.0\.0\.1:\d+)"', bundle["text/html"])
-        assert url is not None
         assert bundle["text/plain"] == f"<LPN Explorer at {url[1]}>"
         outputs = [one for cell in notebook.cells for one in cell.outputs]
         assert not [one for one in outputs if one.output_type == "display_data" or "viser" in one.get("text", "")]

@@ -13,7 +13,6 @@ from playwright.sync_api import BrowserContext, Locator, Page, expect
 from explorer.workspace import WorkspaceAnalyser
 from tests.e2e.conftest import Running, RunningApp, Screen, box, expect_accessible, started
 from tools.fixtures import panorama_model, small_worlds
-from tools.fixtures.published_results import save_result
 
 # The words of the page's text that are in sight; numbers are none.
 WORDS = """() => {
@@ -35,15 +34,6 @@ def panorama_app(tmp_path: Path) -> Iterator[RunningApp]:
     """The app on panoramas and tiles, with an untrained SAFA + LPN."""
     pairs = small_worlds.make_cvusa(tmp_path / "pairs", 12)
     with started(pairs, panorama_model.write(tmp_path), tmp_path / "cache") as running:
-        yield running
-
-
-@pytest.fixture
-def saved_app(app: RunningApp, tmp_path: Path) -> Iterator[RunningApp]:
-    """The places and descriptors of `app`, from a published result."""
-    save_result(tmp_path / "pytorch_result.mat", app.data, app.model)
-    options = [str(tmp_path / "pytorch_result.mat"), "--data", str(app.data), "--n-parts", "4"]
-    with started(app.data, app.model, tmp_path / "cache", default=True, options=options) as running:
         yield running
 
 
@@ -430,22 +420,4 @@ def test_a_panorama_is_rolled_and_its_parts_stand_side_by_side(
     )
     assert shift == pytest.approx(-45 / 360, abs=0.002)
     assert scrolls(page) == (0, 0)
-    assert not screen.complaints
-
-
-@pytest.mark.slow
-def test_saved_descriptors_are_ranked_without_heat_or_turning(
-    saved_app: RunningApp, new_page: Callable[[], Page]
-) -> None:
-    screen = Screen(new_page(), saved_app.url).open()
-    page = screen.page
-    expect(screen.rows).to_have_count(4)
-    expect(page.locator("#photo .key")).to_be_hidden()
-    expect(screen.tiles).to_have_count(6)
-    screen.key("j")
-    screen.key("n")
-    screen.rest("0")
-    expect(page).to_have_url(re.compile(r"query=0008$"))
-    page.set_input_files("#file", {"name": "a.png", "mimeType": "image/png", "buffer": b"words"})
-    expect(screen.headline.locator("h1")).to_contain_text("Saved descriptors cannot describe a photo of yours")
     assert not screen.complaints

@@ -66,7 +66,7 @@ def running(model_file: Path, tmp_path_factory: pytest.TempPathFactory) -> Itera
         file = folder / f"photo{i}.png"
         cv2.imwrite(str(file), np.full((SIZE[1], SIZE[0], 3), RED[::-1], np.uint8))
         known = {"heading": 0.0, "heading_source": "gimbal", "pitch": -90.0, "roll": 0.0, "fov": 90.0}
-        frames.append(Frame(file.name, file, *SIZE, 5.0 * i, latitude, longitude, WIDTH / 2, **known))  # type: ignore[arg-type]
+        frames.append(Frame(file.name, file, *SIZE, 5.0 * i, latitude, longitude, WIDTH / 2, **known))
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("LPN_CACHE", str(folder / "cache"))
         model = lpn.load(model_file)
@@ -130,7 +130,7 @@ class FlightPage:
     def redness(self, at: tuple[float, float]) -> int:
         """Return the red of a pixel of the page."""
         clip = {"x": at[0] - 1, "y": at[1] - 1, "width": 3, "height": 3}
-        shot = np.frombuffer(self.page.screenshot(clip=clip), np.uint8)  # type: ignore[arg-type]
+        shot = np.frombuffer(self.page.screenshot(clip=clip), np.uint8)
         return int(np.median(cv2.imdecode(shot, cv2.IMREAD_COLOR)[..., 2]))
 
 

@@ -55,7 +55,6 @@ def findings(running: Running) -> LabFindings:
     lab = lab_of(running.workspace)
     assert lab.build(TASK, running).wait(120)
     found = lab.findings(TASK)
-    assert found is not None
     return found
 
 
@@ -194,7 +193,7 @@ def test_a_lasso_on_the_map_picks_queries_and_a_point_opens_its_query(lab: LabPa
     lab.page.mouse.up()
     picked = lab.lab.get_by_role("button", name=re.compile(r"\d+ picked"))
     expect(picked).to_be_visible()
-    left = int(re.match(r"\d+", picked.inner_text())[0])  # type: ignore[index]
+    left = int(re.match(r"\d+", picked.inner_text())[0])
     assert 0 < left < 13
     lab.expect_total(left)
     picked.click()

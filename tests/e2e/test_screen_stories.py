@@ -7,9 +7,9 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from playwright.sync_api import Browser, BrowserContext, Page, expect
+from playwright.sync_api import BrowserContext, Page, expect
 
-from tests.e2e.conftest import Running, Screen, box, empty_context, expect_accessible
+from tests.e2e.conftest import Running, Screen, box, expect_accessible
 
 STEPS = [
     {"shows": "query=0003&scoring=plain", "caption": "<i>The first</i> photo", "notes": "Wait for questions"},
@@ -97,30 +97,3 @@ def test_a_story_is_told_by_keys_and_its_end_brings_back_what_was_shown(
     expect_state(page, "0004", "15")
     expect(page.locator("#panel li")).to_have_count(2)
     assert not screen.complaints
-
-
-@pytest.mark.usefixtures("file")
-def test_a_story_and_an_answer_are_saved_as_pages_that_need_no_server(
-    running: Running, contexts: Callable[..., BrowserContext], browser: Browser, tmp_path: Path
-) -> None:
-    screen = Screen(contexts(accept_downloads=True).new_page(), running.url).open("?query=0004&panel=stories")
-    page = screen.page
-    with page.expect_download() as story:
-        page.get_by_role("button", name="Save as a page").click()
-    story.value.save_as(tmp_path / "story.html")
-    with page.expect_download() as answer:
-        page.keyboard.press("Control+k")
-        page.locator("#commands input").fill("save this answer")
-        page.keyboard.press("Enter")
-    assert answer.value.suggested_filename == "0004.html"
-    context = empty_context(browser, offline=True)
-    saved, problems = context.new_page(), list[str]()
-    saved.on("console", lambda message: problems.append(message.text))
-    saved.goto((tmp_path / "story.html").as_uri())
-    expect(saved.get_by_text("<i>The first</i> photo").first).to_be_visible()
-    expect(saved.locator("section.case")).to_have_count(2)
-    assert "Wait for questions" not in saved.content()
-    saved.set_viewport_size({"width": 390, "height": 844})
-    assert saved.evaluate("document.documentElement.scrollWidth") <= 390
-    context.close()
-    assert not problems + screen.complaints

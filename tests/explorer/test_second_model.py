@@ -48,7 +48,6 @@ def test_an_offered_model_is_opened_once_and_on_request(workspace: Workspace) ->
     job = second.open()
     assert second.open() is job
     assert job.wait(PATIENCE)
-    assert second.workspace is not None
     assert second.workspace.contract.n_parts == 1
     assert list(second.workspace.tasks) == list(workspace.tasks)
     assert second.open().value is second.workspace
@@ -82,7 +81,6 @@ def test_a_model_given_at_the_start_is_open(
         "JPEG); they are left out."
     ]
     wait_until(lambda: second.workspace is not None)
-    assert second.workspace is not None
     assert second.workspace.contract.n_parts == 1
     # Both files are called model.onnx.
     assert second.label == "/".join(one_part_model_file.parts[-3:])
@@ -120,7 +118,6 @@ def test_the_kinds_of_both_models_may_be_named(
     (second,) = workspace.beside
     assert (workspace.model_name, second.label) == ("weights.pth, camp", "weights.pth, dac")
     wait_until(lambda: second.workspace is not None)
-    assert second.workspace is not None
     assert second.workspace.contract.method == "DAC"
     with pytest.raises(ModelFileError, match=r"is not a checkpoint of a known model: .* Name its method with --kind"):
         Explore(source=str(data), model=model_file, beside=(weights,)).run()
@@ -145,7 +142,6 @@ def test_of_many_models_the_first_is_open_and_the_others_wait_for_a_browser(
     wait_until(lambda: first.workspace is not None)
     assert (last.workspace, last.asked, last.progress) == (None, False, (0, 0))
     assert last.open().wait(PATIENCE)
-    assert last.workspace is not None
     assert last.workspace.contract.n_parts == 2
     pictures = len(workspace.tasks[TASK].queries) + len(workspace.tasks[TASK].gallery)
     assert last.progress[0] == last.progress[1] >= pictures
@@ -175,7 +171,6 @@ def test_a_model_is_compared_with_itself_in_a_weather(data: Path, model_file: Pa
     assert second.label == "model.onnx in the dark"
     assert second.open().wait(PATIENCE)
     dark = second.workspace
-    assert dark is not None
     assert list(dark.tasks) == [name for name in workspace.tasks if not name.startswith("satellite")]
     task = dark.tasks[TASK]
     change = Change(weather=Weather("dark"))
@@ -203,7 +198,6 @@ def test_tokens_of_one_file_are_pooled_in_two_ways_beside_a_model(
     first, last = opened[0].beside
     assert [first.label, last.label] == ["weights.pth, rings:3", "weights.pth, mean"]
     wait_until(lambda: first.workspace is not None)
-    assert first.workspace is not None
     assert (first.workspace.contract.n_parts, first.workspace.contract.level) == (3, "exact")
     assert opened[1].contract.method == "test_vit, gem"
     refused: dict[str, Explore | FailuresCommand] = {

@@ -125,14 +125,7 @@ BOMB = "a: &a [x, x, x, x, x, x, x, x, x]\n" + "".join(
 
 
 @pytest.mark.parametrize(
-    "text",
-    [
-        "[" * 20_000,
-        f"h: 0x{'f' * 9000}",
-        BOMB + "h: *g",
-        BOMB + "droprate: *g",
-        "a: " + "x" * 200_000,
-    ],
+    "text", ["[" * 20_000, f"h: 0x{'f' * 9000}", BOMB + "h: *g", BOMB + "droprate: *g", "a: " + "x" * 200_000]
 )
 def test_options_of_any_kind_are_refused_in_one_sentence(text: str, tmp_path: Path) -> None:
     (tmp_path / "opts.yaml").write_text(text)

@@ -136,14 +136,6 @@ def test_export(model_file: Path, tmp_path: Path, killer: Killer) -> None:
     survives(Command(arguments, lambda: opened(file), lambda: opened(file)), killer, file.parent, FEW)
 
 
-@pytest.mark.slow
-def test_quantize(model_file: Path, places: Path, tmp_path: Path, killer: Killer) -> None:
-    file = tmp_path / "out" / "small.onnx"
-    arguments = ["export", "--model", str(model_file), "--out", str(file)]
-    arguments += ["--compute", "int8", "--data", str(places), "--pictures", "2"]
-    survives(Command(arguments, lambda: opened(file), lambda: opened(file)), killer, file.parent, FEW)
-
-
 def test_index(tiny: Path, places: Path, tmp_path: Path, killer: Killer) -> None:
     out = tmp_path / "out"
     store = tmp_path / "store"
@@ -241,27 +233,6 @@ def test_world(tmp_path: Path, killer: Killer) -> None:
     arguments = [WORLD, "--out", str(out), "--seed", "3", *settings]
     survives(Command(arguments, whole, lambda: contents(out)), killer, out, FEW)
     assert open_dataset(out).kind == "world"
-
-
-@pytest.mark.slow
-def test_a_flight_over_a_world(tmp_path: Path, killer: Killer) -> None:
-    rasterio = pytest.importorskip("rasterio")
-    out = tmp_path / "out"
-
-    def whole() -> None:
-        """Either it says that it is unfinished, or everything is there."""
-        made = kept(out)
-        for name, file in made.items():
-            if name.endswith(".JPG"):
-                assert load_picture(file).shape == (48, 64, 3)
-            elif name.endswith(".tif"):
-                with rasterio.open(file) as opened:
-                    opened.read()
-        assert "unfinished.txt" in made or len(made) in (0, 10)
-
-    settings = ["--flight", "--buildings", "2", "--frames", "6", "--width", "64", "--map-pixel", "2"]
-    arguments = [WORLD, "--out", str(out), "--seed", "3", *settings]
-    survives(Command(arguments, whole, lambda: contents(out)), killer, out, FEW)
 
 
 @pytest.mark.slow

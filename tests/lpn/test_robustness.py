@@ -4,10 +4,7 @@ from __future__ import annotations
 
 import os
 import socket
-import subprocess
-import sys
 import time
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +19,7 @@ from lpn.core.errors import LPNError, ModelFileError, PictureError, StoreError
 from lpn.datasets import open_dataset
 from lpn.models.checkpoints import load_torch, save
 from lpn.models.onnx_engine import Engine
-from tools.fixtures import small_disks, small_worlds
+from tools.fixtures import small_worlds
 
 
 def said(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> str:
@@ -81,16 +78,6 @@ def store(model_file: Path, data: Path, tmp_path: Path) -> Path:
     files = descriptors.pictures_below(data / "test" / "query_drone")
     descriptors.describe(lpn.load(model_file), files, "drone", tmp_path / "store", root=data)
     return tmp_path / "store"
-
-
-def test_numbers_that_are_none_are_found_in_a_store(
-    store: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    array = np.lib.format.open_memmap(next(store.glob("*/vectors.npy")), mode="r+")
-    array[3, 1, 5] = np.nan
-    del array
-    given = ["index", "--descriptors", str(store), "--out", str(tmp_path / "index")]
-    assert "norm nan; expected 0.5" in said(given, capsys)
 
 
 def test_a_model_that_computes_nan_is_told_before_anything_is_kept(
@@ -244,32 +231,6 @@ def test_a_port_in_use_is_one_sentence(capsys: pytest.CaptureFixture[str], model
         given = ["explore", str(data), "--model", str(model_file), "--port", str(port)]
         assert f"Port {port} on 127.0.0.1 is in use; give another" in said(given, capsys)
     assert "cannot be listened on" in said([*given[:-1], "99999"], capsys)
-
-
-@pytest.fixture
-def small_disk(tmp_path: Path) -> Iterator[Path]:
-    """A disk of 128 kB."""
-    with small_disks.small_disk(tmp_path / "disk", 128) as mounted:
-        if not mounted:
-            pytest.skip("a small disk can be mounted by root alone")
-        yield tmp_path / "disk"
-
-
-def test_a_full_disk_is_one_sentence_and_leaves_nothing_whole(
-    small_disk: Path, model_file: Path, data: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """In a process of its own: a mapped file on a full disk would end it without a word."""
-    given = ["--model", str(model_file), "--images", str(data), "--view", "drone", "--out", str(small_disk / "s")]
-    done = subprocess.run(
-        [sys.executable, "-m", "lpn", "describe", *given], capture_output=True, text=True, check=False
-    )
-    assert done.returncode == 2, done.stderr
-    assert "cannot be written (No space left on device); free space or choose another folder." in done.stderr
-    assert "Traceback" not in done.stderr
-    assert not [file for file in small_disk.rglob("*") if file.name == "store.json"]
-    checkpoint = str(model_file.with_suffix(".safetensors"))
-    assert "free space" in said(["export", "--model", checkpoint, "--out", str(small_disk / "m.onnx")], capsys)
-    assert not list(small_disk.glob("m.onnx*"))
 
 
 @pytest.mark.skipif(not Path("/proc/self").exists(), reason="/proc, where nobody can write, is Linux's")

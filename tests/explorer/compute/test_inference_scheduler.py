@@ -91,7 +91,6 @@ class Client(threading.Thread):
 
     def __init__(self, model: QueuedModel | None, mark: int, count: int = 1, view: View = "drone") -> None:
         super().__init__(daemon=True)
-        assert model is not None
         self._model, self._images, self._view = model, pictures(mark, count), view
         self.result: ForwardPass | None = None
         self.error: Exception | None = None
@@ -134,7 +133,7 @@ def queue_up(queue: InferenceScheduler, *clients: Callable[[], Client]) -> list[
     for one in clients:
         before = n_queued(queue)
         begun.append(one())
-        wait_until(lambda before=before: n_queued(queue) > before)  # type: ignore[misc]
+        wait_until(lambda before=before: n_queued(queue) > before)
     return begun
 
 
@@ -145,10 +144,8 @@ def test_waiting_requests_share_a_batch_and_get_their_own_rows(network: ManualMo
     network.release(3)
     for mark, one in enumerate(waiting, 1):
         found = one.finished().result
-        assert found is not None
         np.testing.assert_array_equal(found.parts, np.full((2, 2, 3), mark))
         np.testing.assert_array_equal(found.features, np.full((2, 1, 4, 4), 2 * mark))
-        assert found.features is not None
         assert found.features.base is None, "a view would keep the whole batch in memory"
     first.finished()
     assert network.passes == [[99], [1, 1, 2, 2], [3, 3]]
@@ -253,7 +250,7 @@ class RoundRobin:
         for _ in range(passes):
             going = self._network.passes[-1]
             others = self.count if going == [99] else self.count - len(going)
-            wait_until(lambda others=others: n_queued(self._queue) == others)  # type: ignore[misc]
+            wait_until(lambda others=others: n_queued(self._queue) == others)
             self._network.release()
             self._network.began()
         self._going = False
@@ -379,7 +376,6 @@ class DraggingBrowser(threading.Thread):
         self.begun = self.shown = 0
         self.error: Exception | None = None
         model = self.context.queued(queued(network, queue))
-        assert model is not None
         self._model = model
         self.start()
 

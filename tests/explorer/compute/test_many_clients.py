@@ -43,7 +43,6 @@ def at_rest(tab: ScreenTab) -> ScreenTab:
 def test_a_full_queue_is_said_and_later_the_newest_state_is_answered(
     app: App, workspace: Workspace, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    assert workspace.model is not None
     began, may_end, run = threading.Event(), threading.Event(), workspace.model.model.run
 
     def held_back(images: Float32Array, view: View) -> ForwardPass:

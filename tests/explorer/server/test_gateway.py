@@ -481,8 +481,16 @@ def test_a_flood_of_small_frames_ends_its_connection(app: App) -> None:
 
 def test_the_log_has_neither_token_nor_cookie(locked: App, caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.DEBUG)
+    assert get(locked, "/?token=guessed+wrong")[0] == 403
     status, headers, _ = get(locked, "/?token=correct+horse+battery")
     assert status == 200
-    assert get(locked, cookie=headers["Set-Cookie"].partition(";")[0])[0] == 200
+    held = headers["Set-Cookie"].partition(";")[0]
+    with ScreenTab(url(locked), additional_headers={"Cookie": held}) as tab:
+        tab.open()
+        tab.socket.send("no JSON")
+        tab.turn(30)
+    for line in ("A wrong token came from 127.0.0.1", "Refused 127.0.0.1, 403: Wrong token", "no JSON: 7 characters"):
+        assert line in caplog.text
     assert "horse" not in caplog.text
+    assert "guessed" not in caplog.text
     assert locked.authenticator.cookie_value not in caplog.text

@@ -10,7 +10,6 @@ from typing import Any
 import pytest
 import viser
 import viser._assignable_props_api as viser_properties
-import viser._messages as viser_messages
 import viser.infra._infra as viser_infra
 from viser._messages import Message, RunJavascriptMessage
 from viser.infra._async_message_buffer import AsyncMessageBuffer
@@ -58,7 +57,7 @@ CONTRACT: dict[str, Callable[[viser.ViserServer, viser.ClientHandle], bool]] = {
         for kind in FIELDS
     },
     "viser.infra._infra.websockets.asyncio.server.serve": lambda *_: callable(
-        viser_infra.websockets.asyncio.server.serve  # type: ignore[attr-defined]
+        viser_infra.websockets.asyncio.server.serve
     ),
     "viser.infra._infra.AsyncMessageBuffer (browser)": lambda _, client: (
         type(client._websock_connection.get_message_buffer()) is SendBuffer
@@ -89,12 +88,6 @@ def _keeps_property_types(client: viser.ClientHandle) -> bool:
         shared = one._prop_hints is other._prop_hints and one._prop_hints == viser_own
         one.content = "changed"
     return shared and one.content == "changed"
-
-
-def test_a_message_class_that_viser_lacks_has_no_fields(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(viser_messages, "ViewerCameraMessage", object)
-    assert viser_compat.message_fields("ViewerCameraMessage") is None
-    assert viser_compat.message_fields("NoSuchMessage") is None
 
 
 def test_the_hook_is_called_and_then_removed() -> None:
@@ -128,7 +121,7 @@ async def _arrives(kind: type[AsyncMessageBuffer], atomic: bool) -> bool:
         if atomic:
             buffer.atomic_end()
 
-    class SendBeforeAppend(type(event._waiters)):  # type: ignore[misc]
+    class SendBeforeAppend(type(event._waiters)):
         def append(self, waiter: object) -> None:
             if not sent:
                 sent.append(True)

@@ -235,7 +235,6 @@ def test_a_saved_result_in_an_order_of_its_own_has_the_data_sets_listed_matches(
     query_view, gallery_view = views_of(task)
     sides = dataset.queries(query_view), dataset.gallery(gallery_view)
     truth = dataset.truth(task)
-    assert truth is not None
     perfect = np.zeros((len(sides[0]), 1, len(sides[1])), np.float32)
     for row, lists in enumerate(truth):
         perfect[row, 0, lists.good] = 1 / np.sqrt(len(lists.good))
@@ -245,7 +244,15 @@ def test_a_saved_result_in_an_order_of_its_own_has_the_data_sets_listed_matches(
     labels = [np.arange(len(side)) for side in sides]
     rows = perfect[orders[0]], tiles[orders[1]]
     saved = PublishedResult("r.mat", rows[0], labels[0], rows[1], labels[1], paths[0], paths[1])
-    found = saved_task(saved, dataset).evaluate().ranked()
+    graded = saved_task(saved, dataset)
+    for given, of in zip(graded.truth or (), (truth[i] for i in orders[0]), strict=True):
+        for lists in ("good", "semi"):
+            assert set(orders[1][getattr(given, lists)]) == set(getattr(of, lists))
+        assert given.trapezoid == of.trapezoid
+        assert [given.overlap(at) for at in range(len(orders[1]))] == pytest.approx(
+            list(map(of.overlap, orders[1])), nan_ok=True
+        )
+    found = graded.evaluate().ranked()
     assert found.first.tolist() == [0] * len(sides[0])
     assert found.labels.tolist() == [sides[0][i].label for i in orders[0]]
     fewer = replace(
@@ -266,9 +273,9 @@ def test_results_are_compared_by_their_models_and_scorings(data: Path, model_fil
     assert [of["R@1"].value for of in found.figures] == pytest.approx([plain.recall["1"], moved.recall["1"]])
     for wrong in ([plain, None], [plain, "a"], 3):
         with pytest.raises(InputError, match=r"One of the results is of the type .*expected those of lpn\.evaluate"):
-            lpn.compare(wrong)  # type: ignore[arg-type]
+            lpn.compare(wrong)
     with pytest.raises(InputError, match="takes two models or more; found 1"):
-        lpn.compare(plain)  # type: ignore[arg-type]
+        lpn.compare(plain)
 
 
 def test_where_no_truth_is_known_nothing_is_compared(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -282,17 +289,3 @@ def test_where_no_truth_is_known_nothing_is_compared(tmp_path: Path, capsys: pyt
     said = capsys.readouterr()
     assert said.err.endswith("lpn: The true place of no query of q.npy is known, so there is nothing to compare.\n")
     assert not said.out
-
-
-def test_plain_arrays_may_name_a_picture_twice(tmp_path: Path) -> None:
-    drawn = np.random.default_rng(5).standard_normal((2, 7, 1, 8)).astype(np.float32)
-    for name, one in zip("ab", drawn, strict=True):
-        np.save(tmp_path / f"{name}-queries.npy", one[:3])
-        np.save(tmp_path / f"{name}-gallery.npy", one[3:])
-    lines = ["file,side,label", "q.jpg,query,1", "q.jpg,query,2", "r.jpg,query,3"]
-    lines += [f"{i}.jpg,gallery,{i}" for i in range(4)]
-    (tmp_path / "list.csv").write_text("\n".join(lines))
-    files = [[str(tmp_path / f"{name}-{side}.npy") for name in "ab"] for side in ("queries", "gallery")]
-    arguments = ["compare", *files[0], "--gallery", *files[1], "--paths", str(tmp_path / "list.csv")]
-    assert main([*arguments, "--json", str(tmp_path / "table.json")]) == 0
-    assert json.loads((tmp_path / "table.json").read_text())["queries"] == 3

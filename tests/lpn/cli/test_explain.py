@@ -57,7 +57,6 @@ def test_what_is_written_adds_up_and_needs_no_torch(model_file: Path, pair: list
     assert (found["verdict"]["sign"], found["verdict"]["sentence"]) == (None, "There is no other tile.")
     assert "adds most to the score" in run.stdout
     drawn = cv2.imread(str(picture))
-    assert drawn is not None
     assert drawn.shape[1] == 1200
     # Both colours are there, and the pictures beneath them.
     assert len(np.unique(drawn.reshape(-1, 3), axis=0)) > 1000

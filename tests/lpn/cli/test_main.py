@@ -112,10 +112,7 @@ def test_everything_but_training_works_without_torch(data: Path, model_file: Pat
         (["evaluate", "x.mat"], "no saved result at x.mat"),
         (["evaluate", "x.mat", "--n-parts", "0"], "number of parts is 0"),
         (["explore", "x.mat", "--data", "DATA"], "no saved result at x.mat"),
-        (
-            ["evaluate", "DATA", "--model", "MODEL", "--task", "street-to-satellite"],
-            "offers drone-to-satellite",
-        ),
+        (["evaluate", "DATA", "--model", "MODEL", "--task", "street-to-satellite"], "offers drone-to-satellite"),
         (["export", "--model", "MODEL", "--out", "x.onnx"], "already"),
         (["describe", "--model", "MODEL", "--images", "DATA", "--view", "street", "--out", "s"], "no 'street' view"),
         (["train", "--data", "DATA", "--out", "run", "--recipe", "secret"], "no recipe 'secret'"),
@@ -125,10 +122,7 @@ def test_everything_but_training_works_without_torch(data: Path, model_file: Pat
             ["describe", "--model", "MODEL", "--images", "DATA", "--view", "drone", "--out", "MODEL"],
             "cannot be written",
         ),
-        (
-            ["train", "--data", "DATA", "--out", "run"],
-            "let --init auto find them, or say --from-scratch",
-        ),
+        (["train", "--data", "DATA", "--out", "run"], "let --init auto find them, or say --from-scratch"),
         (["train", "--data", "DATA", "--out", "run", "--init", "x", "--from-scratch"], "exclude each other"),
         (["train", "--data", "DATA", "--out", "MODEL/run", "--batch", "4", "--from-scratch"], "cannot be written"),
         (["train", "--data", "DATA", "--out", "run", "--lr", "nan"], "lr = nan"),
@@ -187,10 +181,7 @@ def test_a_closed_pipe_ends_a_command_in_silence(arguments: str) -> None:
 
 
 def test_the_words_of_an_option_are_listed_in_their_order_and_without_none(capsys: pytest.CaptureFixture[str]) -> None:
-    for option, value, words in (
-        ("--task", "both", TASKS),
-        ("--weather", "hail", [*WEATHERS, "all"]),
-    ):
+    for option, value, words in (("--task", "both", TASKS), ("--weather", "hail", [*WEATHERS, "all"])):
         with pytest.raises(SystemExit):
             main.main(["evaluate", "d", "--model", "m", option, value])
         said = " ".join(capsys.readouterr().err.replace("│", " ").split())
@@ -223,12 +214,7 @@ SEARCH = ["search", "--index", "none", "--model", "none.onnx", "--picture", "a.j
         (SURVEYED, "--residuals", "r.json", ".csv"),
         (COMPARED, "--json", "t.csv", ".json"),
         (COMPARED, "--table", "t.pdf", ".md, .tex, .csv, .html, or .htm"),
-        (
-            ["compare", "a.mat", "b.mat", "--data", "none"],
-            "--table",
-            "t.pdf",
-            ".md, .tex, .csv, .html, or .htm",
-        ),
+        (["compare", "a.mat", "b.mat", "--data", "none"], "--table", "t.pdf", ".md, .tex, .csv, .html, or .htm"),
         (COMPARED, "--page", "page.pdf", ".md, .tex, .csv, .html, or .htm"),
         (
             ["compare", "none", "--map", "none.tif", "--model", "none.onnx", "other.onnx"],

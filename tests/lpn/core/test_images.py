@@ -225,20 +225,6 @@ def test_what_is_not_a_picture_gets_one_sentence(tmp_path: Path) -> None:
         images.load_picture(tmp_path / "absent.png")
 
 
-def test_pictures_are_turned_alike_on_one_core_and_on_all(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(images, "usable_cores", lambda: 2)
-    picture = np.random.default_rng(0).integers(0, 256, (300, 400, 3), np.uint8)
-    before = cv2.getNumThreads()
-    try:
-        cv2.setNumThreads(1)
-        alone = images.rotate(picture, 33)
-        images.use_all_cores()
-        assert cv2.getNumThreads() > 2
-        assert np.array_equal(images.rotate(picture, 33), alone)
-    finally:
-        cv2.setNumThreads(before)
-
-
 SHARED_THREADS = """
 import os, sys, threading, time
 import cv2

@@ -87,18 +87,6 @@ def test_a_training_keeps_whole_epochs_and_says_how_to_go_on(tmp_path: Path) -> 
             assert last_line(again).endswith(f"go on with lpn train --out {out} --resume.")
 
 
-@pytest.mark.slow
-def test_a_training_without_a_whole_epoch_says_so(tmp_path: Path) -> None:
-    data, out = small_worlds.make_dataset(tmp_path / "places", train=4, test=2), tmp_path / "run"
-    slow = "import time, lpn.training.loader as l\ns = l.Loader.stream\nl.Loader.stream = lambda *a: (time.sleep(600), s(*a))[1]"
-    given = training(data, out)
-    with Process(given, tmp_path / "cache", slow) as process:
-        process.until(lambda: "Computing in" in process.out)
-        process.interrupt()
-        assert process.ended()[0] == 130
-        assert "No epoch was whole yet, so nothing is kept; give the same command again." in last_line(process)
-
-
 @pytest.mark.parametrize("how", ["interrupt", "terminate"])
 def test_a_description_goes_on_where_it_was_stopped(how: str, model_file: Path, data: Path, tmp_path: Path) -> None:
     out = tmp_path / "store"
@@ -201,6 +189,7 @@ def test_afterwards_signals_do_what_they_did(tmp_path: Path, monkeypatch: pytest
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
+        (["train", "--data", "x", "--out", "OUT"], "No epoch was whole yet, so nothing is kept; give the same command"),
         (["reproduce", "table1", "--data", "x", "--out", "OUT"], "Whole epochs and measurements in OUT are kept"),
         (
             ["describe", "--model", "m", "--images", "s", "--view", "drone", "--out", "OUT"],

@@ -55,7 +55,7 @@ def test_broken_and_missing_pictures_are_named_and_end_with_status_1(
         status, found = doctor(root, tmp_path, *more)
         assert (status, found["healthy"]) == (1, False)
         assert found["broken"] == [
-            {"file": "test/query_drone/0007/image-01.png", "why": "is cut short or damaged", "published": False},
+            {"file": "test/query_drone/0007/image-01.png", "why": "is cut short or damaged", "published": False}
         ]
         assert [(item["name"], item["names"], item["of"]) for item in found["lacking"]] == [
             ("train/drone", ["0002"], 6),
@@ -86,8 +86,7 @@ def test_positions_are_checked(tmp_path: Path) -> None:
 
 def test_equal_files_and_shared_places_are_found(tmp_path: Path) -> None:
     root = layouts.pairs(
-        tmp_path / "mine",
-        "satellite,drone,split,place\na.jpg,1.jpg,train,1\nb.jpg,2.jpg,test,1\nc.jpg,3.jpg,test,3\n",
+        tmp_path / "mine", "satellite,drone,split,place\na.jpg,1.jpg,train,1\nb.jpg,2.jpg,test,1\nc.jpg,3.jpg,test,3\n"
     )
     shutil.copy(root / "b.jpg", root / "c.jpg")
     report = check_dataset(open_dataset(root))

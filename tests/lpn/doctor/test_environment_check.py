@@ -179,8 +179,6 @@ def test_required_packages_are_those_of_this_system_and_of_each_extra(monkeypatc
     monkeypatch.setattr(metadata, "metadata", lambda _: Told(told))
     monkeypatch.setattr(metadata, "requires", lambda _: told["requires"])
     found = requirements.read_requirements()
-    assert there is not None
-    assert found is not None
     assert [package.requirement for package in found.base] == ["numpy>=1.26"]
     assert found.base[0] == next(package for package in there.base if package.name == "numpy")
     assert [(package.name, package.fits) for package in found.extras["train"]] == [("torch", False)]
@@ -233,7 +231,6 @@ def test_the_onnx_runtime_for_gpus_is_as_good(monkeypatch: pytest.MonkeyPatch) -
 
     def fits() -> list[bool]:
         found = requirements.read_requirements()
-        assert found is not None
         return [package.fits for package in found.base if package.name == "onnxruntime"]
 
     assert fits() == [True]
@@ -243,7 +240,7 @@ def test_the_onnx_runtime_for_gpus_is_as_good(monkeypatch: pytest.MonkeyPatch) -
 
 def test_little_room_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     for free, level in ((10**7, "problem"), (5 * 10**8, "note"), (10**12, "OK")):
-        monkeypatch.setattr(shutil, "disk_usage", lambda _, free=free: shutil._ntuple_diskusage(10**13, 0, free))  # type: ignore[attr-defined]
+        monkeypatch.setattr(shutil, "disk_usage", lambda _, free=free: shutil._ntuple_diskusage(10**13, 0, free))
         assert of("cache", environment_check._cache).level == level
 
 

@@ -20,13 +20,7 @@ from lpn.datasets import Picture, Truth, geo, labels_of, open_dataset
 from lpn.models.base import normalise
 from lpn.retrieval import metrics, ranks, scoring
 from lpn.tasks import notes
-from lpn.tasks.query_outcomes import (
-    OUTCOME_COLUMNS,
-    Outcomes,
-    compared_ranks,
-    picture_columns,
-    table,
-)
+from lpn.tasks.query_outcomes import OUTCOME_COLUMNS, Outcomes, compared_ranks, picture_columns, table
 from lpn.tasks.task import Task
 from tools.fixtures import small_worlds
 from tools.fixtures.tasks import descriptor_task
@@ -50,7 +44,6 @@ def one_by_one(
         of = None if truth is None else truth[i]
         cosines = scoring.part_cosines(query.astype(np.float64), gallery.astype(np.float64))
         ranking = retrieval.rank(cosines, weights, labels, int(query_labels[i]), of)
-        assert ranking.relevant is not None
         order = ranking.order.tolist()
         good = [position for position, index in enumerate(order) if ranking.relevant[index]]
         bad = [position for position, index in enumerate(order) if not ranking.relevant[index]]
@@ -90,7 +83,7 @@ def build(
     truth: list[Truth] | None = None,
     weights: list[float] | None = None,
 ) -> Outcomes:
-    task = descriptor_task(queries, gallery, query_labels, labels, truth)  # type: ignore[arg-type]
+    task = descriptor_task(queries, gallery, query_labels, labels, truth)
     return replace(task, weights=weights).outcomes
 
 
@@ -116,7 +109,7 @@ def test_outcomes_are_those_of_each_query_ranked_alone(
     queries[:15] = normalise(queries[:15] + 2 * gallery[rng.integers(0, 30, 15)])
     outcomes = build(queries, gallery, asked, labels, weights=weights)
     used = scoring.part_weights(4, weights).astype(np.float64)
-    compare(outcomes, one_by_one(queries, gallery, asked, labels, used))  # type: ignore[arg-type]
+    compare(outcomes, one_by_one(queries, gallery, asked, labels, used))
     assert {-1, 0, 2} <= set(outcomes.rank.tolist())
     if weights is None:
         np.testing.assert_array_equal(outcomes.rank, metrics.retrieve(queries, asked, gallery, labels).first)
@@ -276,7 +269,7 @@ def outcomes_of(rank: list[int], first: list[int], decides: list[int]) -> Outcom
     count = len(rank)
     columns = [np.array(values, np.int64) for values in (rank, first, [0] * count, [0] * count)]
     numbers = np.zeros((count, 3)), np.zeros(count), np.array(decides), np.ones(3) / 3
-    return Outcomes(*columns, *numbers, np.ones(count, bool))  # type: ignore[arg-type]
+    return Outcomes(*columns, *numbers, np.ones(count, bool))
 
 
 def test_confusions_and_blame_count_failures() -> None:

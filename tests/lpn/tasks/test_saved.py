@@ -240,27 +240,21 @@ def files(tmp_path: Path, arrays: tuple[np.ndarray, np.ndarray]) -> list[Path]:
 
 
 @pytest.mark.parametrize(
-    ("kind", "order"),
-    [
-        ("npy", "parts-first"),
-        ("npy", "parts-last"),
-        ("npz", "parts-last"),
-        ("mat", "parts-last"),
-    ],
+    ("kind", "order"), [("npy", "parts-first"), ("npy", "parts-last"), ("npz", "parts-last"), ("mat", "parts-last")]
 )
 def test_every_form_gives_the_same_descriptors(
     tmp_path: Path, arrays: tuple[np.ndarray, np.ndarray], kind: str, order: str
 ) -> None:
     shaped = [side if order == "parts-first" else side.transpose(0, 2, 1) for side in arrays]
     files = [save(tmp_path, kind, side, array.copy()) for side, array in zip(("query", "gallery"), shaped, strict=True)]
-    found = array_task(*files, write_list(tmp_path), N, order)  # type: ignore[arg-type]
+    found = array_task(*files, write_list(tmp_path), N, order)
     for got, expected in zip((found.query_descriptors, found.gallery_descriptors), arrays, strict=True):
         np.testing.assert_allclose(got, expected, atol=1e-7)
     flat = [
         save(tmp_path, kind, side, array.reshape(len(array), -1))
         for side, array in zip(("query", "gallery"), shaped, strict=True)
     ]
-    again = array_task(*flat, n_parts=N, order=order)  # type: ignore[arg-type]
+    again = array_task(*flat, n_parts=N, order=order)
     np.testing.assert_allclose(again.gallery_descriptors, arrays[1], atol=1e-7)
 
 
@@ -286,12 +280,10 @@ def test_rows_are_scaled_and_ranked_by_label(tmp_path: Path, arrays: tuple[np.nd
 
 def test_queries_without_a_label_are_ranked_and_not_counted(tmp_path: Path, files: list[Path]) -> None:
     task = array_task(*files, write_list(tmp_path, positions=False, unlabelled=(1, 4)))
-    assert task.known is not None
     assert task.known.tolist() == [True, False, True, True, False]
     assert task.outcomes.failed.sum() + task.outcomes.hits.sum() == 3
     assert task.geometry is None
     alone = array_task(*files)
-    assert alone.known is not None
     assert not alone.known.any()
     assert [picture.name for picture in alone.gallery][:2] == ["1", "2"]
 
@@ -344,7 +336,6 @@ def test_labels_of_queries_alone_tell_nothing(
     paths = write_list(tmp_path, positions=False)
     paths.write_text(re.sub("gallery,[^,\n]*", f"gallery,{label}", paths.read_text()))
     found = array_task(*files, paths)
-    assert found.known is not None
     assert not found.known.any()
     assert [lists.known for lists in found.truth or []] == [False] * 5
     assert "No picture of the gallery has a label" in caplog.text
@@ -387,7 +378,7 @@ def put(name: str, content: Callable[[], object]) -> Callable[[Path], None]:
         if isinstance(value, bytes):
             (folder / name).write_bytes(value)
         else:
-            np.save(folder / name, value)  # type: ignore[arg-type]
+            np.save(folder / name, value)
 
     return write
 
