@@ -9,7 +9,7 @@ import json
 import os
 import re
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -18,13 +18,13 @@ from urllib.parse import urlsplit
 import onnx
 import pytest
 from PIL import ExifTags, Image, PngImagePlugin
-from playwright.sync_api import BrowserContext, expect
+from playwright.sync_api import expect
 
 from lpn.flight.maps import MapPlace
 from lpn.flight.maps.folder import build_map
 from lpn.models.contract import Contract
 from lpn.models.contract_metadata import to_metadata
-from tests.e2e.conftest import RunningApp, Screen, started
+from tests.e2e.conftest import Contexts, RunningApp, Screen, started
 from tests.lpn.flight.locate.scenery import land, write_map
 from tools.fixtures import small_models, small_worlds
 from tools.fixtures.photos import dji_xmp, exif, write_photo
@@ -135,7 +135,7 @@ class Walk:
 
 @pytest.mark.slow
 def test_names_and_texts_are_shown_as_text_and_none_of_them_runs(
-    places: Path, model_file: Path, tmp_path: Path, contexts: Callable[..., BrowserContext]
+    places: Path, model_file: Path, tmp_path: Path, contexts: Contexts
 ) -> None:
     with started(places, model_file, tmp_path / "cache") as running:
         walk = Walk(Screen(contexts().new_page(), running.url))
@@ -167,7 +167,7 @@ def test_names_and_texts_are_shown_as_text_and_none_of_them_runs(
 
 @pytest.mark.slow
 def test_a_flight_a_map_and_models_are_shown_as_text_too(
-    flown: dict[str, Path], tmp_path: Path, contexts: Callable[..., BrowserContext]
+    flown: dict[str, Path], tmp_path: Path, contexts: Contexts
 ) -> None:
     named = [text for name, file in flown.items() if name != "flight" for text in (f"--{name}", str(file))]
     options = [str(flown["flight"]), "--no-register", *named]
@@ -229,7 +229,7 @@ def flown(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 
 @pytest.mark.slow
 def test_without_a_token_a_browser_is_asked_for_it_and_then_stays_signed_in(
-    app: RunningApp, contexts: Callable[..., BrowserContext], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    app: RunningApp, contexts: Contexts, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.delenv("LPN_TOKEN", raising=False)
     with started(app.data, app.model, tmp_path / "cache", options=["--ask-token"]) as running:

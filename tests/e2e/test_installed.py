@@ -11,14 +11,13 @@ import tarfile
 import time
 import tomllib
 import zipfile
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from playwright.sync_api import BrowserContext, expect
+from playwright.sync_api import expect
 
 from lpn.core.demo import DEMO_QUERY
-from tests.e2e.conftest import Screen
+from tests.e2e.conftest import Contexts, Screen
 from tools.fixtures import packages
 from tools.fixtures.processes import free_port
 
@@ -78,7 +77,7 @@ def packed(checkout: Path) -> set[str]:
 
 @pytest.mark.slow
 def test_an_installed_wheel_opens_the_demo_and_writes_nothing_beside_it(
-    built: tuple[Path, Path, Path], tmp_path: Path, contexts: Callable[[], BrowserContext]
+    built: tuple[Path, Path, Path], tmp_path: Path, contexts: Contexts
 ) -> None:
     _, _, wheel = built
     base = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["dependencies"]

@@ -7,14 +7,13 @@ import re
 import threading
 import urllib.error
 import urllib.request
-from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
 import pytest
-from playwright.sync_api import BrowserContext, expect
+from playwright.sync_api import expect
 
-from tests.e2e.conftest import PATIENCE
+from tests.e2e.conftest import PATIENCE, Contexts
 
 nbclient = pytest.importorskip("nbclient", reason="needs nbclient and ipykernel, of the extra dev")
 pytest.importorskip("ipykernel", reason="needs nbclient and ipykernel, of the extra dev")
@@ -24,7 +23,7 @@ pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("default")]
 
 @pytest.mark.slow
 def test_a_notebook_shows_the_page_in_a_cell_and_ends_it_with_its_kernel(
-    data: Path, model_file: Path, tmp_path: Path, contexts: Callable[[], BrowserContext]
+    data: Path, model_file: Path, tmp_path: Path, contexts: Contexts
 ) -> None:
     import nbformat
 
@@ -52,7 +51,7 @@ def test_a_notebook_shows_the_page_in_a_cell_and_ends_it_with_its_kernel(
     assert not answers(url[1])
 
 
-def show(html: str, folder: Path, contexts: Callable[[], BrowserContext]) -> None:
+def show(html: str, folder: Path, contexts: Contexts) -> None:
     """Show the output of a cell in a page of another server of this machine, as a notebook does."""
     (folder / "cell.html").write_text(f"<!doctype html><title>notebook</title>{html}")
     handler = partial(http.server.SimpleHTTPRequestHandler, directory=str(folder))

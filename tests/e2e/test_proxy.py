@@ -7,19 +7,18 @@ import shutil
 import socket
 import subprocess
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from urllib.parse import urlsplit
 
 import pytest
-from playwright.sync_api import Page, expect
+from playwright.sync_api import expect
 
-from tests.e2e.conftest import PATIENCE, RunningApp
+from tests.e2e.conftest import PATIENCE, NewPage, RunningApp
 from tools.fixtures.processes import free_ports
 from tools.fixtures.small_proxy import SmallProxy
 
-NewPage = Callable[[], Page]
 SERVING = Path(__file__).parents[2] / "docs" / "serving.md"
 
 

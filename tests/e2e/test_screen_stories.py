@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from playwright.sync_api import BrowserContext, Page, expect
+from playwright.sync_api import Page, expect
 
-from tests.e2e.conftest import Running, Screen, box, expect_accessible
+from tests.e2e.conftest import Contexts, NewPage, Running, Screen, box, expect_accessible
 
 STEPS = [
     {"shows": "query=0003&scoring=plain", "caption": "<i>The first</i> photo", "notes": "Wait for questions"},
@@ -32,7 +32,7 @@ def expect_state(page: Page, query: str, angle: str) -> None:
     expect(page.locator("#photo .frame")).to_have_attribute("aria-valuenow", angle)
 
 
-def test_a_step_is_kept_by_s_and_renamed_in_place(running: Running, file: Path, new_page: Callable[[], Page]) -> None:
+def test_a_step_is_kept_by_s_and_renamed_in_place(running: Running, file: Path, new_page: NewPage) -> None:
     screen = Screen(new_page(), running.url).open("?query=0004&story=Two%20%26%20more")
     page, place = screen.page, box(screen.rows.first)
     page.keyboard.press("s")
@@ -69,7 +69,7 @@ def screen_reason(page: Page) -> str:
 @pytest.mark.usefixtures("file")
 @pytest.mark.parametrize("size", [(1280, 720), (390, 844)])
 def test_a_story_is_told_by_keys_and_its_end_brings_back_what_was_shown(
-    running: Running, contexts: Callable[..., BrowserContext], size: tuple[int, int]
+    running: Running, contexts: Contexts, size: tuple[int, int]
 ) -> None:
     page = contexts(viewport={"width": size[0], "height": size[1]}).new_page()
     screen = Screen(page, running.url).open("?query=0004&angle=15&panel=stories")

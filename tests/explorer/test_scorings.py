@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -68,10 +69,6 @@ def test_an_own_picture_is_described_as_the_task_is_calibrated(workspace: Worksp
         assert mine.ranking.scores == pytest.approx(listed.ranking.scores, abs=1e-5)
 
 
-def is_query(pictures: Sequence[Picture]) -> bool:
-    return pictures[0].path.parents[1].name.startswith("query")
-
-
 @pytest.mark.parametrize(
     ("calibrate", "csls", "expected"),
     [(None, 0, "plain"), (False, 0, "plain"), (True, 0, "calibrated"), (True, 5, "csls"), (None, 5, "csls")],
@@ -81,11 +78,13 @@ def test_labels_never_choose_the_scoring_that_opens(
 ) -> None:
     recalls = []
     for order in (slice(None), slice(None, None, -1)):
-        # The labels of the queries alone are in another order, so that other scorings are the best by them.
+
+        def reordered(of: Sequence[Picture], order: slice = order) -> Any:
+            """The labels of queries in another order, by which other scorings are the best."""
+            return labels_of(of)[order if "query_drone" in of[0].path.parts else slice(None)]
+
         with monkeypatch.context() as patch:
-            patch.setattr(
-                opening, "labels_of", lambda of, order=order: labels_of(of)[order if is_query(of) else slice(None)]
-            )
+            patch.setattr(opening, "labels_of", reordered)
             opened = open_model(wide, model_file, calibrate=calibrate, csls=csls)
         assert opened.default_scoring(TASK) == expected
         shown = opened.rankings[scored_key(TASK, opened.default_scoring(TASK))]

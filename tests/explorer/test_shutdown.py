@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import http.client
 import re
 import shutil
 import socket
@@ -85,21 +84,11 @@ class Explorer(Process):
         return seconds
 
 
-def get(explorer: Explorer, path: str = "") -> None:
-    """Open a connection, and ask for a path if there is one."""
-    connection = http.client.HTTPConnection("127.0.0.1", explorer.port, timeout=120)
-    connection.connect()
-    if path:
-        connection.request("GET", path)
-        connection.getresponse().read()
-    connection.close()
-
-
 def test_with_browsers_connected_it_is_quiet(places: Path, model_file: Path, tmp_path: Path) -> None:
     with Explorer(places, model_file, tmp_path / "cache") as explorer, explorer.browsers(4) as tabs:
         tabs[0].turn(30)
         tabs[0].socket.send("no JSON")
-        get(explorer)  # as browsers open a connection ahead, and port scans do
+        socket.create_connection(("127.0.0.1", explorer.port)).close()  # as browsers do ahead, and port scans
         explorer.interrupt()
         explorer.stopped()
         assert all(tab.closed() for tab in tabs)

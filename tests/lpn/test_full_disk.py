@@ -14,11 +14,11 @@ from pathlib import Path
 
 import pytest
 
-from lpn.cli import main
 from lpn.core.errors import OutputError
 from lpn.flight.locate.located import StageRecord
 from lpn.flight.locate.registered_stage import append_record, read_records
 from lpn.flight.locate.tracks import write_track
+from tests.conftest import Refused
 from tools.fixtures import saves
 
 
@@ -88,15 +88,12 @@ def _write_beyond_the_limit(track: Path) -> None:
 
 
 def test_the_commands_that_write_files_for_others_say_so(
-    disk: Path, data: Path, model_file: Path, capsys: pytest.CaptureFixture[str]
+    disk: Path, data: Path, model_file: Path, refused: Refused
 ) -> None:
     table = disk / "failures.csv"
     table.write_text("an older table")
     fill(disk)
-    given = ["failures", str(data), "--model", str(model_file), "--csv", str(table)]
-    assert main.main(given) == 2
-    shown = capsys.readouterr().err
-    assert shown.count("\n") == 1
+    shown = refused("failures", data, "--model", model_file, "--csv", table)
     assert "failures.csv cannot be written (No space left on device); free space or choose another place." in shown
     assert table.read_text() == "an older table"
 
@@ -115,7 +112,7 @@ def test_answers_of_a_flight_that_cannot_be_kept_are_told_and_those_before_stay(
 
 
 def test_a_full_disk_is_one_sentence_and_leaves_nothing_whole(
-    disk: Path, model_file: Path, data: Path, capsys: pytest.CaptureFixture[str]
+    disk: Path, model_file: Path, data: Path, refused: Refused
 ) -> None:
     """In a process of its own: a mapped file on a full disk would end it without a word."""
     given = ["--model", str(model_file), "--images", str(data), "--view", "drone", "--out", str(disk / "s")]
@@ -126,7 +123,6 @@ def test_a_full_disk_is_one_sentence_and_leaves_nothing_whole(
     assert "cannot be written (No space left on device); free space or choose another folder." in done.stderr
     assert "Traceback" not in done.stderr
     assert not [file for file in disk.rglob("*") if file.name == "store.json"]
-    checkpoint = str(model_file.with_suffix(".safetensors"))
-    assert main.main(["export", "--model", checkpoint, "--out", str(disk / "m.onnx")]) == 2
-    assert "free space" in capsys.readouterr().err
+    checkpoint = model_file.with_suffix(".safetensors")
+    assert "free space" in refused("export", "--model", checkpoint, "--out", disk / "m.onnx")
     assert not list(disk.glob("m.onnx*"))

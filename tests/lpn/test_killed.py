@@ -94,14 +94,10 @@ def survives(command: Command, killer: Killer, out: Path, rounds: int = ROUNDS) 
         assert command.result() == expected, f"{number}: {after or step}"
 
 
-def kept(out: Path) -> dict[str, Path]:
-    """The files that a command made, without its cache, and without parts that a killed process was writing."""
-    files = {file.relative_to(out).as_posix(): file for file in sorted(out.rglob("*")) if file.is_file()}
-    return {name: file for name, file in files.items() if not name.startswith("cache/") and ".part" not in name}
-
-
 def contents(out: Path) -> dict[str, bytes]:
-    return {name: file.read_bytes() for name, file in kept(out).items()}
+    """The files that a command made, without its cache, and without parts that a killed process was writing."""
+    files = {file.relative_to(out).as_posix(): file.read_bytes() for file in out.rglob("*") if file.is_file()}
+    return {name: data for name, data in files.items() if not name.startswith("cache/") and ".part" not in name}
 
 
 def opened(file: Path) -> bytes | None:
@@ -176,22 +172,6 @@ def test_train(places: Path, tmp_path: Path, killer: Killer) -> None:
         return [*arguments, "--resume"] if begun else arguments
 
     survives(Command(arguments, whole, losses, again), killer, out)
-
-
-@pytest.mark.slow
-def test_reproduce(places: Path, tmp_path: Path, killer: Killer) -> None:
-    out = tmp_path / "out"
-    settings = ["--recipe", "reduced", "--size", "64", "--epochs", "1", "--batch", "4", "--from-scratch"]
-    arguments = ["reproduce", "table4", "--data", str(places), "--out", str(out), *settings]
-
-    def written() -> object:
-        return {file.name: file.read_text() for file in sorted(out.glob("*.md"))}
-
-    def whole() -> None:
-        for file in out.rglob("*.safetensors"):
-            opened(file)
-
-    survives(Command(arguments, whole, written), killer, out, FEW)
 
 
 @pytest.mark.slow

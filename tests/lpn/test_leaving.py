@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import csv
 import io
-import json
-import os
 import re
 import shutil
 import sys
@@ -188,18 +186,3 @@ def test_tables_and_reports_of_such_names(places: Path, model_file: Path, tmp_pa
     )
     assert _table(table.to_csv())[1][0] == f"'{model.name}"
     assert "| =1+1 &lt;b&gt;\\|&amp;.onnx |" in markdown_page(table.printed)
-
-
-@pytest.mark.skipif(sys.platform != "linux", reason="other systems allow no such name")
-def test_json_of_a_name_that_is_not_utf8(model_file: Path, tmp_path: Path) -> None:
-    folder = tmp_path / "caf\udce9"
-    folder.mkdir()
-    picture = folder / "a.png"
-    small_worlds.write(tmp_path / "a.png", small_worlds.place(1))
-    os.replace(tmp_path / "a.png", picture)
-    given = ["--model", str(model_file), "--query", str(picture), "--match", str(picture)]
-    views = ["--view-query", "drone", "--view-match", "satellite"]
-    assert main.main(["explain", *given, *views, "--json", str(tmp_path / "a.json")]) == 0
-    data = (tmp_path / "a.json").read_bytes()
-    assert msgspec.json.decode(data) == json.loads(data)
-    assert json.loads(data)["query"].endswith("caf?/a.png")

@@ -45,8 +45,7 @@ def findings(workspace: Workspace) -> LabFindings:
     job = lab.build(TASK, workspace)
     assert job.wait(120)
     assert job.error is None
-    found = lab.findings(TASK)
-    return found
+    return lab.findings(TASK)
 
 
 @pytest.fixture(scope="module")

@@ -17,6 +17,7 @@ from lpn.descriptors.transforms import Change
 from lpn.descriptors.weather import WEATHERS
 from lpn.report import table_page
 from lpn.sources import SourceOptions, open_source
+from tests.conftest import Refused
 from tools.fixtures import small_worlds
 
 TASK = "drone-to-satellite"
@@ -108,9 +109,8 @@ def test_a_page_of_html_has_the_tables_of_the_markdown_and_escapes_names() -> No
     ],
 )
 def test_options_that_do_not_go_together_are_refused(
-    options: list[str], message: str, model_file: Path, data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    options: list[str], message: str, model_file: Path, data: Path, tmp_path: Path, refused: Refused
 ) -> None:
     given = [option.format(tmp_path) for option in options]
-    assert main(["compare", str(data), "--model", str(model_file), *given]) == 2
-    assert message in " ".join(capsys.readouterr().err.split())
+    assert message in refused("compare", data, "--model", model_file, *given)
     assert not list(tmp_path.iterdir())

@@ -26,6 +26,7 @@ from lpn.datasets import open_dataset
 from lpn.retrieval.saved import PublishedResult
 from lpn.tasks.measure import RankedModel
 from lpn.tasks.saved import saved_task
+from tests.conftest import Refused
 from tools.fixtures import layouts, small_worlds
 from tools.fixtures.published_results import save_result
 
@@ -180,7 +181,7 @@ def test_galleries_tasks_and_queries_are_never_mixed() -> None:
 
 
 def test_models_and_saved_results_compare_on_one_gallery(
-    tmp_path: Path, model_file: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, model_file: Path, capsys: pytest.CaptureFixture[str], refused: Refused
 ) -> None:
     root = small_worlds.make_dataset(tmp_path / "places", train=1, test=6)
     (root / "test" / "query_drone" / "0004" / "image-01.png").unlink()
@@ -209,8 +210,7 @@ def test_models_and_saved_results_compare_on_one_gallery(
     assert "| model.onnx | result.mat | R@1 | 0.00 (0.00 to 0.00) | 0 | 0 | 1 | 1 |" in tables["md"].read_text()
     assert tables["tex"].read_text().count(r"\begin{tabular}") == 2
     assert tables["html"].read_text().count('<th scope="row">model.onnx</th>') == 3
-    assert main([*beside, "--task", "satellite-to-drone"]) == 2
-    assert "compare models on one task" in capsys.readouterr().err
+    assert "compare models on one task" in refused(*beside, "--task", "satellite-to-drone")
 
 
 def test_the_command_takes_the_group_of_each_model(
@@ -278,14 +278,12 @@ def test_results_are_compared_by_their_models_and_scorings(data: Path, model_fil
         lpn.compare(plain)
 
 
-def test_where_no_truth_is_known_nothing_is_compared(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_where_no_truth_is_known_nothing_is_compared(tmp_path: Path, refused: Refused) -> None:
     drawn = np.random.default_rng(5).standard_normal((7, 1, 8)).astype(np.float32)
     for name, one in (("q", drawn[:3]), ("again", drawn[:3]), ("g", drawn[3:])):
         np.save(tmp_path / f"{name}.npy", one)
     lines = [f"{'q' if i < 3 else 'g'}{i}.jpg,{'query' if i < 3 else 'gallery'},30.{i},120.1" for i in range(7)]
     (tmp_path / "list.csv").write_text("\n".join(["file,side,latitude,longitude", *lines]))
-    q, again, g, listed = (str(tmp_path / name) for name in ("q.npy", "again.npy", "g.npy", "list.csv"))
-    assert main(["compare", q, again, "--gallery", g, g, "--paths", listed]) == 2
-    said = capsys.readouterr()
-    assert said.err.endswith("lpn: The true place of no query of q.npy is known, so there is nothing to compare.\n")
-    assert not said.out
+    q, again, g, listed = (tmp_path / name for name in ("q.npy", "again.npy", "g.npy", "list.csv"))
+    said = refused("compare", q, again, "--gallery", g, g, "--paths", listed)
+    assert said == "lpn: The true place of no query of q.npy is known, so there is nothing to compare."

@@ -26,6 +26,7 @@ from lpn.core.files import cache_folder
 from lpn.doctor import environment_check
 from lpn.doctor.environment_check import Finding
 from lpn.tasks import ranking_cache
+from tests.conftest import Refused
 from tools.fixtures.tasks import descriptor_task
 
 
@@ -164,26 +165,6 @@ def test_a_python_may_call_itself_what_it_likes(monkeypatch: pytest.MonkeyPatch)
     assert of("Python", environment_check._python_and_packages).level == "OK"
 
 
-def test_required_packages_are_those_of_this_system_and_of_each_extra(monkeypatch: pytest.MonkeyPatch) -> None:
-    there = requirements.read_requirements()
-    told = {
-        "Requires-Python": ">=3.11",
-        "extras": ["train"],
-        "requires": ["numpy>=1.26", 'torch>=99; extra == "train"', 'colorama; sys_platform == "nowhere"'],
-    }
-
-    class Told(dict[str, Any]):
-        def get_all(self, _: str) -> list[str]:
-            return self["extras"]
-
-    monkeypatch.setattr(metadata, "metadata", lambda _: Told(told))
-    monkeypatch.setattr(metadata, "requires", lambda _: told["requires"])
-    found = requirements.read_requirements()
-    assert [package.requirement for package in found.base] == ["numpy>=1.26"]
-    assert found.base[0] == next(package for package in there.base if package.name == "numpy")
-    assert [(package.name, package.fits) for package in found.extras["train"]] == [("torch", False)]
-
-
 @pytest.mark.parametrize(
     ("module", "install"),
     [
@@ -261,6 +242,5 @@ def test_cores_are_as_many_as_a_group_has_time_for(tmp_path: Path, monkeypatch: 
         assert resources.usable_cores() == cores
 
 
-def test_quick_is_for_pictures(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main.main(["doctor", "--quick"]) == 2
-    assert "give one with --data" in capsys.readouterr().err
+def test_quick_is_for_pictures(refused: Refused) -> None:
+    assert "give one with --data" in refused("doctor", "--quick")

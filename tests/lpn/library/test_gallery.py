@@ -14,7 +14,6 @@ import pytest
 
 import lpn
 from lpn import report
-from lpn.cli import main
 from lpn.core.errors import LPNError
 from lpn.explain import SideEvidence
 from lpn.library.analyser import OwnPicture, QueryAnalyser, QueryRequest, describe_tile
@@ -40,25 +39,6 @@ def test_matches_are_ranked_named_and_split_exactly(gallery: lpn.Gallery) -> Non
     for match in matches:
         assert match.contributions.shape == (4,)
         assert match.contributions.sum() == pytest.approx(match.distance2, abs=1e-5)
-
-
-def test_numbers_are_those_of_the_command_line(
-    gallery: lpn.Gallery, data: Path, model_file: Path, tmp_path: Path
-) -> None:
-    query = data / "test" / "query_drone" / "0008" / "image-01.png"
-    answer = gallery.search(lpn.load_picture(query), weights=[1, 1, 0, 2], change=30)
-    match = answer.top(1)[0]
-    tile = data / "test" / "gallery_satellite" / match.name
-    given = ["--model", model_file, "--query", query, "--match", tile, "--weights", "1,1,0,2", "--rotate", "30"]
-    assert main.main(["explain", *map(str, given), "--json", str(tmp_path / "why.json")]) == 0
-    explained = json.loads((tmp_path / "why.json").read_text())
-    assert match.distance2 == pytest.approx(explained["distance2"], abs=1e-5)
-    expected = [2 * part["weight"] * (1 - part["cosine"]) for part in explained["parts"]]
-    np.testing.assert_allclose(match.contributions, expected, atol=1e-5)
-    evidence = answer.evidence()
-    np.testing.assert_allclose(
-        evidence.weighted_cosines, [part["weighted_cosine"] for part in explained["parts"]], atol=1e-5
-    )
 
 
 def test_shares_and_heat_are_arrays_that_add_up(gallery: lpn.Gallery) -> None:

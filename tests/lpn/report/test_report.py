@@ -35,6 +35,7 @@ from lpn.tasks.notes import read_notes
 from lpn.tasks.opening import describe_task
 from lpn.tasks.task import Task
 from lpn.tasks.verdict import judge
+from tests.conftest import Refused
 from tools.fixtures import small_worlds
 from tools.fixtures.html_page import Page
 
@@ -273,13 +274,10 @@ def test_the_worst_failures_come_first(
     ],
 )
 def test_invalid_arguments_give_one_sentence_and_no_file(
-    given: list[str], expected: str, data: Path, model_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    given: list[str], expected: str, data: Path, model_file: Path, tmp_path: Path, refused: Refused
 ) -> None:
     out = tmp_path / "report.html"
-    assert run(data, model_file, *given, "--out", out) == 2
-    message = capsys.readouterr().err
-    assert expected in message
-    assert message.count("\n") == 1
+    assert expected in refused("report", data, "--model", model_file, *given, "--out", out)
     assert not out.exists()
     if "--where" not in given:
         assert not (tmp_path / "cache").exists()

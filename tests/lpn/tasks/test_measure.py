@@ -36,6 +36,7 @@ from lpn.tasks.measure import Figures, Result, measure
 from lpn.tasks.opening import lazy_task
 from lpn.tasks.query_outcomes import Outcomes
 from lpn.tasks.weathers import measure_weathers
+from tests.conftest import Refused
 from tools.fixtures import layouts, small_worlds
 from tools.fixtures.tasks import descriptor_task
 
@@ -368,12 +369,9 @@ def test_each_query_has_its_rank_precision_and_nearest_tiles(data: Path, model_f
         assert [float(row[f"score {k}"]) for k in range(1, 11)] == pytest.approx(scores, abs=1e-5)
 
 
-def test_weathers_have_no_table_of_queries(
-    data: Path, model_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    given = ["evaluate", str(data), "--model", str(model_file), "--weather", "all"]
-    assert main([*given, "--per-query", str(tmp_path / "queries.csv")]) == 2
-    assert "choose one with --weather" in capsys.readouterr().err
+def test_weathers_have_no_table_of_queries(data: Path, model_file: Path, tmp_path: Path, refused: Refused) -> None:
+    given = ["evaluate", data, "--model", model_file, "--weather", "all"]
+    assert "choose one with --weather" in refused(*given, "--per-query", tmp_path / "queries.csv")
     assert not list(tmp_path.iterdir())
 
 
