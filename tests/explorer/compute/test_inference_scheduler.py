@@ -137,6 +137,13 @@ def queue_up(queue: InferenceScheduler, *clients: Callable[[], Client]) -> list[
     return begun
 
 
+def all_end(network: ManualModel, *clients: Client) -> None:
+    """Let all forward passes end, and check that each request of some clients has its result."""
+    network.release(20)
+    for one in clients:
+        assert one.finished().error is None
+
+
 def test_waiting_requests_share_a_batch_and_get_their_own_rows(network: ManualModel) -> None:
     queue = InferenceScheduler()
     first = occupy(network, queue)
@@ -161,9 +168,7 @@ def test_a_batch_has_one_view_and_model_and_the_oldest_request_goes_first(networ
         lambda: Client(queued(other, queue), 3),
         lambda: Client(queued(network, queue), 4),
     )
-    network.release(10)
-    for one in (first, *waiting):
-        assert one.finished().error is None
+    all_end(network, first, *waiting)
     assert network.passes == [[99], [1, 4], [2]]
     assert network.viewed == ["drone", "drone", "satellite"]
     assert other.passes == [[3]]
@@ -175,9 +180,7 @@ def test_browsers_of_one_task_share_batches_and_heads_of_branches_by_role(networ
     one, other = (queued(network, queue).for_task("satellite", "drone") for _ in range(2))
     first = occupy(network, queue)
     waiting = queue_up(queue, lambda: Client(one, 1), lambda: Client(other.for_task("satellite", "drone"), 2))
-    network.release(3)
-    for client in (first, *waiting):
-        assert client.finished().error is None
+    all_end(network, first, *waiting)
     assert network.passes == [[99], [1, 2]]
     assert one.model.role("satellite") == "query" != network.role("satellite")
     assert one.heads("drone") is other.heads("drone")
@@ -308,9 +311,7 @@ def test_a_full_queue_refuses_a_request_and_reserves_its_place(network: ManualMo
     network.began()
     clock.now += RESERVATION + 1  # the refused client does not try again
     waiting += queue_up(queue, lambda: Client(queued(network, queue), 5))
-    network.release(10)
-    for one in (first, *waiting):
-        assert one.finished().error is None
+    all_end(network, first, *waiting)
     assert network.passes == [[99], [1], [2], [3], [5]]
 
 
@@ -319,9 +320,7 @@ def test_background_work_is_never_refused_and_does_not_fill_the_queue(network: M
     first = occupy(network, queue)
     waiting = queue_up(queue, *(lambda: Client(queued(network, queue, background=True), 1) for _ in range(5)))
     waiting += queue_up(queue, lambda: Client(queued(network, queue), 2))
-    network.release(10)
-    for one in (first, *waiting):
-        assert one.finished().error is None
+    all_end(network, first, *waiting)
     assert network.passes[:2] == [[99], [2]]
 
 
@@ -337,9 +336,7 @@ def test_requests_of_a_closed_context_are_dropped(network: ManualModel) -> None:
         assert isinstance(one.finished().error, WorkCancelledError)
     assert n_queued(queue) == 1
     assert isinstance(Client(answers, 4).finished().error, WorkCancelledError)
-    network.release(10)
-    for one in (first, *stays):
-        assert one.finished().error is None
+    all_end(network, first, *stays)
     assert network.passes == [[99], [3]]
     gone.close()
 
@@ -471,10 +468,8 @@ def test_a_held_place_is_nobody_elses_and_is_released(network: ManualModel) -> N
     other.context.close()
     clock.now += RESERVATION + 1  # the reservation of the refused one ends
     waiting += queue_up(queue, lambda: Client(queued(network, queue), 6))
-    network.release(20)
+    all_end(network, first, *waiting)
     one.join(TIMEOUT)
-    for clients in (first, *waiting):
-        assert clients.finished().error is None
 
 
 def test_a_model_that_raises_system_exit_does_not_end_the_scheduler(network: ManualModel) -> None:
