@@ -119,7 +119,7 @@ def test_a_package_that_cannot_be_imported_is_a_problem(monkeypatch: pytest.Monk
     )
 
 
-@pytest.mark.parametrize("module", ["numpy", "cv2", "tyro"])
+@pytest.mark.parametrize("module", ["numpy", "tyro"])
 def test_it_runs_without_a_package_that_the_command_line_needs(module: str, tmp_path: Path) -> None:
     (tmp_path / f"{module}.py").write_text('raise ImportError("built for\\nanother Python")')
     paths = (str(tmp_path), str(Path(__file__).parents[3]), *filter(None, [os.environ.get("PYTHONPATH")]))
@@ -133,9 +133,8 @@ def test_it_runs_without_a_package_that_the_command_line_needs(module: str, tmp_
 
     status, told = said("doctor")
     assert status == 1
-    package = {"cv2": "opencv-python-headless"}.get(module, module)
     assert re.search(
-        rf"(?m)^problem {package}: .* cannot be imported \(ImportError: built for\?another Python\); ", told
+        rf"(?m)^problem {module}: .* cannot be imported \(ImportError: built for\?another Python\); ", told
     )
     assert "Something is broken: see the problems above." in told
     assert said("explore") == (
