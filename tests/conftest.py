@@ -127,7 +127,7 @@ def _own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def refused(capsys: pytest.CaptureFixture[str]) -> Refused:
-    """A function that runs a command which is refused, and returns its one sentence; a busy machine may show progress beside it."""
+    """A function that runs a command which is refused, and returns its sentence, which may stand beside progress."""
 
     def run(*words: object) -> str:
         assert main([str(word) for word in words]) == 2
