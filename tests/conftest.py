@@ -131,7 +131,7 @@ def refused(capsys: pytest.CaptureFixture[str]) -> Refused:
 
     def run(*words: object) -> str:
         assert main([str(word) for word in words]) == 2
-        (said,) = [line for line in capsys.readouterr().err.splitlines() if line.startswith("lpn: ")]
+        (said,) = [line for line in capsys.readouterr().err.splitlines() if line.startswith("lpn")]
         return said
 
     return run
