@@ -20,6 +20,7 @@ import torch
 from hypothesis import HealthCheck, settings
 from rich.console import Console
 
+from lpn.cli.main import main
 from lpn.core.files import exclusive_lock
 from lpn.datasets import open_dataset
 from lpn.models.checkpoints import save
@@ -28,6 +29,7 @@ from lpn.training.recipes import RECIPES
 from lpn.training.trainer import Trainer
 from tools.fixtures import small_worlds
 
+Refused = Callable[..., str]
 MakeOnce = Callable[[str, Callable[[Path], object]], Path]
 
 # Properties are tried with the same examples each time, however busy the machine is.
@@ -121,6 +123,18 @@ def _own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Give each test a cache, and a folder of the user's own files."""
     monkeypatch.setenv("LPN_CACHE", str(tmp_path / "cache"))
     monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path / "home"))
+
+
+@pytest.fixture
+def refused(capsys: pytest.CaptureFixture[str]) -> Refused:
+    """A function that runs a command which is refused, and returns its sentence, which may stand beside progress."""
+
+    def run(*words: object) -> str:
+        assert main([str(word) for word in words]) == 2
+        (said,) = [line for line in capsys.readouterr().err.splitlines() if line.startswith("lpn")]
+        return said
+
+    return run
 
 
 @pytest.fixture(scope="session")

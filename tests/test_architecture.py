@@ -150,18 +150,6 @@ def test_no_public_type_has_two_meanings() -> None:
     assert not {name for name, where in places.items() if len(where) > 1}
 
 
-def test_a_type_is_a_class_an_alias_or_a_type_variable() -> None:
-    lines = (
-        "class One: ...",
-        "Two = Literal[1]",
-        "Three: TypeAlias = int",
-        "Four = TypeVar('Four')",
-        "LIMIT = 3",
-        "_Own = int",
-    )
-    assert list(_types(ast.parse("\n".join(lines)).body)) == ["One", "Two", "Three", "Four"]
-
-
 def _types(body: Sequence[ast.stmt]) -> Iterator[str]:
     """Yield the public names of the classes, type aliases, and type variables of a module, which are in CamelCase."""
     for node in body:

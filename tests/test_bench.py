@@ -7,35 +7,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
-from rich.console import Console
 
-from lpn.core.files import cache_folder
 from lpn.core.numbers import wrap_degrees
-from tools.bench import flights, gpu
+from tools.bench import gpu
 from tools.bench.wrong_maps import RENDERED, cut_maps, forged, open_pair
 
 pytestmark = pytest.mark.slow
-
-
-def test_without_a_gpu_the_bench_says_so_in_one_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
-    monkeypatch.setattr(sys, "argv", ["gpu"])
-    with pytest.raises(SystemExit, match=r"^torch .* finds no GPU here, so nothing was measured; .* --device cpu\.$"):
-        gpu.main()
-
-
-def test_the_table_tells_agreement_from_difference_and_from_nothing(capsys: pytest.CaptureFixture[str]) -> None:
-    rows = [
-        gpu.ParityRow("good", {"float32": 1e-4, "float16": 0.02}),
-        gpu.ParityRow("bad", {"float32": 1.1e-4}),
-        gpu.ParityRow("provider", failure="no driver"),
-    ]
-    assert [row.agrees for row in rows] == [True, False, False]
-    Console(width=150).print(gpu.parity_table(rows))
-    lines = {line.split()[1]: line for line in capsys.readouterr().out.splitlines() if line.startswith("│")}
-    for name, words in {"good": ("met", "2.0e-02"), "bad": ("missed",), "provider": ("not run",)}.items():
-        assert all(word in lines[name] for word in words), name
 
 
 def test_parity_at_tiny_size(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
@@ -45,17 +22,6 @@ def test_parity_at_tiny_size(capsys: pytest.CaptureFixture[str], monkeypatch: py
     assert told.count(" met ") == 2  # a checkpoint, and one that is exported
     for words in ("vgg16_bn, 3 views, n = 1", "ONNX Runtime, cpu"):
         assert words in told
-
-
-def test_flights_are_measured_with_a_fresh_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    caches: list[Path] = []
-    monkeypatch.setenv("LPN_CACHE", str(tmp_path / "users"))
-    monkeypatch.setattr(flights, "measure", lambda *_: caches.append(cache_folder().resolve(strict=True)))
-    monkeypatch.setattr(sys, "argv", ["flights", "folder", "monday"])
-    flights.main()
-    (cache,) = caches
-    assert cache != tmp_path / "users"
-    assert not cache.exists()
 
 
 def test_a_map_is_cut_where_a_share_of_the_tags_stays(tmp_path: Path) -> None:

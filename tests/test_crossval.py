@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -127,28 +126,6 @@ def test_trials_are_compared_query_by_query_on_training_pictures_alone(
     file.write_text(json.dumps(job))
     with pytest.raises(InputError, match="base-seed0-fold0 was trained with other values of part_dropout;"):
         planned(places, runs, *trials)
-
-
-@pytest.mark.slow
-def test_a_stopped_cross_validation_goes_on_where_it_was(
-    places: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    trial = ("base", replace(QUICK, epochs=2))
-    whole = crossval.run(planned(places, tmp_path / "whole", trial), tmp_path / "whole.json")
-    original = Trainer._epoch
-
-    def killed(self: Trainer, epoch: int, *rest: Any) -> dict[str, float]:
-        if epoch == 1:
-            raise KeyboardInterrupt
-        return original(self, epoch, *rest)
-
-    with monkeypatch.context() as patch:
-        patch.setattr(Trainer, "_epoch", killed)
-        with pytest.raises(KeyboardInterrupt):
-            crossval.run(planned(places, tmp_path / "cut", trial), tmp_path / "cut.json")
-    assert (tmp_path / "cut" / "base-seed0-fold0" / "state.pt").is_file()
-    resumed = crossval.run(planned(places, tmp_path / "cut", trial), tmp_path / "cut.json")
-    assert resumed["trials"]["base"]["figures"] == whole["trials"]["base"]["figures"]
 
 
 def test_the_command_prints_what_the_table_says(

@@ -56,7 +56,6 @@ def test_a_map_keeps_pixels_place_and_error() -> None:
 
 def test_an_index_names_the_windows_of_its_map() -> None:
     windows = open_index(FORMATS / "index-of-map").kind.windows
-    assert windows is not None
     assert (windows.map, windows.sizes, windows.count) == (open_map(FORMATS / "map").identity(), (96.0,), 9)
 
 
@@ -79,6 +78,5 @@ def test_notes_stories_and_the_settings_of_a_run() -> None:
     }
     assert read_stories(FORMATS / "stories.json") == [Story("Night", (Step("query=0001", "It is dark."),))]
     run = read_run(FORMATS / "run")
-    assert run is not None
     assert Recipe(**run.recipe).n_parts == 4
     assert run.given == {"data": "places"}

@@ -10,14 +10,9 @@ from typing import Any
 
 import pytest
 
-from lpn.core.demo import DEMO_FLIGHT
 from lpn.core.errors import DataError
-from tools.bench import __main__ as bench
-from tools.bench.figures import Figure
-from tools.bench.single_photos import photos_of
-from tools.bench.wrong_maps import open_pair
 from tools.keep import __main__ as keep
-from tools.keep import _resumable, flights, training
+from tools.keep import _resumable, flights
 from tools.keep.measures import (
     Bound,
     Measure,
@@ -31,7 +26,6 @@ from tools.keep.measures import (
     reported,
     within,
 )
-from tools.keep.speed import ratios
 
 Run = Callable[..., tuple[int, str]]
 KNOWN = all_measures()
@@ -198,33 +192,13 @@ def test_the_demo_s_ranked_tiles_are_those_of_the_baseline() -> None:
 # The figures of slow measures, and their bounds.
 
 
-def test_surveyed_positions_have_a_row_for_the_camera_and_one_for_the_ground(tmp_path: Path) -> None:
-    flights.write_positions(DEMO_FLIGHT[0].with_name("truth.csv"), tmp_path / "positions.csv")
-    header, first, second, *others = (tmp_path / "positions.csv").read_text().splitlines()
-    assert header == "photo,latitude,longitude,point"
-    assert first == "LPN_0086.webp,46.203270150,-31.393268518,camera"
-    assert second == "LPN_0086.webp,46.203265177,-31.393271195,ground"
-    assert len(others) == 78
-
-
 def test_errors_of_the_rendered_flight_may_not_grow() -> None:
-    point = {
-        "photos": 34,
-        "median": 1.0,
-        "ce95": 1.7,
-        "largest": 3.0,
-        "within": {"1": 94.1, "2": 100.0, "3": 100.0},
-    }
+    point = {"photos": 34, "median": 1.0, "ce95": 1.7, "largest": 3.0, "within": {"1": 94.1, "2": 100.0, "3": 100.0}}
     measured = {"frames": 40, "surveyed": {"registration": {"camera": point, "ground": point}}}
     figures = flights.rendered_figures(measured)
     assert (figures["photos"], figures["placed"], figures["middle within 1 radii"]) == (40, 34, 94.1)
     assert errors(KNOWN["rendered"], figures, figures) == {}
-    worse = {
-        "placed": 33,
-        "camera largest m": 5.1,
-        "middle within 2 radii": 93.0,
-        "camera within 3 radii": 97.1,
-    }
+    worse = {"placed": 33, "camera largest m": 5.1, "middle within 2 radii": 93.0, "camera within 3 radii": 97.1}
     assert set(errors(KNOWN["rendered"], {**figures, **worse}, figures)) == set(worse)
 
 
@@ -280,18 +254,6 @@ def test_nothing_more_is_accepted_over_a_wrong_map(elsewhere: int, coarse: int, 
     assert set(errors(KNOWN["wrong-brighton"], figures(elsewhere, coarse, beyond), before)) == wrong
 
 
-def test_figures_of_trainings_are_those_of_three_seeds() -> None:
-    names = [f"{reading} {task}" for reading in training.READINGS for task in training.TASKS]
-    seeds: list[Mapping[str, float]] = [dict.fromkeys(names, value) for value in (82.5, 85.0, 83.75)]
-    figures = training.training_figures(seeds)
-    assert figures["CSLS drone-to-satellite mean"] == 83.75
-    assert figures["CSLS drone-to-satellite half range"] == 1.25
-    assert figures["calibrated satellite-to-drone by seed"] == [82.5, 85.0, 83.75]
-    assert errors(KNOWN["training"], figures, {}) == {}
-    worse = training.training_figures([{**seed, "CSLS satellite-to-drone": 82.4} for seed in seeds])
-    assert set(errors(KNOWN["training"], worse, {})) == {"CSLS satellite-to-drone mean"}
-
-
 def test_a_killed_measure_goes_on_with_its_rows_unless_the_code_has_changed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -309,7 +271,7 @@ def test_a_killed_measure_goes_on_with_its_rows_unless_the_code_has_changed(
     def rows(names: str, killed: bool = False) -> list[list[str]]:
         with _resumable.resumable("rows") as work:
             assert os.environ["LPN_CACHE"] == str(work / "cache")
-            found = [_resumable.keep_row(work / "rows.json", name, lambda name=name: measure(name)) for name in names]  # type: ignore[misc]
+            found = [_resumable.keep_row(work / "rows.json", name, lambda name=name: measure(name)) for name in names]
             if killed:
                 raise KeyboardInterrupt
         assert not work.exists()
@@ -331,38 +293,3 @@ def test_a_killed_measure_goes_on_with_its_rows_unless_the_code_has_changed(
 def test_a_command_that_fails_is_named_with_its_sentence(tmp_path: Path) -> None:
     with pytest.raises(DataError, match=r"^lpn locate ended with status 2: .*none\.tif.*$"):
         _resumable.run_lpn("locate", "--map", tmp_path / "none.tif", "--flight", tmp_path, "--out", tmp_path / "t.csv")
-
-
-def test_speeds_are_beside_their_peers_and_limits(monkeypatch: pytest.MonkeyPatch) -> None:
-    measured = [Figure("search 9 x 9", 2.0, "ms", 6.0, 1.6), Figure("memory", 1.23456, "GB")]
-    monkeypatch.setattr(bench, "measured", lambda _: measured)
-    figures = ratios("search")
-    assert figures == {
-        "search 9 x 9, ms": 2.0,
-        "search 9 x 9, times the peer": 3.0,
-        "search 9 x 9, of the limit": 1.25,
-        "memory, GB": 1.23,
-    }
-    assert errors(KNOWN["speed-search"], figures, {}) == {}
-    monkeypatch.setattr(bench, "measured", lambda _: [])
-    with pytest.raises(DataError, match=r"^python -m tools\.bench search measured nothing; run it to see why\.$"):
-        ratios("search")
-
-
-def test_as_many_photos_are_located_elsewhere_as_the_target_says(monkeypatch: pytest.MonkeyPatch) -> None:
-    for variable in ("LPN_FLIGHTS", "LPN_MINI_DATA"):
-        if variable not in os.environ:
-            pytest.skip(f"{variable} does not name the folder of the real data")
-    real = Path(os.environ["LPN_FLIGHTS"])
-    counts = {name: len(open_pair(name, real)[0].frames[::every]) for name, (every, _) in flights.WRONG_MAPS.items()}
-    assert counts == {"brighton": 18, "rendered": 40, "caliterra": 15, "seneca": 60}
-    photos = {"here": 0, "elsewhere": 0}
-
-    def count(_: str, **sides: Mapping[Path, int]) -> None:
-        for side, sources in sides.items():
-            photos[side] += sum(len(list(photos_of([source], every))) for source, every in sources.items())
-
-    monkeypatch.setattr(flights, "_single_photos", count)
-    for measure in (flights.shipped_photos, flights.flights_photos, flights.university_photos):
-        measure()
-    assert photos == {"here": 50, "elsewhere": 68}

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import json
 import os
-import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
@@ -87,23 +85,3 @@ def test_what_cannot_be_planted_or_tells_nothing_is_one_sentence(toy: Path) -> N
     assert "is not complete; expected name: behaviour" in ended(start(toy, "--check"))[2]
     (toy / "tools" / "mutations.txt").unlink()
     assert ended(start(toy))[2].startswith("There is no tools/mutations.txt here")
-
-
-@pytest.mark.parametrize("asked", [signal.SIGINT, signal.SIGTERM])
-def test_a_stopped_run_leaves_neither_files_nor_processes(toy: Path, asked: signal.Signals) -> None:
-    began = toy.parent / "began"
-    waiting = "import os, pathlib, time\n\n\ndef test_waits():\n    "
-    waiting += f"pathlib.Path({str(began)!r}).write_text(str(os.getpid()))\n    time.sleep(900)\n"
-    (toy / "test_toy.py").write_text(waiting)
-    process = start(toy)
-    end = time.monotonic() + 300
-    while not (began.exists() and began.read_text()):
-        assert process.poll() is None
-        assert time.monotonic() < end
-        time.sleep(0.05)
-    process.send_signal(asked)
-    assert ended(process)[0] == 128 + asked
-    assert not list((toy.parent / "tmp").iterdir())
-    assert (toy / "toy.py").read_text() == MODULE
-    with pytest.raises(ProcessLookupError):
-        os.kill(int(began.read_text()), 0)

@@ -21,6 +21,8 @@ from tests.explorer.conftest import answered, mapped_workspace
 from tools.fixtures.chromium import SHORT_LIVED, launch
 from tools.fixtures.processes import Process, free_port
 
+Contexts = Callable[..., BrowserContext]
+NewPage = Callable[[], Page]
 # Seconds to wait for anything that must come: far longer than it takes, since the machine may be busy.
 PATIENCE = 120.0
 # Run in each page before its own scripts: nothing is stored yet, and the scene has a quarter of its pixels (for viser).
@@ -146,7 +148,6 @@ class Screen:
     def expect_numbers(self, analysis: Answer) -> None:
         """Check each number in sight against an analysis."""
         first, verdict = analysis.ranking.match(0), analysis.verdict
-        assert verdict.rival is not None
         expect(self.headline.locator("p")).to_contain_text(verdict.headline)
         shares = rounded_to_sum(first.contributions.tolist(), total=first.distance2)
         for row, share, gain in zip(self.rows.all(), shares, verdict.figures, strict=True):
@@ -163,7 +164,7 @@ class Screen:
 
 
 @pytest.fixture
-def screen(running: Running, new_page: Callable[[], Page]) -> Screen:
+def screen(running: Running, new_page: NewPage) -> Screen:
     return Screen(new_page(), running.url)
 
 
@@ -187,7 +188,7 @@ def box(locator: Locator) -> FloatRect:
 
 
 @pytest.fixture
-def contexts(browser: Browser) -> Iterator[Callable[..., BrowserContext]]:
+def contexts(browser: Browser) -> Iterator[Contexts]:
     """A function that makes browser profiles, which share nothing; all are closed at the end."""
     made: list[BrowserContext] = []
 
@@ -229,7 +230,7 @@ def _warm_context(browser: Browser) -> Iterator[BrowserContext]:
 
 
 @pytest.fixture
-def new_page(_warm_context: BrowserContext) -> Iterator[Callable[[], Page]]:
+def new_page(_warm_context: BrowserContext) -> Iterator[NewPage]:
     """A function that makes pages without WebGL and stored settings; all are closed at the end."""
     made: list[Page] = []
 

@@ -9,7 +9,7 @@ import json
 import os
 import re
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -18,15 +18,13 @@ from urllib.parse import urlsplit
 import onnx
 import pytest
 from PIL import ExifTags, Image, PngImagePlugin
-from playwright.sync_api import Browser, BrowserContext, Page, expect
+from playwright.sync_api import expect
 
-import lpn
-from lpn.cli import main
 from lpn.flight.maps import MapPlace
 from lpn.flight.maps.folder import build_map
 from lpn.models.contract import Contract
 from lpn.models.contract_metadata import to_metadata
-from tests.e2e.conftest import RunningApp, Screen, empty_context, started
+from tests.e2e.conftest import Contexts, RunningApp, Screen, started
 from tests.lpn.flight.locate.scenery import land, write_map
 from tools.fixtures import small_models, small_worlds
 from tools.fixtures.photos import dji_xmp, exif, write_photo
@@ -137,7 +135,7 @@ class Walk:
 
 @pytest.mark.slow
 def test_names_and_texts_are_shown_as_text_and_none_of_them_runs(
-    places: Path, model_file: Path, tmp_path: Path, contexts: Callable[..., BrowserContext]
+    places: Path, model_file: Path, tmp_path: Path, contexts: Contexts
 ) -> None:
     with started(places, model_file, tmp_path / "cache") as running:
         walk = Walk(Screen(contexts().new_page(), running.url))
@@ -169,7 +167,7 @@ def test_names_and_texts_are_shown_as_text_and_none_of_them_runs(
 
 @pytest.mark.slow
 def test_a_flight_a_map_and_models_are_shown_as_text_too(
-    flown: dict[str, Path], tmp_path: Path, contexts: Callable[..., BrowserContext]
+    flown: dict[str, Path], tmp_path: Path, contexts: Contexts
 ) -> None:
     named = [text for name, file in flown.items() if name != "flight" for text in (f"--{name}", str(file))]
     options = [str(flown["flight"]), "--no-register", *named]
@@ -229,47 +227,9 @@ def flown(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     return {"map": folder / NAMES[1], "flight": folder / NAMES[2], "model": model, "beside": other}
 
 
-@pytest.fixture
-def file_page(browser: Browser) -> Iterator[tuple[Page, list[str]]]:
-    """A page for files, and a list of forbidden events: other requests, dialogs, and errors."""
-    context = empty_context(browser)
-    page, alarms = context.new_page(), list[str]()
-    page.on(
-        "request",
-        lambda request: alarms.append(request.url) if not request.url.startswith(("file:", "data:")) else None,
-    )
-    page.on("dialog", lambda dialog: (alarms.append(dialog.message), dialog.dismiss()))
-    page.on("pageerror", lambda error: alarms.append(str(error)))
-    yield page, alarms
-    context.close()
-
-
-@pytest.mark.slow
-def test_no_text_runs_in_the_files_that_leave(
-    places: Path, flown: dict[str, Path], model_file: Path, tmp_path: Path, file_page: tuple[Page, list[str]]
-) -> None:
-    """The report, and a notebook's cell as a browser shows them."""
-    page, alarms = file_page
-    out = tmp_path / "report.html"
-    report = ["report", str(places), "--model", str(model_file), "--out", str(out), "--where", "rank > 0"]
-    assert main.main(report) == 0
-    tiles = lpn.Gallery.of_folder(places / "tiles", flown["model"])
-    answer = tiles.search(small_worlds.place(1), weights=[1, 0])
-    (tmp_path / "notebook.html").write_text(f"<!doctype html><meta charset=utf-8>{answer._repr_html_()}")
-    for name, texts in (("report", [*NAMES, TEXT[:40]]), ("notebook", [NAMES[1], NAMES[4]])):
-        page.goto((tmp_path / f"{name}.html").as_uri())
-        page.wait_for_load_state("networkidle")
-        shown = page.locator("body").inner_text()
-        assert all(text in shown for text in texts)
-        page.evaluate("document.querySelectorAll('*').forEach(e => e.click && e.tagName !== 'A' && e.click())")
-        assert page.evaluate("window.hurt") is None
-        assert not page.locator(INJECTED).count()
-    assert not alarms
-
-
 @pytest.mark.slow
 def test_without_a_token_a_browser_is_asked_for_it_and_then_stays_signed_in(
-    app: RunningApp, contexts: Callable[..., BrowserContext], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    app: RunningApp, contexts: Contexts, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.delenv("LPN_TOKEN", raising=False)
     with started(app.data, app.model, tmp_path / "cache", options=["--ask-token"]) as running:

@@ -11,14 +11,13 @@ import tarfile
 import time
 import tomllib
 import zipfile
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from playwright.sync_api import BrowserContext, expect
+from playwright.sync_api import expect
 
 from lpn.core.demo import DEMO_QUERY
-from tests.e2e.conftest import Screen
+from tests.e2e.conftest import Contexts, Screen
 from tools.fixtures import packages
 from tools.fixtures.processes import free_port
 
@@ -78,7 +77,7 @@ def packed(checkout: Path) -> set[str]:
 
 @pytest.mark.slow
 def test_an_installed_wheel_opens_the_demo_and_writes_nothing_beside_it(
-    built: tuple[Path, Path, Path], tmp_path: Path, contexts: Callable[[], BrowserContext]
+    built: tuple[Path, Path, Path], tmp_path: Path, contexts: Contexts
 ) -> None:
     _, _, wheel = built
     base = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["dependencies"]
@@ -108,7 +107,6 @@ def test_an_installed_wheel_opens_the_demo_and_writes_nothing_beside_it(
         stdout=subprocess.PIPE,
         text=True,
     ) as process:
-        assert process.stdout is not None
         assert f"ready: http://127.0.0.1:{port}" in process.stdout.readline()
         print(f"{time.monotonic() - started:.2f} s to the address")
         try:

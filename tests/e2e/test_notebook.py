@@ -7,14 +7,13 @@ import re
 import threading
 import urllib.error
 import urllib.request
-from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
 import pytest
-from playwright.sync_api import BrowserContext, expect
+from playwright.sync_api import expect
 
-from tests.e2e.conftest import PATIENCE
+from tests.e2e.conftest import PATIENCE, Contexts
 
 nbclient = pytest.importorskip("nbclient", reason="needs nbclient and ipykernel, of the extra dev")
 pytest.importorskip("ipykernel", reason="needs nbclient and ipykernel, of the extra dev")
@@ -24,7 +23,7 @@ pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("default")]
 
 @pytest.mark.slow
 def test_a_notebook_shows_the_page_in_a_cell_and_ends_it_with_its_kernel(
-    data: Path, model_file: Path, tmp_path: Path, contexts: Callable[[], BrowserContext]
+    data: Path, model_file: Path, tmp_path: Path, contexts: Contexts
 ) -> None:
     import nbformat
 
@@ -42,7 +41,6 @@ def test_a_notebook_shows_the_page_in_a_cell_and_ends_it_with_its_kernel(
             client.execute_cell(cell, index)
         bundle = next(one for one in notebook.cells[0].outputs if one.output_type == "execute_result").data
         url = re.search(r'<iframe src="(http://127\.0\.0\.1:\d+)"', bundle["text/html"])
-        assert url is not None
         assert bundle["text/plain"] == f"<LPN Explorer at {url[1]}>"
         outputs = [one for cell in notebook.cells for one in cell.outputs]
         assert not [one for one in outputs if one.output_type == "display_data" or "viser" in one.get("text", "")]
@@ -53,7 +51,7 @@ def test_a_notebook_shows_the_page_in_a_cell_and_ends_it_with_its_kernel(
     assert not answers(url[1])
 
 
-def show(html: str, folder: Path, contexts: Callable[[], BrowserContext]) -> None:
+def show(html: str, folder: Path, contexts: Contexts) -> None:
     """Show the output of a cell in a page of another server of this machine, as a notebook does."""
     (folder / "cell.html").write_text(f"<!doctype html><title>notebook</title>{html}")
     handler = partial(http.server.SimpleHTTPRequestHandler, directory=str(folder))

@@ -7,20 +7,18 @@ import shutil
 import socket
 import subprocess
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 from urllib.parse import urlsplit
 
 import pytest
-from playwright.sync_api import Page, expect
+from playwright.sync_api import expect
 
-from tests.e2e.conftest import PATIENCE, RunningApp, Screen
+from tests.e2e.conftest import PATIENCE, NewPage, RunningApp
 from tools.fixtures.processes import free_ports
 from tools.fixtures.small_proxy import SmallProxy
 
-NewPage = Callable[[], Page]
 SERVING = Path(__file__).parents[2] / "docs" / "serving.md"
 
 
@@ -43,24 +41,8 @@ def test_a_page_whose_websockets_do_not_arrive_says_so_and_goes_on_once_they_do(
         expect(page.locator("#headline h1")).not_to_have_text(LOST)
 
 
-def test_a_page_that_loses_its_websocket_to_a_proxy_keeps_its_numbers(app: RunningApp, new_page: NewPage) -> None:
-    with SmallProxy(port(app)) as proxy:
-        screen = Screen(new_page(), proxy.url).open("?query=0009&angle=30")
-        proxy.host = f"127.0.0.1:{port(app)}"
-        proxy.cut()
-        expect(screen.headline.locator("h1")).to_have_text(LOST)
-        expect(screen.rows).to_have_count(4)
-        proxy.host = ""
-        expect(screen.headline.locator("h1")).not_to_have_text(LOST)
-        screen.rest("30")
-        expect(screen.page).to_have_url(re.compile("query=0009"))
-
-
-@pytest.mark.parametrize(
-    "options", [{"strip": False}, pytest.param({"redirect": True}, marks=pytest.mark.slow)], ids=str
-)
-def test_the_page_opens_below_a_folder(app: RunningApp, new_page: NewPage, options: dict[str, Any]) -> None:
-    with SmallProxy(port(app), folder="maps", **options) as proxy:
+def test_the_page_opens_below_a_folder(app: RunningApp, new_page: NewPage) -> None:
+    with SmallProxy(port(app), folder="maps", strip=False) as proxy:
         page = new_page()
         page.goto(proxy.url)
         expect(page.locator("#strip .tile").first).to_be_visible()

@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import re
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from playwright.sync_api import BrowserContext, Locator, Page, expect
+from playwright.sync_api import Locator, Page, expect
 
 from explorer.workspace import WorkspaceAnalyser
-from tests.e2e.conftest import Running, RunningApp, Screen, box, expect_accessible, started
+from tests.e2e.conftest import Contexts, NewPage, Running, RunningApp, Screen, box, expect_accessible, started
 from tools.fixtures import panorama_model, small_worlds
-from tools.fixtures.published_results import save_result
 
 # The words of the page's text that are in sight; numbers are none.
 WORDS = """() => {
@@ -38,15 +37,6 @@ def panorama_app(tmp_path: Path) -> Iterator[RunningApp]:
         yield running
 
 
-@pytest.fixture
-def saved_app(app: RunningApp, tmp_path: Path) -> Iterator[RunningApp]:
-    """The places and descriptors of `app`, from a published result."""
-    save_result(tmp_path / "pytorch_result.mat", app.data, app.model)
-    options = [str(tmp_path / "pytorch_result.mat"), "--data", str(app.data), "--n-parts", "4"]
-    with started(app.data, app.model, tmp_path / "cache", default=True, options=options) as running:
-        yield running
-
-
 def scrolls(page: Page) -> tuple[int, int]:
     """Return the pixels by which the page is larger than the window."""
     across, down = page.evaluate(
@@ -64,7 +54,7 @@ def hides(outer: Locator) -> int:
 
 @pytest.mark.parametrize("size", SIZES)
 def test_the_first_screen_has_all_without_scrolling_and_in_sixty_words(
-    running: Running, contexts: Callable[..., BrowserContext], size: tuple[int, int]
+    running: Running, contexts: Contexts, size: tuple[int, int]
 ) -> None:
     page = contexts(viewport={"width": size[0], "height": size[1]}).new_page()
     screen = Screen(page, running.url).open()
@@ -81,9 +71,7 @@ def test_the_first_screen_has_all_without_scrolling_and_in_sixty_words(
     assert not screen.complaints
 
 
-def test_a_phone_shows_pictures_rows_and_three_matches_without_scrolling(
-    running: Running, contexts: Callable[..., BrowserContext]
-) -> None:
+def test_a_phone_shows_pictures_rows_and_three_matches_without_scrolling(running: Running, contexts: Contexts) -> None:
     page = contexts(viewport={"width": 390, "height": 664}, has_touch=True, is_mobile=True).new_page()
     screen = Screen(page, running.url).open()
     assert scrolls(page)[0] == 0
@@ -363,9 +351,7 @@ def test_a_folder_gives_the_photos_in_it(running: Running, screen: Screen, tmp_p
 
 
 @pytest.mark.parametrize("theme", ["dark", "light"])
-def test_the_screen_is_accessible_in_both_themes(
-    running: Running, contexts: Callable[..., BrowserContext], theme: str
-) -> None:
+def test_the_screen_is_accessible_in_both_themes(running: Running, contexts: Contexts, theme: str) -> None:
     page = contexts(color_scheme=theme, viewport={"width": 1440, "height": 900}).new_page()
     screen = Screen(page, running.url).open()
     expect(page.locator("html")).to_have_class(theme)
@@ -380,9 +366,7 @@ def test_the_screen_is_accessible_in_both_themes(
 
 
 @pytest.mark.slow
-def test_the_scene_shows_the_place_and_the_rings_apart(
-    running: Running, contexts: Callable[..., BrowserContext]
-) -> None:
+def test_the_scene_shows_the_place_and_the_rings_apart(running: Running, contexts: Contexts) -> None:
     screen = Screen(contexts().new_page(), running.url).open("?query=0005")
     page = screen.page
     tab = page.evaluate("document.documentElement.dataset.tab")
@@ -410,9 +394,7 @@ def test_the_scene_shows_the_place_and_the_rings_apart(
 
 
 @pytest.mark.slow
-def test_a_panorama_is_rolled_and_its_parts_stand_side_by_side(
-    panorama_app: RunningApp, new_page: Callable[[], Page]
-) -> None:
+def test_a_panorama_is_rolled_and_its_parts_stand_side_by_side(panorama_app: RunningApp, new_page: NewPage) -> None:
     screen = Screen(new_page(), panorama_app.url).open()
     page = screen.page
     expect(page.locator("#photo .hint")).to_have_text("drag to roll")
@@ -430,22 +412,4 @@ def test_a_panorama_is_rolled_and_its_parts_stand_side_by_side(
     )
     assert shift == pytest.approx(-45 / 360, abs=0.002)
     assert scrolls(page) == (0, 0)
-    assert not screen.complaints
-
-
-@pytest.mark.slow
-def test_saved_descriptors_are_ranked_without_heat_or_turning(
-    saved_app: RunningApp, new_page: Callable[[], Page]
-) -> None:
-    screen = Screen(new_page(), saved_app.url).open()
-    page = screen.page
-    expect(screen.rows).to_have_count(4)
-    expect(page.locator("#photo .key")).to_be_hidden()
-    expect(screen.tiles).to_have_count(6)
-    screen.key("j")
-    screen.key("n")
-    screen.rest("0")
-    expect(page).to_have_url(re.compile(r"query=0008$"))
-    page.set_input_files("#file", {"name": "a.png", "mimeType": "image/png", "buffer": b"words"})
-    expect(screen.headline.locator("h1")).to_contain_text("Saved descriptors cannot describe a photo of yours")
     assert not screen.complaints

@@ -10,7 +10,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from playwright.sync_api import BrowserContext, Locator, Page, expect
+from playwright.sync_api import Locator, Page, expect
 
 import lpn
 from explorer.app import App
@@ -27,7 +27,7 @@ from lpn.flight.locate.options import LocateOptions
 from lpn.flight.locate.pipeline import locate
 from lpn.flight.locate.task import flight_task
 from lpn.flight.maps import open_map
-from tests.e2e.conftest import box, expect_accessible
+from tests.e2e.conftest import Contexts, NewPage, box, expect_accessible
 from tests.explorer.flight.conftest import flight as flight
 from tests.lpn.flight.locate.scenery import ground_to_photo
 from tests.lpn.flight.maps.small_maps import smooth, write_geotiff
@@ -66,7 +66,7 @@ def running(model_file: Path, tmp_path_factory: pytest.TempPathFactory) -> Itera
         file = folder / f"photo{i}.png"
         cv2.imwrite(str(file), np.full((SIZE[1], SIZE[0], 3), RED[::-1], np.uint8))
         known = {"heading": 0.0, "heading_source": "gimbal", "pitch": -90.0, "roll": 0.0, "fov": 90.0}
-        frames.append(Frame(file.name, file, *SIZE, 5.0 * i, latitude, longitude, WIDTH / 2, **known))  # type: ignore[arg-type]
+        frames.append(Frame(file.name, file, *SIZE, 5.0 * i, latitude, longitude, WIDTH / 2, **known))
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("LPN_CACHE", str(folder / "cache"))
         model = lpn.load(model_file)
@@ -130,12 +130,12 @@ class FlightPage:
     def redness(self, at: tuple[float, float]) -> int:
         """Return the red of a pixel of the page."""
         clip = {"x": at[0] - 1, "y": at[1] - 1, "width": 3, "height": 3}
-        shot = np.frombuffer(self.page.screenshot(clip=clip), np.uint8)  # type: ignore[arg-type]
+        shot = np.frombuffer(self.page.screenshot(clip=clip), np.uint8)
         return int(np.median(cv2.imdecode(shot, cv2.IMREAD_COLOR)[..., 2]))
 
 
 @pytest.fixture
-def panel(running: RunningFlight, new_page: Callable[[], Page]) -> FlightPage:
+def panel(running: RunningFlight, new_page: NewPage) -> FlightPage:
     return FlightPage(new_page(), running.url)
 
 
@@ -237,9 +237,7 @@ def test_switches_and_the_view_are_in_the_address(panel: FlightPage) -> None:
 
 
 @pytest.mark.parametrize(("width", "theme"), [(1280, "dark"), (390, "light")])
-def test_the_panel_is_accessible_and_fits(
-    running: RunningFlight, contexts: Callable[..., BrowserContext], width: int, theme: str
-) -> None:
+def test_the_panel_is_accessible_and_fits(running: RunningFlight, contexts: Contexts, width: int, theme: str) -> None:
     page = contexts(viewport={"width": width, "height": 720}).new_page()
     panel = FlightPage(page, running.url).open(f"&theme={theme}&query=photo4.png")
     expect(panel.root.locator(".accuracy tr")).to_have_count(3)
@@ -253,9 +251,7 @@ def test_the_panel_is_accessible_and_fits(
         assert foot["y"] + foot["height"] <= 720, "map and timeline are in sight at once"
 
 
-def test_the_page_of_a_flight_that_goes_on_follows_the_newest_frame(
-    flight: LocatedFlight, new_page: Callable[[], Page]
-) -> None:
+def test_the_page_of_a_flight_that_goes_on_follows_the_newest_frame(flight: LocatedFlight, new_page: NewPage) -> None:
     def fix(located: LocatedFrame) -> LiveFix:
         pixels = np.full((60, 80, 3), RED, np.uint8)
         return LiveFix(located, live_answer(located), 47.0, 8.0, 1e9, 0.25, 2, None, pixels)

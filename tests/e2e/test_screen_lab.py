@@ -12,12 +12,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from playwright.sync_api import BrowserContext, Locator, Page, expect
+from playwright.sync_api import Locator, Page, expect
 
 from explorer.app import App
 from explorer.screen.panels.lab.service import LabFindings, lab_of
 from lpn.tasks import notes
-from tests.e2e.conftest import Running, Screen, box, expect_accessible
+from tests.e2e.conftest import Contexts, NewPage, Running, Screen, box, expect_accessible
 from tests.e2e.test_screen import SIZES, hides, scrolls
 from tests.explorer.conftest import mapped_workspace
 from tools.fixtures.processes import free_port
@@ -54,9 +54,7 @@ def running(tmp_path_factory: pytest.TempPathFactory, model_file: Path, one_part
 def findings(running: Running) -> LabFindings:
     lab = lab_of(running.workspace)
     assert lab.build(TASK, running).wait(120)
-    found = lab.findings(TASK)
-    assert found is not None
-    return found
+    return lab.findings(TASK)
 
 
 class LabPage(Screen):
@@ -84,13 +82,13 @@ class LabPage(Screen):
 
 
 @pytest.fixture
-def lab(running: Running, new_page: Callable[[], Page]) -> LabPage:
+def lab(running: Running, new_page: NewPage) -> LabPage:
     return LabPage(new_page(), running.url)
 
 
 @pytest.mark.parametrize("size", SIZES)
 def test_it_stands_beside_the_rings_and_covers_neither_them_nor_the_strip(
-    running: Running, contexts: Callable[..., BrowserContext], size: tuple[int, int]
+    running: Running, contexts: Contexts, size: tuple[int, int]
 ) -> None:
     page = contexts(viewport={"width": size[0], "height": size[1]}).new_page()
     lab = LabPage(page, running.url).open()
@@ -194,7 +192,7 @@ def test_a_lasso_on_the_map_picks_queries_and_a_point_opens_its_query(lab: LabPa
     lab.page.mouse.up()
     picked = lab.lab.get_by_role("button", name=re.compile(r"\d+ picked"))
     expect(picked).to_be_visible()
-    left = int(re.match(r"\d+", picked.inner_text())[0])  # type: ignore[index]
+    left = int(re.match(r"\d+", picked.inner_text())[0])
     assert 0 < left < 13
     lab.expect_total(left)
     picked.click()
@@ -254,7 +252,7 @@ def test_a_note_is_kept_and_the_table_is_saved(lab: LabPage, running: Running, t
     assert not lab.complaints
 
 
-def test_on_a_phone_it_is_a_page_that_closes(running: Running, contexts: Callable[..., BrowserContext]) -> None:
+def test_on_a_phone_it_is_a_page_that_closes(running: Running, contexts: Contexts) -> None:
     page = contexts(viewport={"width": 390, "height": 844}, has_touch=True).new_page()
     lab = LabPage(page, running.url).open("?panel=lab")
     expect(lab.lines.nth(3)).to_be_visible()

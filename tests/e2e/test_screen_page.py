@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
 from pathlib import Path
 
-from playwright.sync_api import BrowserContext, Page, expect
+from playwright.sync_api import expect
 
-from tests.e2e.conftest import Running, RunningApp, Screen, started
+from tests.e2e.conftest import Contexts, NewPage, Running, RunningApp, Screen, started
 from tools.fixtures.processes import free_port
 
 
-def test_all_that_can_be_pressed_is_reached_by_tab_and_says_its_name(
-    running: Running, contexts: Callable[..., BrowserContext]
-) -> None:
+def test_all_that_can_be_pressed_is_reached_by_tab_and_says_its_name(running: Running, contexts: Contexts) -> None:
     screen = Screen(contexts().new_page(), running.url).open()
     page = screen.page
     reached = set()
@@ -58,7 +55,7 @@ def test_a_browser_that_denies_its_storage_shows_all(screen: Screen) -> None:
     assert not screen.complaints
 
 
-def test_two_tabs_of_one_browser_are_two_screens(running: Running, contexts: Callable[..., BrowserContext]) -> None:
+def test_two_tabs_of_one_browser_are_two_screens(running: Running, contexts: Contexts) -> None:
     context = contexts()
     one, other = (Screen(context.new_page(), running.url).open() for _ in range(2))
     one.key("n")
@@ -71,16 +68,14 @@ def test_two_tabs_of_one_browser_are_two_screens(running: Running, contexts: Cal
     other.expect_numbers(running.analysis(query=0, angle=15.0))
 
 
-def test_without_positions_there_is_no_scene_of_a_place(
-    app: RunningApp, contexts: Callable[..., BrowserContext]
-) -> None:
+def test_without_positions_there_is_no_scene_of_a_place(app: RunningApp, contexts: Contexts) -> None:
     screen = Screen(contexts().new_page(), app.url).open()
     expect(screen.page.locator("#scene.ready iframe")).to_be_visible()
     expect(screen.page.locator("#scene [data-view=city]")).to_be_hidden()
     expect(screen.tiles).to_have_count(6)
 
 
-def test_a_page_finds_its_server_again_as_it_was(app: RunningApp, tmp_path: Path, new_page: Callable[[], Page]) -> None:
+def test_a_page_finds_its_server_again_as_it_was(app: RunningApp, tmp_path: Path, new_page: NewPage) -> None:
     port = free_port()
     with started(app.data, app.model, tmp_path / "cache", port=port) as running:
         screen = Screen(new_page(), running.url).open("?query=0009&angle=30")

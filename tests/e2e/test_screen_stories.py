@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from playwright.sync_api import Browser, BrowserContext, Page, expect
+from playwright.sync_api import Page, expect
 
-from tests.e2e.conftest import Running, Screen, box, empty_context, expect_accessible
+from tests.e2e.conftest import Contexts, NewPage, Running, Screen, box, expect_accessible
 
 STEPS = [
     {"shows": "query=0003&scoring=plain", "caption": "<i>The first</i> photo", "notes": "Wait for questions"},
@@ -32,7 +32,7 @@ def expect_state(page: Page, query: str, angle: str) -> None:
     expect(page.locator("#photo .frame")).to_have_attribute("aria-valuenow", angle)
 
 
-def test_a_step_is_kept_by_s_and_renamed_in_place(running: Running, file: Path, new_page: Callable[[], Page]) -> None:
+def test_a_step_is_kept_by_s_and_renamed_in_place(running: Running, file: Path, new_page: NewPage) -> None:
     screen = Screen(new_page(), running.url).open("?query=0004&story=Two%20%26%20more")
     page, place = screen.page, box(screen.rows.first)
     page.keyboard.press("s")
@@ -69,7 +69,7 @@ def screen_reason(page: Page) -> str:
 @pytest.mark.usefixtures("file")
 @pytest.mark.parametrize("size", [(1280, 720), (390, 844)])
 def test_a_story_is_told_by_keys_and_its_end_brings_back_what_was_shown(
-    running: Running, contexts: Callable[..., BrowserContext], size: tuple[int, int]
+    running: Running, contexts: Contexts, size: tuple[int, int]
 ) -> None:
     page = contexts(viewport={"width": size[0], "height": size[1]}).new_page()
     screen = Screen(page, running.url).open("?query=0004&angle=15&panel=stories")
@@ -97,30 +97,3 @@ def test_a_story_is_told_by_keys_and_its_end_brings_back_what_was_shown(
     expect_state(page, "0004", "15")
     expect(page.locator("#panel li")).to_have_count(2)
     assert not screen.complaints
-
-
-@pytest.mark.usefixtures("file")
-def test_a_story_and_an_answer_are_saved_as_pages_that_need_no_server(
-    running: Running, contexts: Callable[..., BrowserContext], browser: Browser, tmp_path: Path
-) -> None:
-    screen = Screen(contexts(accept_downloads=True).new_page(), running.url).open("?query=0004&panel=stories")
-    page = screen.page
-    with page.expect_download() as story:
-        page.get_by_role("button", name="Save as a page").click()
-    story.value.save_as(tmp_path / "story.html")
-    with page.expect_download() as answer:
-        page.keyboard.press("Control+k")
-        page.locator("#commands input").fill("save this answer")
-        page.keyboard.press("Enter")
-    assert answer.value.suggested_filename == "0004.html"
-    context = empty_context(browser, offline=True)
-    saved, problems = context.new_page(), list[str]()
-    saved.on("console", lambda message: problems.append(message.text))
-    saved.goto((tmp_path / "story.html").as_uri())
-    expect(saved.get_by_text("<i>The first</i> photo").first).to_be_visible()
-    expect(saved.locator("section.case")).to_have_count(2)
-    assert "Wait for questions" not in saved.content()
-    saved.set_viewport_size({"width": 390, "height": 844})
-    assert saved.evaluate("document.documentElement.scrollWidth") <= 390
-    context.close()
-    assert not problems + screen.complaints

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
 
 import pytest
-from playwright.sync_api import Page, expect
+from playwright.sync_api import expect
 
 from explorer.workspace import LazyWorkspace, Workspace
 from lpn.core.errors import DataError
-from tests.e2e.conftest import Running, Screen, box, expect_accessible
+from tests.e2e.conftest import NewPage, Running, Screen, box, expect_accessible
 from tests.explorer.screen.test_why import mendable
 
 
@@ -90,9 +89,7 @@ def test_a_sweep_is_drawn_beside_the_rings(screen: Screen) -> None:
     assert not screen.complaints
 
 
-def test_more_than_two_models_are_a_list(
-    running: Running, new_page: Callable[[], Page], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_more_than_two_models_are_a_list(running: Running, new_page: NewPage, monkeypatch: pytest.MonkeyPatch) -> None:
     def never() -> Workspace:
         raise DataError("The file is not there; give another.")
 

@@ -63,7 +63,6 @@ def _register(located: LocatedFlight, *_: Any, **__: Any) -> LocatedFlight:
 
 def test_frames_are_the_queries_and_windows_of_the_map_the_gallery(workspace: Workspace) -> None:
     located, task = workspace.flight, workspace.tasks[TASK]
-    assert located is not None
     assert located.stages == ["retrieval", "sequence"]
     assert workspace.registration is None
     assert task.query_names == [frame.frame.name for frame in located.frames]
@@ -101,12 +100,10 @@ def test_registration_replaces_the_flight_when_it_is_done(
     workspace = open_flight_over(*files, ModelOptions(model=model_file), map_error=7.0)
     before, job = workspace.flight, workspace.registration
     assert before is not None
-    assert job is not None
     assert not job.wait(0)
     may_end.set()
     assert job.wait(60)
     assert (job.done, job.total) == (len(FLOWN_PLACES) + 1,) * 2
-    assert workspace.flight is not None
     assert workspace.flight is not before
     assert {one.stages["registration"].state for one in workspace.flight.frames} == {"refused"}
 
@@ -135,14 +132,13 @@ def test_an_own_picture_is_compared_with_the_map_once_for_a_page(
     workspace: Workspace, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(own_photos, "open_matchers", lambda: [SiftMatcher()])
-    jobs, client = OwnPhotoJobs(workspace.own_photos.basemap), object()  # type: ignore[union-attr]
+    jobs, client = OwnPhotoJobs(workspace.own_photos.basemap), object()
     width, size = 70.0, (240, 240)
     frame = Frame("mine.jpg", Path("mine.jpg"), *size, height_above_ground=width / 2, fov=90.0)
     photo = photo_of(land(0), ground_to_photo((10.0, -20.0), 200.0, width, size), size)
     job = jobs.join(CameraPicture("mine.jpg", photo, frame=frame), (), client)
     assert job.wait(TIMEOUT)
     answer = job.value
-    assert answer is not None
     assert answer.located.stages["registration"].state == "accepted"
     job = jobs.join(CameraPicture("mine.jpg", photo.copy(), frame=frame), (), client)
     assert job.wait(0), "the page holds its answer"
@@ -154,16 +150,13 @@ def test_an_own_picture_is_compared_with_the_map_once_for_a_page(
 
 
 def test_the_tag_of_an_own_picture_tells_how_far_off_each_tile_is(workspace: Workspace) -> None:
-    assert workspace.flight is not None
     task = workspace.tasks[TASK]
-    assert task.geometry is not None
     cut = task.gallery[7].cut
     assert isinstance(cut, WindowCut)
     for north in (0.0, 400.0):
         latitude, longitude = workspace.flight.basemap.frame.degrees([(cut.window.x, cut.window.y + north)])[0].tolist()
         photo = photo_bytes(exif(latitude, longitude))
         error = answered(workspace, own=photo).analysis.errors_m
-        assert error is not None
         assert error[7] == pytest.approx(north, abs=1)
 
 
@@ -191,7 +184,7 @@ def test_a_comparison_goes_on_behind_other_pictures_until_the_browser_leaves(
     # A job of an earlier test that has not ended yet would take a step.
     wait_until(lambda: not any(one.name == "explorer-job" for one in threading.enumerate()))
     monkeypatch.setattr(own_photos, "register_own_photo", register)
-    jobs = OwnPhotoJobs(workspace.own_photos.basemap)  # type: ignore[union-attr]
+    jobs = OwnPhotoJobs(workspace.own_photos.basemap)
     client, other = object(), object()
     first, second = (OwnPicture("mine.jpg", land()[:side], key=f"{side}") for side in (10, 20))
     of_first = jobs.join(first, (), client)

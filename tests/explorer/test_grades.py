@@ -30,7 +30,6 @@ PHOTOS = 30
 def opened(basemap: Path, flight: Path) -> Workspace:
     shipped, model = basemap.with_name(DEMO_ANSWERS), ModelOptions(model=DEMO_MODEL)
     place = open_flight_over(basemap, flight, model, overlap=OFFERED_OVERLAP, shipped=shipped)
-    assert place.registration is not None
     assert place.registration.wait(PATIENCE)
     return place
 
@@ -39,7 +38,6 @@ def opened(basemap: Path, flight: Path) -> Workspace:
 def workspace() -> Iterator[Workspace]:
     place = opened(*DEMO_PLACE)
     yield place
-    assert place.basemap is not None
     place.basemap.close()
 
 
@@ -47,9 +45,7 @@ def text(html: str) -> str:
     return unescape(" ".join(re.sub(r"<[^>]*>", " ", html.partition("</style>")[2] or html).split()))
 
 
-def test_the_screen_counts_photos_whose_judge_is_in_doubt_neither_as_right_nor_as_wrong(
-    workspace: Workspace,
-) -> None:
+def test_the_screen_counts_photos_whose_judge_is_in_doubt_neither_as_right_nor_as_wrong(workspace: Workspace) -> None:
     ranking = workspace.rankings[TASK]
     assert set(np.flatnonzero(~workspace.graded(ranking)).tolist()) == DOUBTFUL
     right, graded = workspace.counts(ranking)
@@ -60,9 +56,6 @@ def test_the_screen_counts_photos_whose_judge_is_in_doubt_neither_as_right_nor_a
     rail = Rail().message(replace(answered(workspace).state, filter="missed"), workspace, ranking, workspace.feeds)
     assert (rail["total"], rail["missed"], rail["queries"]) == (len(WRONG), len(WRONG), PHOTOS)
     result, measured = ranking.result, workspace.results(ranking)
-    assert result is not None
-    assert result.errors is not None
-    assert measured is not None
     assert measured["recall@1"] == pytest.approx(100 * 22 / 26)
     counted = np.delete(result.errors, sorted(DOUBTFUL))
     assert measured["within 50 m"] == pytest.approx(100 * np.mean(counted <= 50))
@@ -92,7 +85,6 @@ def test_reports_count_as_the_screen_does(tmp_path: Path, monkeypatch: pytest.Mo
 
 
 def test_without_registration_no_judge_is_in_doubt(workspace: Workspace, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert workspace.flight is not None
     frames = [
         replace(one, stages={name: answer for name, answer in one.stages.items() if name != "registration"})
         for one in workspace.flight.frames

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from explorer.opening import open_model, open_source
-from explorer.screen import fields
 from explorer.screen.result import ScreenResult
 from explorer.workspace import Workspace
 from lpn.cli.main import main
@@ -53,7 +52,7 @@ def ranked(result: ScreenResult) -> list[str]:
 def test_the_screen_shows_what_that_of_the_data_set_shows(workspace: Workspace, live: Workspace) -> None:
     own = live.tasks[TASK].queries[9].path.read_bytes()
     for given in ({"query": 0}, {"query": 3, "angle": 40.0, "weights": [1, 1, 0, 1]}, {"own": own}):
-        one, other = (answered(opened, **given) for opened in (workspace, live))  # type: ignore[arg-type]
+        one, other = (answered(opened, **given) for opened in (workspace, live))
         assert ranked(one) == ranked(other)
         for match, same in zip(one.analysis.matches, other.analysis.matches, strict=True):
             np.testing.assert_allclose(match.contributions, same.contributions, atol=1e-5)
@@ -66,19 +65,6 @@ def test_the_screen_shows_what_that_of_the_data_set_shows(workspace: Workspace, 
     for name in ("recall@1", "recall@5", "recall@10", "ap"):
         assert results[name] == pytest.approx(live.rankings[TASK].results[name])
     assert workspace.tasks[TASK].tiles == 14
-
-
-def test_a_link_names_a_tile_as_the_data_set_does(workspace: Workspace) -> None:
-    state, problems = fields.from_values(fields.parsed("?with=0020"), workspace)
-    assert not problems
-    assert state.compare is not None
-    assert workspace.tasks[TASK].gallery[state.compare].name == "0020"
-    assert fields.to_address(state, workspace).endswith("with=0020")
-    assert answered(workspace, "?with=0020").message()["rival"] == state.compare
-    for bad in ("nothing", "~14", "own"):
-        state, problems = fields.from_values(fields.parsed(f"?with={bad}"), workspace)
-        assert state.compare is None
-        assert "no such picture" in problems[0]
 
 
 @pytest.fixture(scope="module")
@@ -99,7 +85,6 @@ def test_a_flight_is_searched_for_among_windows(
     workspace = open_source(SourceOptions(source=str(flight), map=town, index=str(index), model=model_file))
     task = workspace.tasks[TASK]
     assert len(task.queries) == len(FLOWN_PLACES) + 1
-    assert task.known is not None
     assert np.flatnonzero(~task.known).tolist() == [0, 2]  # one has no position, one cannot be read
     (bad,) = (frame for frame in task.queries if frame.note == "cannot be read")
     told = [record.getMessage() for record in caplog.records if record.name == "lpn.flight.locate.task"]
@@ -108,12 +93,9 @@ def test_a_flight_is_searched_for_among_windows(
     assert result.evidence
     analysis = result.analysis
     assert analysis.errors_m is not None
-    assert analysis.task.geometry is not None
     for match in analysis.matches:
         window = NamedWindow.parse(task.gallery[match.index].path.name)
-        assert window is not None
         placed, tag = analysis.task.geometry.tiles[match.index], analysis.task.geometry.queries[5]
-        assert tag is not None
         assert (placed.latitude, placed.longitude, placed.width) == (window.latitude, window.longitude, window.size)
         north, east = (
             np.radians(a - b) * 6_371_000
@@ -141,28 +123,13 @@ def test_the_windows_that_hold_a_tag_are_among_those_of_a_large_index(
     monkeypatch.setattr(index_tasks, "PROPOSED", 4)  # of which some about a tag do not hold it
     nearest = source_of(source).open().task
     assert nearest.tiles < whole.tiles
-    assert nearest.truth is not None
-    assert whole.truth is not None
     for query, (some, every) in enumerate(zip(nearest.truth, whole.truth, strict=True)):
         assert (some.known, len(some.good) > 0) == (every.known, len(every.good) > 0)
         if some.known:
             ranks = [task.search(query).positive() for task in (nearest, whole)]
-            assert ranks[0] is not None
-            assert ranks[1] is not None
             assert ranks[0].rank <= ranks[1].rank
             # It is the nearest of all windows that hold the tag.
             assert ranks[0].score == pytest.approx(ranks[1].score, abs=1e-6)
-
-
-def test_windows_without_their_map_are_placeholders(
-    flown: tuple[Path, Path, Path], model_file: Path, data: Path
-) -> None:
-    workspace = open_source(SourceOptions(source=str(flown[0]), model=model_file, data=data))
-    result = answered(workspace, heat="evidence")
-    assert not result.task.of_map
-    assert not result.evidence
-    assert result.described(result.first).picture.std() < 60
-    assert result.analysis.ranking.relevant is None  # the data set's places are not in the index
 
 
 def test_an_index_alone_has_no_queries(index: Path, model_file: Path) -> None:

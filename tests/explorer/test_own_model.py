@@ -39,8 +39,6 @@ def test_parts_are_those_of_each_picture(regions: Workspace) -> None:
     pictures = result.analysis.query, result.described(result.first)
     for view, described in zip(result.task.views, pictures, strict=True):
         areas = regions.areas(view, described)
-        assert areas is not None
-        assert described.trace is not None
         np.testing.assert_array_equal(areas.inside, described.trace.cells[0] > 0)
         # Without a forward pass, the parts of a tile are not known.
         assert regions.areas(view) is None
@@ -64,7 +62,6 @@ def test_a_model_of_one_vector_has_one_part(data: Path, cells: bool) -> None:
     assert len(message["rows"]) == 1
     assert message["tiles"][message["answer"]]["shares"] == [message["nearest"]]
     known = workspace.outcomes(workspace.tasks[TASK])
-    assert known is not None
     assert not {"part", "margin_1"} & set(known[1].columns)
 
 

@@ -9,7 +9,6 @@ import zipfile
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import onnx
 import pytest
 import torch
@@ -22,6 +21,7 @@ from lpn.models.checkpoints import load_torch
 from lpn.models.lpn import LPN
 from lpn.models.onnx_engine import Engine
 from lpn.models.options import read_options
+from tests.conftest import Refused
 from tools.fixtures import small_worlds
 
 
@@ -53,17 +53,13 @@ def test_a_file_that_lost_its_checksum_is_no_whole_one(
 
 
 def test_a_damaged_file_is_named_in_one_line(
-    tmp_path: Path, model_file: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, model_file: Path, capsys: pytest.CaptureFixture[str], refused: Refused
 ) -> None:
     folder = tmp_path / "mine\nlpn: all is well"
     folder.mkdir()
     (folder / "model.onnx").write_bytes(model_file.read_bytes()[:-10])
     assert verified(folder, capsys)[1].count("\n") == 1
-    assert (
-        main.main(["describe", "--model", str(folder / "none.onnx"), "--images", "a", "--view", "drone", "--out", "b"])
-        == 2
-    )
-    assert capsys.readouterr().err.count("\n") == 1
+    assert refused("describe", "--model", folder / "none.onnx", "--images", "a", "--view", "drone", "--out", "b")
 
 
 def _number(value: int) -> bytes:
@@ -125,14 +121,7 @@ BOMB = "a: &a [x, x, x, x, x, x, x, x, x]\n" + "".join(
 
 
 @pytest.mark.parametrize(
-    "text",
-    [
-        "[" * 20_000,
-        f"h: 0x{'f' * 9000}",
-        BOMB + "h: *g",
-        BOMB + "droprate: *g",
-        "a: " + "x" * 200_000,
-    ],
+    "text", ["[" * 20_000, f"h: 0x{'f' * 9000}", BOMB + "h: *g", BOMB + "droprate: *g", "a: " + "x" * 200_000]
 )
 def test_options_of_any_kind_are_refused_in_one_sentence(text: str, tmp_path: Path) -> None:
     (tmp_path / "opts.yaml").write_text(text)
@@ -189,39 +178,15 @@ def test_a_png_that_claims_gigabytes_needs_no_room(tmp_path: Path) -> None:
         resource.setrlimit(resource.RLIMIT_AS, before)
 
 
-def test_a_model_of_many_epochs_without_its_state_is_not_trained_over(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_model_of_many_epochs_without_its_state_is_not_trained_over(tmp_path: Path, refused: Refused) -> None:
     """Whoever copies a model to another machine and adds --resume must not lose it to a first epoch."""
     from lpn.models.checkpoints import save
 
     places = small_worlds.make_dataset(tmp_path / "places", train=3, test=2)
     out = tmp_path / "run"
-    arguments = ["train", "--data", str(places), "--out", str(out), "--recipe", "small", "--batch", "2", "--resume"]
     for extra in ({"epochs": "120"}, {}):
         save(small_worlds.make_network(), out / "last.safetensors", extra)
         kept = (out / "last.safetensors").read_bytes()
-        assert main.main(arguments) == 2
-        assert "state.pt" in capsys.readouterr().err
+        told = refused("train", "--data", places, "--out", out, "--recipe", "small", "--batch", "2", "--resume")
+        assert "state.pt" in told
         assert (out / "last.safetensors").read_bytes() == kept
-
-
-@pytest.mark.slow
-def test_parts_of_two_quantisations_are_not_one_model(tmp_path: Path) -> None:
-    """As a kill between the two files of a model leaves them, where other files were there before."""
-    from lpn.models.checkpoints import save
-    from lpn.models.export import export
-    from lpn.models.spec import ModelSpec
-
-    spec = ModelSpec("resnet18", "layer3", views=("satellite", "street"), shared=False, n_parts=1, input_size=(32, 32))
-    torch.manual_seed(0)
-    save(LPN(spec), tmp_path / "m.safetensors")
-    first, second = export(tmp_path / "m.safetensors", tmp_path / "m.onnx")
-    assert np.isfinite(Engine(first, threads=1).heads("street").weight).all()
-    proto = onnx.load_model(second)
-    del proto.metadata_props[[entry.key for entry in proto.metadata_props].index("seal")]
-    entry = proto.metadata_props.add()
-    entry.key, entry.value = "compute", "int8"
-    onnx.save_model(proto, second)
-    with pytest.raises(ModelFileError, match="another model than the file beside it"):
-        Engine(first, threads=1)

@@ -94,14 +94,10 @@ def survives(command: Command, killer: Killer, out: Path, rounds: int = ROUNDS) 
         assert command.result() == expected, f"{number}: {after or step}"
 
 
-def kept(out: Path) -> dict[str, Path]:
-    """The files that a command made, without its cache, and without parts that a killed process was writing."""
-    files = {file.relative_to(out).as_posix(): file for file in sorted(out.rglob("*")) if file.is_file()}
-    return {name: file for name, file in files.items() if not name.startswith("cache/") and ".part" not in name}
-
-
 def contents(out: Path) -> dict[str, bytes]:
-    return {name: file.read_bytes() for name, file in kept(out).items()}
+    """The files that a command made, without its cache, and without parts that a killed process was writing."""
+    files = {file.relative_to(out).as_posix(): file.read_bytes() for file in out.rglob("*") if file.is_file()}
+    return {name: data for name, data in files.items() if not name.startswith("cache/") and ".part" not in name}
 
 
 def opened(file: Path) -> bytes | None:
@@ -133,14 +129,6 @@ def test_describe(tiny: Path, places: Path, tmp_path: Path, killer: Killer) -> N
 def test_export(model_file: Path, tmp_path: Path, killer: Killer) -> None:
     file = tmp_path / "out" / "lpn.onnx"
     arguments = ["export", "--model", str(model_file.with_suffix(".safetensors")), "--out", str(file)]
-    survives(Command(arguments, lambda: opened(file), lambda: opened(file)), killer, file.parent, FEW)
-
-
-@pytest.mark.slow
-def test_quantize(model_file: Path, places: Path, tmp_path: Path, killer: Killer) -> None:
-    file = tmp_path / "out" / "small.onnx"
-    arguments = ["export", "--model", str(model_file), "--out", str(file)]
-    arguments += ["--compute", "int8", "--data", str(places), "--pictures", "2"]
     survives(Command(arguments, lambda: opened(file), lambda: opened(file)), killer, file.parent, FEW)
 
 
@@ -187,22 +175,6 @@ def test_train(places: Path, tmp_path: Path, killer: Killer) -> None:
 
 
 @pytest.mark.slow
-def test_reproduce(places: Path, tmp_path: Path, killer: Killer) -> None:
-    out = tmp_path / "out"
-    settings = ["--recipe", "reduced", "--size", "64", "--epochs", "1", "--batch", "4", "--from-scratch"]
-    arguments = ["reproduce", "table4", "--data", str(places), "--out", str(out), *settings]
-
-    def written() -> object:
-        return {file.name: file.read_text() for file in sorted(out.glob("*.md"))}
-
-    def whole() -> None:
-        for file in out.rglob("*.safetensors"):
-            opened(file)
-
-    survives(Command(arguments, whole, written), killer, out, FEW)
-
-
-@pytest.mark.slow
 def test_locate(tiny: Path, tmp_path: Path, killer: Killer) -> None:
     """Retrieval, sequence, and registration, whose windows, map features, and photos are kept in the cache."""
     out = tmp_path / "out"
@@ -241,27 +213,6 @@ def test_world(tmp_path: Path, killer: Killer) -> None:
     arguments = [WORLD, "--out", str(out), "--seed", "3", *settings]
     survives(Command(arguments, whole, lambda: contents(out)), killer, out, FEW)
     assert open_dataset(out).kind == "world"
-
-
-@pytest.mark.slow
-def test_a_flight_over_a_world(tmp_path: Path, killer: Killer) -> None:
-    rasterio = pytest.importorskip("rasterio")
-    out = tmp_path / "out"
-
-    def whole() -> None:
-        """Either it says that it is unfinished, or everything is there."""
-        made = kept(out)
-        for name, file in made.items():
-            if name.endswith(".JPG"):
-                assert load_picture(file).shape == (48, 64, 3)
-            elif name.endswith(".tif"):
-                with rasterio.open(file) as opened:
-                    opened.read()
-        assert "unfinished.txt" in made or len(made) in (0, 10)
-
-    settings = ["--flight", "--buildings", "2", "--frames", "6", "--width", "64", "--map-pixel", "2"]
-    arguments = [WORLD, "--out", str(out), "--seed", "3", *settings]
-    survives(Command(arguments, whole, lambda: contents(out)), killer, out, FEW)
 
 
 @pytest.mark.slow

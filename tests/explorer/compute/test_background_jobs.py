@@ -10,12 +10,7 @@ from collections.abc import Callable
 
 import pytest
 
-from explorer.compute.background_jobs import (
-    BackgroundJobs,
-    ReportProgress,
-    WorkCancelledError,
-    run_in_process,
-)
+from explorer.compute.background_jobs import BackgroundJobs, ReportProgress, WorkCancelledError, run_in_process
 from lpn.core.errors import InputError, LPNError
 from lpn.tasks import notes
 from tools.fixtures.waiting import TIMEOUT, wait_until

@@ -19,7 +19,7 @@ def keys_left(cache: SingleFlightCache[int, int], keys: range) -> list[int]:
 def test_values_leave_when_they_take_too_many_bytes_except_for_the_newest() -> None:
     cache: SingleFlightCache[int, int] = SingleFlightCache(10, budget=100, bytes_of=lambda value: value)
     for key, size in enumerate((40, 50, 10)):
-        cache.get(key, lambda size=size: size)  # type: ignore[misc]
+        cache.get(key, lambda size=size: size)
     assert keys_left(cache, range(3)) == [0, 1, 2]
     cache.get(3, lambda: 30)
     assert keys_left(cache, range(4)) == [1, 2, 3]

@@ -91,7 +91,6 @@ class Client(threading.Thread):
 
     def __init__(self, model: QueuedModel | None, mark: int, count: int = 1, view: View = "drone") -> None:
         super().__init__(daemon=True)
-        assert model is not None
         self._model, self._images, self._view = model, pictures(mark, count), view
         self.result: ForwardPass | None = None
         self.error: Exception | None = None
@@ -134,8 +133,15 @@ def queue_up(queue: InferenceScheduler, *clients: Callable[[], Client]) -> list[
     for one in clients:
         before = n_queued(queue)
         begun.append(one())
-        wait_until(lambda before=before: n_queued(queue) > before)  # type: ignore[misc]
+        wait_until(lambda before=before: n_queued(queue) > before)
     return begun
+
+
+def all_end(network: ManualModel, *clients: Client) -> None:
+    """Let all forward passes end, and check that each request of some clients has its result."""
+    network.release(20)
+    for one in clients:
+        assert one.finished().error is None
 
 
 def test_waiting_requests_share_a_batch_and_get_their_own_rows(network: ManualModel) -> None:
@@ -145,10 +151,8 @@ def test_waiting_requests_share_a_batch_and_get_their_own_rows(network: ManualMo
     network.release(3)
     for mark, one in enumerate(waiting, 1):
         found = one.finished().result
-        assert found is not None
         np.testing.assert_array_equal(found.parts, np.full((2, 2, 3), mark))
         np.testing.assert_array_equal(found.features, np.full((2, 1, 4, 4), 2 * mark))
-        assert found.features is not None
         assert found.features.base is None, "a view would keep the whole batch in memory"
     first.finished()
     assert network.passes == [[99], [1, 1, 2, 2], [3, 3]]
@@ -164,9 +168,7 @@ def test_a_batch_has_one_view_and_model_and_the_oldest_request_goes_first(networ
         lambda: Client(queued(other, queue), 3),
         lambda: Client(queued(network, queue), 4),
     )
-    network.release(10)
-    for one in (first, *waiting):
-        assert one.finished().error is None
+    all_end(network, first, *waiting)
     assert network.passes == [[99], [1, 4], [2]]
     assert network.viewed == ["drone", "drone", "satellite"]
     assert other.passes == [[3]]
@@ -178,9 +180,7 @@ def test_browsers_of_one_task_share_batches_and_heads_of_branches_by_role(networ
     one, other = (queued(network, queue).for_task("satellite", "drone") for _ in range(2))
     first = occupy(network, queue)
     waiting = queue_up(queue, lambda: Client(one, 1), lambda: Client(other.for_task("satellite", "drone"), 2))
-    network.release(3)
-    for client in (first, *waiting):
-        assert client.finished().error is None
+    all_end(network, first, *waiting)
     assert network.passes == [[99], [1, 2]]
     assert one.model.role("satellite") == "query" != network.role("satellite")
     assert one.heads("drone") is other.heads("drone")
@@ -253,7 +253,7 @@ class RoundRobin:
         for _ in range(passes):
             going = self._network.passes[-1]
             others = self.count if going == [99] else self.count - len(going)
-            wait_until(lambda others=others: n_queued(self._queue) == others)  # type: ignore[misc]
+            wait_until(lambda others=others: n_queued(self._queue) == others)
             self._network.release()
             self._network.began()
         self._going = False
@@ -311,9 +311,7 @@ def test_a_full_queue_refuses_a_request_and_reserves_its_place(network: ManualMo
     network.began()
     clock.now += RESERVATION + 1  # the refused client does not try again
     waiting += queue_up(queue, lambda: Client(queued(network, queue), 5))
-    network.release(10)
-    for one in (first, *waiting):
-        assert one.finished().error is None
+    all_end(network, first, *waiting)
     assert network.passes == [[99], [1], [2], [3], [5]]
 
 
@@ -322,9 +320,7 @@ def test_background_work_is_never_refused_and_does_not_fill_the_queue(network: M
     first = occupy(network, queue)
     waiting = queue_up(queue, *(lambda: Client(queued(network, queue, background=True), 1) for _ in range(5)))
     waiting += queue_up(queue, lambda: Client(queued(network, queue), 2))
-    network.release(10)
-    for one in (first, *waiting):
-        assert one.finished().error is None
+    all_end(network, first, *waiting)
     assert network.passes[:2] == [[99], [2]]
 
 
@@ -340,9 +336,7 @@ def test_requests_of_a_closed_context_are_dropped(network: ManualModel) -> None:
         assert isinstance(one.finished().error, WorkCancelledError)
     assert n_queued(queue) == 1
     assert isinstance(Client(answers, 4).finished().error, WorkCancelledError)
-    network.release(10)
-    for one in (first, *stays):
-        assert one.finished().error is None
+    all_end(network, first, *stays)
     assert network.passes == [[99], [3]]
     gone.close()
 
@@ -379,7 +373,6 @@ class DraggingBrowser(threading.Thread):
         self.begun = self.shown = 0
         self.error: Exception | None = None
         model = self.context.queued(queued(network, queue))
-        assert model is not None
         self._model = model
         self.start()
 
@@ -475,10 +468,8 @@ def test_a_held_place_is_nobody_elses_and_is_released(network: ManualModel) -> N
     other.context.close()
     clock.now += RESERVATION + 1  # the reservation of the refused one ends
     waiting += queue_up(queue, lambda: Client(queued(network, queue), 6))
-    network.release(20)
+    all_end(network, first, *waiting)
     one.join(TIMEOUT)
-    for clients in (first, *waiting):
-        assert clients.finished().error is None
 
 
 def test_a_model_that_raises_system_exit_does_not_end_the_scheduler(network: ManualModel) -> None:

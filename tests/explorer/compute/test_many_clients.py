@@ -34,16 +34,9 @@ from tools.fixtures.waiting import TIMEOUT, n_queued, wait_until
 PER_TAB = (ScreenSession, RequestContext, OwnPicture)
 
 
-def at_rest(tab: ScreenTab) -> ScreenTab:
-    """Wait until the curve of the tab is complete, after which nothing is computed for it."""
-    tab.until(lambda last: len(last.get("curve", {"points": []})["points"]) == 24)
-    return tab
-
-
 def test_a_full_queue_is_said_and_later_the_newest_state_is_answered(
     app: App, workspace: Workspace, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    assert workspace.model is not None
     began, may_end, run = threading.Event(), threading.Event(), workspace.model.model.run
 
     def held_back(images: Float32Array, view: View) -> ForwardPass:
@@ -55,7 +48,7 @@ def test_a_full_queue_is_said_and_later_the_newest_state_is_answered(
     with ScreenTab(app.link) as one, ScreenTab(app.link) as two, ScreenTab(app.link) as three:
         for tab in (one, two, three):
             tab.open()
-            at_rest(tab)
+            tab.until(lambda last: len(last.get("curve", {"points": []})["points"]) == 24)  # nothing more is computed
         monkeypatch.setattr(workspace.model.model, "run", held_back)
         one.set(angle=31)
         assert began.wait(TIMEOUT)
@@ -105,11 +98,6 @@ def held() -> Counter[str]:
     return counts
 
 
-def leave_after_an_answer(app: App) -> None:
-    with ScreenTab(app.link) as tab:
-        tab.open()
-
-
 def leave_during_an_answer(app: App) -> None:
     with ScreenTab(app.link) as tab:
         tab.open()
@@ -154,7 +142,6 @@ def leave_with_a_scene(app: App) -> None:
 @pytest.mark.slow
 def test_tabs_that_leave_at_any_time_leave_nothing_behind(app: App) -> None:
     ways = (
-        leave_after_an_answer,
         leave_during_an_answer,
         leave_during_a_second_upload,
         leave_while_a_picture_is_decoded,

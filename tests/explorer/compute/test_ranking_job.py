@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from explorer.compute import ranking_job
-from explorer.compute.ranking_job import RankingJob
 from explorer.opening import open_model
 from explorer.screen.fields import opening
 from explorer.screen.rail import Rail
@@ -36,11 +35,6 @@ def workspace(data: Path, model_file: Path) -> Workspace:
     return open_model(data, model_file)
 
 
-def at_once(data: Path, model_file: Path, monkeypatch: pytest.MonkeyPatch) -> RankingJob:
-    monkeypatch.setattr(ranking_job, "QUICK_COST", 10**12)
-    return open_model(data, model_file).rankings[TASK]
-
-
 def test_a_ranking_in_the_background_equals_one_at_the_start(
     data: Path, workspace: Workspace, model_file: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -50,7 +44,8 @@ def test_a_ranking_in_the_background_equals_one_at_the_start(
     assert job is ranking.join("you")
     assert job.wait(TIMEOUT)
     assert job.error is None
-    quick = at_once(data, model_file, monkeypatch)
+    monkeypatch.setattr(ranking_job, "QUICK_COST", 10**12)
+    quick = open_model(data, model_file).rankings[TASK]
     assert ranking.results == quick.results
     assert "median error m" in ranking.results
     np.testing.assert_array_equal(ranking.ranks, quick.ranks)

@@ -83,4 +83,4 @@ def flight(tmp_path_factory: pytest.TempPathFactory) -> LocatedFlight:
 
 def shared_flight(flight: LocatedFlight, root: Path) -> SharedFlight:
     """The flight of a workspace whose corrections lie in a folder."""
-    return SharedFlight(SimpleNamespace(flight=flight, root=root))  # type: ignore[arg-type]
+    return SharedFlight(SimpleNamespace(flight=flight, root=root))

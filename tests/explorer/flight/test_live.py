@@ -32,7 +32,6 @@ def fix(located: LocatedFrame, colour: int = 200) -> LiveFix:
 
 def served(record: LiveRecord, frame: int) -> Any:
     compute = record.feeds.find(f"{record.sight.addresses['photo'].removeprefix(PREFIX.lstrip('/'))}{frame}")
-    assert compute is not None
     return cv2.imdecode(np.frombuffer(compute().data, np.uint8), cv2.IMREAD_COLOR)
 
 
@@ -48,8 +47,6 @@ def test_frames_are_shown_as_they_come_with_their_photos(record: LiveRecord, fli
     record.send(fix(refused, 90))
     record.note("Frames come again.")
     view = record.sight.seen
-    assert before is not None
-    assert view is not None
     assert (len(before.flight.frames), len(view.flight.frames)) == (1, 2)
     assert view.verdicts[0].stage == "registration"
     assert view.flight.notes == ["Frames come again."]
@@ -66,10 +63,9 @@ def test_old_frames_are_forgotten_and_photos_get_other_addresses(
     for i in range(4):
         record.send(fix(flight.frames[0], 40 * i))
     address = record.sight.addresses["photo"]
-    old = record.sight.seen.flight.frames[0].frame.file  # type: ignore[union-attr]
+    old = record.sight.seen.flight.frames[0].frame.file
     record.send(fix(flight.frames[0], 160))
     view = record.sight.seen
-    assert view is not None
     assert len(view.flight.frames) == 3
     assert record.sight.addresses["photo"] != address
     assert not old.exists()
@@ -110,7 +106,7 @@ def test_a_tab_follows_the_newest_frame_until_a_person_chooses_another(
     assert "flight" not in page.last
     for number in range(3):
         record.send(fix(flight.frames[0]))
-        page.until(lambda last, newest=number: last.get("photo", {}).get("frame") == newest)  # type: ignore[misc]
+        page.until(lambda last, newest=number: last.get("photo", {}).get("frame") == newest)
     page.session.receive({"do": "step", "args": {"by": -1}})
     page.until(lambda last: last["photo"]["frame"] == 1)
     record.send(fix(flight.frames[0]))

@@ -186,8 +186,6 @@ def test_scores_are_painted_whole_or_by_a_part_where_windows_are_ranked(seen: Fl
     names = ["centre", "outer"]
     assert page.painting(seen, ranking, "off", names) is None
     whole, outer = (page.painting(seen, ranking, painted, names) for painted in ("all", "1"))
-    assert whole is not None
-    assert outer is not None
     assert (whole["label"], outer["label"]) == ("0.20 to 0.80, score", "0.20 to 0.80, cosine of outer")
     # Windows lie 30 m apart: five columns and three rows of cells.
     assert whole["bounds"] == [-75.0, -45.0, 75.0, 45.0]
@@ -196,7 +194,6 @@ def test_scores_are_painted_whole_or_by_a_part_where_windows_are_ranked(seen: Fl
     assert (cells[0] == cells[1][::-1, ::-1]).all()
     ranking.order = order[:5]
     painted = page.painting(seen, ranking, "all", names)
-    assert painted is not None
     assert painted["bounds"] == [-75.0, 15.0, 75.0, 45.0]
     assert page.answer_window(seen, 7) == [0.0, 0.0, 60.0]
 
@@ -206,13 +203,6 @@ def _decoded(uri: str) -> UInt8Array:
     return np.asarray(cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED), np.uint8)
 
 
-def test_a_spot_lists_the_frames_that_show_it(seen: FlightSnapshot) -> None:
-    spot = page.spot(seen, (-20.0, 0.0))
-    assert 0 in spot["frames"]
-    assert 1 not in spot["frames"]
-    assert spot["sentence"].startswith(f"{len(spot['frames'])} of 3 photos show 47.")
-
-
 def test_pins_go_from_where_the_photo_has_a_detail_to_where_the_map_has_it(flight: LocatedFlight) -> None:
     rows = [(0.25, 0.5, 0.0, 0.5), (0.75, 0.5, 0.3, -0.1)]
     details = MatchedDetails(rows, 0.4, 0.9)
@@ -220,24 +210,12 @@ def test_pins_go_from_where_the_photo_has_a_detail_to_where_the_map_has_it(fligh
     pins = page.chosen(one, 0, ADDRESSES)["pins"]
     np.testing.assert_allclose([pin[2:] for pin in pins], [row[2:] for row in rows], atol=0.011)
     laid = one.flight.frames[0].laid
-    assert laid is not None
     on_map = details.on_map(laid, *SIZE)
     np.testing.assert_allclose([[x + east, y + north] for x, y, east, north in pins], on_map, atol=0.011)
     moved = np.array([[1.0, 0, 5], [0, 1, 0], [0, 0, 1]]) @ laid
     # A photo that is moved by hand has its details elsewhere, and the map has them where it had them.
     np.testing.assert_allclose(np.array(page.pins(moved, one.flight.frames[0]))[:, 2], [-5.0, -4.7], atol=0.011)
     assert page.chosen(FlightSnapshot(flight), 0, ADDRESSES)["pins"] == []
-
-
-def test_a_photo_lies_where_a_person_laid_it_and_not_where_it_was_registered(flight: LocatedFlight) -> None:
-    registered = flight.frames[0]
-    assert registered.laid is not None
-    moved = np.array([[1.0, 0, 5], [0, 1, 0], [0, 0, 1]]) @ registered.laid
-    by_hand = msgspec.structs.replace(registered.stages["registration"], homography=moved.ravel().tolist())
-    corrected = replace(flight, frames=[replace(registered, by_hand=by_hand), *flight.frames[1:]])
-    shown = page.chosen(FlightSnapshot(corrected), 0, ADDRESSES)
-    assert shown["corrected"]
-    np.testing.assert_allclose(shown["homography"], moved.ravel())
 
 
 def test_an_own_photo_has_a_card_of_the_same_kind(seen: FlightSnapshot, flight: LocatedFlight) -> None:

@@ -111,7 +111,6 @@ def test_a_correction_is_kept_for_all_tabs_and_forgotten(tab: PanelTab, flown: t
     assert tab.last["download"]["name"] == "monday-positions.csv"
     find = flown[0]._workspace(tab.last["state"]["place"]).feeds.find
     content = find(tab.last["download"]["address"].removeprefix("pictures/"))
-    assert content is not None
     assert content().data.decode("utf-8-sig").startswith("frame,")
 
 

@@ -28,7 +28,6 @@ class Served:
 
     def bytes(self, folder: str, number: int) -> bytes:
         compute = self.feeds.find(f"{folder.removeprefix(PREFIX.lstrip('/'))}{number}")
-        assert compute is not None
         found = compute()
         if found.mime != "application/json":
             assert found.mime == ("image/webp" if found.data[8:12] == b"WEBP" else "image/jpeg")
@@ -109,7 +108,6 @@ def test_a_photo_and_the_ground_there_are_the_same_scene(flight: LocatedFlight, 
     assert served.picture(folders["photo"], 0).shape == (60, 80, 3)
     assert served.picture(folders["square"], 0).shape[:2] == served.picture(folders["ground"], 0).shape[:2]
     found = ground_window(flight.frames[0], "registration")
-    assert found is not None
     # The square of the photo's shorter side: 60 of 80 pixels of 40 m, about the registered middle.
     assert (found.x, found.y, found.size) == pytest.approx((-20.0, 1.0, 30.0))
     assert ground_window(flight.frames[2], "sequence") == Window(20.0, 5.0, 60.0, 0.0)

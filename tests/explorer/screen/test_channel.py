@@ -118,16 +118,6 @@ def test_fields_are_set_and_actions_done(tab: Tab) -> None:
     assert tab.last["page"]["parts"] == 1
 
 
-def test_the_missed_queries_stand_worst_first(app: App, tab: Tab, workspace: Workspace) -> None:
-    tab.open()
-    tab.set(filter="missed")
-    rail = tab.until(lambda last: "rail" in last and last["rail"]["worst_first"])["rail"]
-    entries = json.loads(get(app, "/" + rail["address"] + rail["feed"] + "0")[2])
-    ranks = [entry[2] for entry in entries]
-    assert ranks == sorted(ranks, reverse=True)
-    assert len(ranks) == int(workspace.rankings["drone-to-satellite"].failed.sum()) == rail["missed"]
-
-
 def test_the_worst_missed_query_is_shown_once_a_long_ranking_knows_it(
     tab: Tab, workspace: Workspace, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -167,7 +157,6 @@ def test_occlusion_is_measured_square_by_square_and_shown_again_at_once(tab: Tab
     shown = tab.until(lambda last: last.get("occlusion", {}).get("done") == 64)["occlusion"]
     assert shown["number"] == result["number"]
     task, model = workspace.tasks["drone-to-satellite"], workspace.model
-    assert model is not None
     tile = workspace.tile(task, result["answer"])
     picture = images.load_picture(task.queries[3].path)
     losses = list(occlude(model.for_task(*task.views), picture, "drone", tile.descriptor))[-1][1]
@@ -426,12 +415,7 @@ def test_a_page_comes_with_its_state_and_after_no_newer_one() -> None:
         await asyncio.sleep(0)
         return first + [await outbox.take() for _ in range(3)]
 
-    assert asyncio.run(exchange()) == [
-        {"page": 1, "state": 1},
-        {"panel": "a"},
-        {"panel": "b"},
-        {"page": 3, "state": 3},
-    ]
+    assert asyncio.run(exchange()) == [{"page": 1, "state": 1}, {"panel": "a"}, {"panel": "b"}, {"page": 3, "state": 3}]
 
 
 def test_another_model_begins_with_equal_weights_and_takes_its_own(tab: Tab) -> None:

@@ -47,7 +47,6 @@ def test_a_second_file_of_a_kind_cancels_the_first_and_another_kind_is_made_besi
     (file,) = [message["download"] for message in sent if "download" in message]
     assert file["name"] == "a.html"
     found = feeds.find(file["address"].removeprefix("pictures/"))
-    assert found is not None
     assert found().data == b"<p>"
 
 

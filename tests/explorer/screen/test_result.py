@@ -37,7 +37,6 @@ def test_each_number_is_the_analysis_own_and_they_add_up(workspace: Workspace, q
     assert answer["shares"] == rounded_to_sum(verdict.answer.contributions.tolist(), total=verdict.answer.distance2)
     for tile in message["tiles"].values():
         assert sum(tile["shares"]) == pytest.approx(float(tile["distance"]), abs=1e-9)
-    assert verdict.rival is not None
     assert message["rival"] == verdict.rival.index
     gains = [float(row["gain"]) * (-1 if row["minus"] else 1) for row in message["rows"]]
     assert sum(gains) == pytest.approx(verdict.lead, abs=1e-9)
@@ -95,9 +94,7 @@ def test_a_tile_is_turned_by_the_quarters_that_its_cells_are(workspace: Workspac
     before = np.frombuffer(b64decode(straight["heat"]), np.uint8).reshape(size)
     assert (np.frombuffer(b64decode(turned["heat"]), np.uint8).reshape(size[::-1]) == np.rot90(before)).all()
     places = made.task.geometry
-    assert places is not None
     query, tile = places.queries[0], places.tiles[made.first.index]
-    assert query is not None
     off = ((query.heading or 0) - (tile.heading or 0) + 180) % 360 - 180
     assert made.quarter(made.first) == round(off / 90) % 4
 
@@ -157,7 +154,6 @@ def test_the_scale_reads_a_part_of_a_large_gallery(workspace: Workspace, monkeyp
 def test_a_model_of_one_part_has_one_row(workspace: Workspace) -> None:
     beside = workspace.beside[0]
     assert beside.open().wait(120)
-    assert beside.workspace is not None
     message = result_of(beside.workspace).message()
     assert len(message["rows"]) == 1
     assert message["photo"]["parts"]["boxes"] == [[0.0, 0.0, 1.0, 1.0]]

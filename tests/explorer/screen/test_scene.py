@@ -73,12 +73,11 @@ def missed(workspace: Workspace) -> int:
 
 def test_the_city_has_the_tiles_of_the_result_and_shows_them(workspace: Workspace) -> None:
     client = Client()
-    scene = Scene(client)  # type: ignore[arg-type]
+    scene = Scene(client)
     result = result_of(workspace, query=missed(workspace))
     scene.show(result)
     places = result.task.geometry
-    assert places is not None
-    shown = {match.index for match in result.analysis.matches[:3]} | {result.analysis.positive.index}  # type: ignore[union-attr]
+    shown = {match.index for match in result.analysis.matches[:3]} | {result.analysis.positive.index}
     frames = {name for name, node in client.nodes.items() if node.kind == "add_line_segments" and "/tile" in name}
     assert frames == {f"/city/tile{index}" for index in shown}
     for index in shown:
@@ -87,7 +86,7 @@ def test_the_city_has_the_tiles_of_the_result_and_shows_them(workspace: Workspac
     colour = client.nodes[f"/city/tile{result.first.index}"].values[1]
     assert colour == shapes.WRONG[True]
     assert client.nodes["/city/metres"].values[0].endswith(" m")
-    for index in (result.first.index, result.analysis.positive.index):  # type: ignore[union-attr]
+    for index in (result.first.index, result.analysis.positive.index):
         x, y = looking(client, np.array([*places.ground[index], 3.0]))
         assert 0 < x < 1
         assert 0 < y < 1
@@ -100,10 +99,8 @@ def test_the_city_has_the_tiles_of_the_result_and_shows_them(workspace: Workspac
 def test_badges_are_equally_large_and_none_lies_behind_the_photo(workspace: Workspace, query: int) -> None:
     result = result_of(workspace, query=query)
     places = result.task.geometry
-    assert places is not None
     laid = city.lay(result, places, 1.3, dark=True)
     photo = laid.photo
-    assert photo is not None
     side = city.DEPTH * math.tan(photo.fov / 2)
     corners = [photo.place + photo.axes @ np.array([x, y, city.DEPTH]) for x in (-side, side) for y in (-side, side)]
 
@@ -119,26 +116,24 @@ def test_badges_are_equally_large_and_none_lies_behind_the_photo(workspace: Work
         off = np.array(badge.size) / depth / 2
         assert ((middle + off <= frame.min(axis=0)) | (middle - off >= frame.max(axis=0))).any()
     assert np.allclose(heights, heights[0], rtol=0.15)
-    signs = {match.index for match in result.analysis.matches[:3]} | {result.analysis.positive.index}  # type: ignore[union-attr]
+    signs = {match.index for match in result.analysis.matches[:3]} | {result.analysis.positive.index}
     assert set(laid.badges) == {f"tile{index}/rank" for index in signs}
 
 
 def test_the_camera_sees_what_the_photo_shows(workspace: Workspace) -> None:
     client = Client()
     result = result_of(workspace, query=1)
-    Scene(client).show(result)  # type: ignore[arg-type]
+    Scene(client).show(result)
     camera = client.nodes["/city/camera"].options
     places = result.task.geometry
-    assert places is not None
     forward = tf.SO3(np.asarray(camera["wxyz"])).as_matrix()[:, 2]
     ground = shapes.on_level(np.asarray(camera["position"]), forward, 0.0)
-    assert ground is not None
     assert np.abs(ground[:2] - places.query_ground[1]).max() < 1.0, "the middle of the photo is its place"
 
 
 def test_another_result_leaves_nothing_of_the_one_before(workspace: Workspace) -> None:
     client = Client()
-    scene = Scene(client)  # type: ignore[arg-type]
+    scene = Scene(client)
     scene.show(result_of(workspace, query=missed(workspace)), [(np.zeros((4, 2, 3)), (1, 2, 3))])
     assert client.nodes["/city/lines0"].values[1] == (1, 2, 3), "a panel's lines"
     apart = result_of(workspace, query=1, view="apart", theme="light")
@@ -151,7 +146,7 @@ def test_another_result_leaves_nothing_of_the_one_before(workspace: Workspace) -
 
 def test_the_rings_apart_have_ribbons_and_layers_of_each_part(workspace: Workspace) -> None:
     client = Client()
-    scene = Scene(client)  # type: ignore[arg-type]
+    scene = Scene(client)
     result = result_of(workspace, view="apart")
     assert views_of(result) == ["city", "apart"]
     scene.show(result)

@@ -27,7 +27,6 @@ def negative(shown: Answer) -> Match:
 
 
 def positive(shown: Answer) -> Match:
-    assert shown.positive is not None
     return shown.positive
 
 
@@ -36,7 +35,6 @@ def margin(shown: Answer) -> float:
 
 
 def off_m(shown: Answer, match: Match) -> str:
-    assert shown.errors_m is not None
     return f"{shown.errors_m[match.index]:,.0f} m"
 
 
@@ -54,7 +52,6 @@ def costs_most(shown: Answer, part: int) -> float:
 def prefer(shown: Answer, answer: tuple[int, ...], other: tuple[int, ...]) -> list[str]:
     """Check which rings, from 1, prefer the answer to the tile that the verdict compares it with."""
     gains = shown.verdict.gains
-    assert gains is not None
     assert all(gains[ring - 1] > 0 for ring in answer)
     assert all(gains[ring - 1] < 0 for ring in other)
     return []
@@ -134,7 +131,6 @@ def test_each_step_of_the_shipped_stories_shows_what_its_caption_says() -> None:
 
     task = next(iter(workspace.tasks.values()))
     ranking = workspace.rankings[scored_key(task.name, "csls")]
-    assert ranking.result is not None
     of_place = [i for i, entry in enumerate(task.queries) if entry.name.startswith("0449/")]
     answers = [task.gallery[int(ranking.result.ranking.best[i])].name for i in of_place]
     assert len(answers) == sum(name != "0449" for name in answers) == 8
@@ -143,7 +139,6 @@ def test_each_step_of_the_shipped_stories_shows_what_its_caption_says() -> None:
     state, _ = fields.from_values(fields.parsed(STORIES["Not found"].steps[-1].shows), workspace)
     shown = analyser.analyse(workspace.ranking(state.task, state.scoring).task, state.question(), STRIP)
     places = shown.task.geometry
-    assert places is not None
     apart = abs(places.ground[shown.chosen.index] - places.ground[positive(shown).index])
     assert (apart < places.width).all(), "the frames overlap"
 

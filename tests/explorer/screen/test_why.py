@@ -67,7 +67,6 @@ def mendable(workspace: Workspace) -> tuple[int, int]:
 def test_the_page_behind_the_verdict_has_the_measured_figures(workspace: Workspace) -> None:
     ranking, result = workspace.rankings[TASK], result_of(workspace)
     page, figures = words.page(result, ranking), workspace.results(ranking)
-    assert figures is not None
     assert ranking.result is not None
     named = {name: value for name, value, _ in page["figures"]}
     assert f"{figures['ap']:.1f} %" in fragment("why/why", **page, word="ring")
@@ -80,7 +79,6 @@ def test_the_page_behind_the_verdict_has_the_measured_figures(workspace: Workspa
     assert metres == sorted(metres)
     assert page["answer"]["said"][0] == f"It leads the next tile by {result.first.shown_gap:.3f}."
     known = workspace.outcomes(result.task)
-    assert known is not None
     of_found = known[0].margin[known[0].hits]
     assert sum(ring["found"] for ring in page["rings"]) == pytest.approx(of_found.mean(), abs=1e-3)
     assert sum(ring["most"] for ring in page["rings"]) == right
@@ -96,25 +94,12 @@ def test_other_weights_and_a_turn_are_said_where_they_make_figures_others(worksp
     assert any("2, 1, 1, 0" in one for one in weighed["scored"])
 
 
-def test_sentences_are_short(workspace: Workspace) -> None:
-    page = words.page(result_of(workspace), workspace.rankings[TASK])
-    texts = [
-        *page["did"],
-        *page["judged"],
-        *page["answer"]["said"],
-        *page["scored"],
-        *(one["text"] for one in page["pictures"]),
-    ]
-    assert max(len(text.split()) for text in texts) <= 20
-
-
 def test_the_pair_has_the_rows_of_the_screen_and_the_ranks_of_each_part(workspace: Workspace) -> None:
     query = int(np.argmax(workspace.rankings[TASK].ranks))
     result = result_of(workspace, query=query)
     told, rows = TilePair.of(result).message(trying=False), result.message()["rows"]
     ranking = result.analysis.ranking
     truth = result.analysis.positive
-    assert truth is not None
     for part, row in enumerate(told["rows"]):
         assert {name: row[name] for name in rows[part]} == rows[part]
         alone = np.count_nonzero(ranking.similarities[:, part] > ranking.similarities[truth.index, part])
@@ -142,7 +127,6 @@ def test_weights_that_are_offered_put_the_truth_first_on_the_screen(workspace: W
 def test_the_painted_places_make_the_lead(workspace: Workspace) -> None:
     result = result_of(workspace, query=3)
     pair = TilePair.of(result)
-    assert pair.comparison is not None
     lead = shown_difference(pair.comparison.other.distance2, pair.comparison.followed.distance2)
     told = pair.message(trying=False)
     assert f"{abs(lead):.3f} together" in told["places"]
@@ -163,7 +147,6 @@ def test_a_second_model_has_its_own_answer_to_the_same_photo(workspace: Workspac
     tab.open("?query=~2&panel=compare")
     told = panel_until(tab, r"Of \d+ photos")
     other = workspace.beside[0].workspace
-    assert other is not None
     columns = told.split('<div class="column">')[1:]
     for column, one in zip(columns, (workspace, other), strict=True):
         first = analysed(one, query=2).ranking.match(0)
@@ -210,7 +193,6 @@ def test_a_sweep_begins_at_the_photo_as_it_is_and_its_shares_add_up(workspace: W
     assert len(x) == len(sweeps.changes_over(over, side=workspace.contract.input_size[1]))
     here = x.index({"zoom": 1}.get(over, 0))
     analysis = analysed(workspace, query=1)
-    assert analysis.positive is not None
     assert rank[0][here] == analysis.positive.rank
     assert distance[0][here] == pytest.approx(analysis.positive.distance2, abs=1e-4)
     for number, one in enumerate(distance[0]):

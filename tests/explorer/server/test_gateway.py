@@ -11,7 +11,7 @@ import urllib.error
 import urllib.request
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 from unittest.mock import Mock
 from urllib.parse import urlsplit
 
@@ -36,12 +36,7 @@ from tools.fixtures.screen_tab import ScreenTab, camera_message, scene_socket
 from tools.fixtures.small_proxy import SmallProxy
 from tools.fixtures.waiting import TIMEOUT, wait_until
 
-T = TypeVar("T")
 TOKEN = "correct horse battery"
-
-
-def picture(size: int = 48) -> bytes:
-    return cv2.imencode(".png", cv2.resize(small_worlds.place(3), (size, size)))[1].tobytes()
 
 
 def url(app: App) -> str:
@@ -64,15 +59,11 @@ def picture_source(app: App, monkeypatch: pytest.MonkeyPatch) -> dict[str, Calla
     return found
 
 
-def broken_picture() -> EncodedPicture:
-    raise DataError("The sheet is damaged.")
-
-
 def test_pictures_have_addresses_that_are_protected_like_the_page(
     picture_source: dict[str, Callable[[], EncodedPicture]], locked: App
 ) -> None:
     picture_source["tile/0/0/0"] = lambda: EncodedPicture(b"JPEG", "image/jpeg")
-    picture_source["broken"] = broken_picture
+    picture_source["broken"] = Mock(side_effect=DataError("The sheet is damaged."))
     cookie = f"lpn-{locked.server.get_port()}={locked.authenticator.cookie_value}"
     assert get(locked, f"{PREFIX}tile/0/0/0")[0] == 401
     assert get(locked, f"{PREFIX}tile/0/0/0", host="evil.example", cookie=cookie)[0] == 421
@@ -226,13 +217,6 @@ def test_a_proxy_that_passes_the_host_needs_nothing_else(
         with ScreenTab(proxy.url, origin=f"http://127.0.0.1:{proxy.port}") as tab:
             tab.open()
     assert not caplog.records
-
-
-def answers(app: App) -> bool:
-    try:
-        return get(app)[0] == 200
-    except OSError:
-        return False
 
 
 def test_malformed_requests_are_refused_without_a_traceback(
@@ -405,7 +389,7 @@ def test_photos_beyond_the_limits_are_not_kept(app: App, hostile: ScreenTab, tmp
     works(hostile)
     (held,) = [one for session in app._channel.sessions.values() if (one := incoming(session))]
     assert held == 500_000, "of several that were begun, the last one"
-    hostile.upload('../../<img src=x onerror="alert(1)">.png', picture())
+    hostile.upload('../../<img src=x onerror="alert(1)">.png', cv2.imencode(".png", small_worlds.place(3))[1].tobytes())
     hostile.until(lambda last: last["result"]["photo"]["own"] or "error" in last)
     assert set(tmp_path.rglob("*")) == before
 
@@ -481,8 +465,17 @@ def test_a_flood_of_small_frames_ends_its_connection(app: App) -> None:
 
 def test_the_log_has_neither_token_nor_cookie(locked: App, caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.DEBUG)
+    assert get(locked, "/?token=guessed+wrong")[0] == 403
     status, headers, _ = get(locked, "/?token=correct+horse+battery")
     assert status == 200
-    assert get(locked, cookie=headers["Set-Cookie"].partition(";")[0])[0] == 200
-    assert "horse" not in caplog.text
-    assert locked.authenticator.cookie_value not in caplog.text
+    held = headers["Set-Cookie"].partition(";")[0]
+    with ScreenTab(url(locked), additional_headers={"Cookie": held}) as tab:
+        tab.open()
+        tab.socket.send("no JSON")
+        tab.turn(30)
+    said = "\n".join(one.getMessage() for one in caplog.records if one.name != "websockets.client")
+    for line in ("A wrong token came from 127.0.0.1", "Refused 127.0.0.1, 403: Wrong token", "no JSON: 7 characters"):
+        assert line in said
+    assert "horse" not in said
+    assert "guessed" not in said
+    assert locked.authenticator.cookie_value not in said

@@ -17,6 +17,7 @@ from lpn.descriptors.transforms import Change
 from lpn.descriptors.weather import WEATHERS
 from lpn.report import table_page
 from lpn.sources import SourceOptions, open_source
+from tests.conftest import Refused
 from tools.fixtures import small_worlds
 
 TASK = "drone-to-satellite"
@@ -25,7 +26,7 @@ TASK = "drone-to-satellite"
 @pytest.fixture(scope="module")
 def page(
     model_file: Path, one_part_model_file: Path, data: Path, tmp_path_factory: pytest.TempPathFactory
-) -> tuple[str, dict]:  # type: ignore[type-arg]
+) -> tuple[str, dict]:
     folder = tmp_path_factory.mktemp("leaderboard")
     files = [str(folder / name) for name in ("page.md", "page.json")]
     models = [str(model_file), str(one_part_model_file)]
@@ -73,7 +74,7 @@ def test_a_page_of_one_opened_task_has_the_figures_of_the_data_set(model_file: P
     assert board.parts[TASK]["a"] == board.parts[TASK]["b"]
 
 
-def test_the_page_has_a_table_for_each_measure_and_no_parts_of_a_model_with_one(page: tuple[str, dict]) -> None:  # type: ignore[type-arg]
+def test_the_page_has_a_table_for_each_measure_and_no_parts_of_a_model_with_one(page: tuple[str, dict]) -> None:
     text, values = page
     parts = text.split(f"## Each part alone: {TASK}")[1].split("## ")[0]
     assert parts.count("\n| ") == 3  # head, rule, and one model
@@ -108,9 +109,8 @@ def test_a_page_of_html_has_the_tables_of_the_markdown_and_escapes_names() -> No
     ],
 )
 def test_options_that_do_not_go_together_are_refused(
-    options: list[str], message: str, model_file: Path, data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    options: list[str], message: str, model_file: Path, data: Path, tmp_path: Path, refused: Refused
 ) -> None:
     given = [option.format(tmp_path) for option in options]
-    assert main(["compare", str(data), "--model", str(model_file), *given]) == 2
-    assert message in " ".join(capsys.readouterr().err.split())
+    assert message in refused("compare", data, "--model", model_file, *given)
     assert not list(tmp_path.iterdir())

@@ -16,8 +16,7 @@ from lpn.core.files import check_ending
 from lpn.core.views import TASKS
 from lpn.descriptors import open_store
 from lpn.descriptors.weather import WEATHERS
-from tools.fixtures import small_worlds
-from tools.fixtures.trainings import make_resnets_shallow
+from tests.conftest import Refused
 from tools.fixtures.without_torch import run_without_torch
 
 
@@ -87,86 +86,31 @@ def test_everything_but_training_works_without_torch(data: Path, model_file: Pat
 
 
 @pytest.mark.parametrize(
-    ("arguments", "said"),
+    ("words", "said"),
     [
-        (["evaluate", "absent", "--model", "MODEL"], "no data set folder at absent"),
-        (["evaluate", "DATA", "--model", "absent.onnx"], "no model file at absent.onnx"),
-        (["evaluate", "DATA", "--model", "MODEL", "--parts", "1,9"], "parts 1 to 4"),
-        (["evaluate", "DATA", "--model", "MODEL", "--parts", "a"], "numbers from 1"),
-        (["evaluate", "DATA", "--model", "MODEL", "--rotate", "nan"], "rotation is nan"),
-        (["evaluate", "DATA", "--model", "MODEL", "--scale", "0"], "scale is 0"),
-        (["evaluate", "DATA", "--model", "MODEL", "--shift", "-64"], "64 wide"),
-        (
-            ["evaluate", "DATA", "--model", "MODEL", "--n-parts", "4"],
-            "is a data set, and --n-parts fits a result of the published test code and arrays of descriptors; leave it out",
-        ),
-        (
-            ["evaluate", "DATA", "--map", "x.tif"],
-            "is a data set, and --map fits an index of a map's windows and a flight",
-        ),
-        (["evaluate", "DATA", "--centre"], "is a data set, and --centre fits"),
-        (
-            ["evaluate", "--model", "MODEL"],
-            "There is no SOURCE; give its path first: that of an index of a map's windows, ",
-        ),
-        (["evaluate", "x.mat"], "no saved result at x.mat"),
-        (["evaluate", "x.mat", "--n-parts", "0"], "number of parts is 0"),
-        (["explore", "x.mat", "--data", "DATA"], "no saved result at x.mat"),
-        (
-            ["evaluate", "DATA", "--model", "MODEL", "--task", "street-to-satellite"],
-            "offers drone-to-satellite",
-        ),
-        (["export", "--model", "MODEL", "--out", "x.onnx"], "already"),
-        (["describe", "--model", "MODEL", "--images", "DATA", "--view", "street", "--out", "s"], "no 'street' view"),
-        (["train", "--data", "DATA", "--out", "run", "--recipe", "secret"], "no recipe 'secret'"),
-        (["explore", "DATA", "--model", "MODEL", "--port", "99999"], "Port 99999"),
-        (["evaluate", "DATA", "--model", "MODEL", "--json", "."], "cannot be written"),
-        (
-            ["describe", "--model", "MODEL", "--images", "DATA", "--view", "drone", "--out", "MODEL"],
-            "cannot be written",
-        ),
-        (
-            ["train", "--data", "DATA", "--out", "run"],
-            "let --init auto find them, or say --from-scratch",
-        ),
-        (["train", "--data", "DATA", "--out", "run", "--init", "x", "--from-scratch"], "exclude each other"),
-        (["train", "--data", "DATA", "--out", "MODEL/run", "--batch", "4", "--from-scratch"], "cannot be written"),
-        (["train", "--data", "DATA", "--out", "run", "--lr", "nan"], "lr = nan"),
-        (["fly"], "no command 'fly'"),
+        ("evaluate x.mat", "no saved result at x.mat"),
+        ("evaluate x.mat --n-parts 0", "number of parts is 0"),
+        ("export --model MODEL --out x.onnx", "already"),
+        ("describe --model MODEL --images DATA --view street --out s", "no 'street' view"),
+        ("train --data DATA --out run --recipe secret", "no recipe 'secret'"),
+        ("train --data DATA --out run", "let --init auto find them, or say --from-scratch"),
+        ("train --data DATA --out run --init x --from-scratch", "exclude each other"),
+        ("train --data DATA --out run --lr nan", "lr = nan"),
+        ("fly", "no command 'fly'"),
     ],
 )
 def test_mistakes_get_one_sentence(
-    arguments: list[str],
+    words: str,
     said: str,
     data: Path,
     model_file: Path,
-    capsys: pytest.CaptureFixture[str],
+    refused: Refused,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    filled = [a.replace("DATA", str(data)).replace("MODEL", str(model_file)) for a in arguments]
-    assert main.main(filled) == 2
-    error = capsys.readouterr().err
-    assert said in error
-    assert error.count("\n") == 1
-
-
-@pytest.mark.slow
-def test_train_takes_its_defaults_from_the_named_recipe(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    make_resnets_shallow(monkeypatch)
-    root = small_worlds.make_dataset(tmp_path / "places", train=4, test=2)
-    training = ["train", "--data", str(root), "--out", str(tmp_path / "run"), "--recipe", "small"]
-    training += ["--size", "64", "--batch", "4", "--epochs", "1", "--n-parts", "2", "--from-scratch"]
-    assert main.main(training) == 0
-    assert '"backbone": "resnet18"' in capsys.readouterr().out.replace("\n", "")
-    exporting = ["export", "--model", str(tmp_path / "run" / "last.safetensors"), "--out", str(tmp_path / "m.onnx")]
-    assert main.main(exporting) == 0
-    assert capsys.readouterr().err == ""
-    assert main.main(["evaluate", str(root), "--model", str(tmp_path / "m.onnx")]) == 0
-    assert "n = 2, 64 x 64" in capsys.readouterr().out
+    names = {"DATA": data, "MODEL": model_file}
+    assert said in refused(*(names.get(word, word) for word in words.split()))
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="closed pipes are POSIX's")
@@ -187,85 +131,49 @@ def test_a_closed_pipe_ends_a_command_in_silence(arguments: str) -> None:
 
 
 def test_the_words_of_an_option_are_listed_in_their_order_and_without_none(capsys: pytest.CaptureFixture[str]) -> None:
-    for option, value, words in (
-        ("--task", "both", TASKS),
-        ("--weather", "hail", [*WEATHERS, "all"]),
-    ):
+    for option, value, words in (("--task", "both", TASKS), ("--weather", "hail", [*WEATHERS, "all"])):
         with pytest.raises(SystemExit):
             main.main(["evaluate", "d", "--model", "m", option, value])
         said = " ".join(capsys.readouterr().err.replace("│", " ").split())
         assert f"Expected one of ({', '.join(map(repr, words))})." in said
 
 
-PAIR = ["explain", "--model", "none.onnx", "--query", "a.jpg", "--match", "b.jpg"]
-MODEL = ["none", "--model", "none.onnx"]
-COMPARED = ["compare", "none", "--model", "none.onnx", "other.onnx"]
-FLOWN = ["--map", "none.tif", "--flight", "none"]
-SURVEYED = ["locate", *FLOWN, "--positions", "survey.csv"]
-SEARCH = ["search", "--index", "none", "--model", "none.onnx", "--picture", "a.jpg", "--view", "drone"]
+PAIR = "explain --model none.onnx --query a.jpg --match b.jpg"
+COMPARED = "compare none --model none.onnx other.onnx"
+TABLE = ".md, .tex, .csv, .html, or .htm"
 
 
 @pytest.mark.parametrize(
-    ("arguments", "option", "name", "expected"),
+    ("words", "expected"),
     [
-        *((PAIR, "--png", name, ".png") for name in ("out.pdf", "out.svg", "out.jpg", "out")),
-        (PAIR, "--json", "why.csv", ".json"),
-        (["explain", *MODEL, "--over", "rotation", "--query", "0001/01"], "--csv", "t.json", ".csv"),
-        (["failures", *MODEL], "--csv", "f.xlsx", ".csv"),
-        (["report", *MODEL], "--out", "r.pdf", ".html or .htm"),
-        (["models"], "--json", "m.txt", ".json"),
-        (["doctor"], "--json", "d.txt", ".json"),
-        (SEARCH, "--json", "s.csv", ".json"),
-        (["evaluate", *MODEL], "--json", "e.csv", ".json"),
-        (["evaluate", *MODEL, "--weather", "all"], "--json", "e.csv", ".json"),
-        (["evaluate", *MODEL], "--per-query", "q.json", ".csv"),
-        (["locate", *FLOWN], "--json", "e.csv", ".json"),
-        (SURVEYED, "--residuals", "r.json", ".csv"),
-        (COMPARED, "--json", "t.csv", ".json"),
-        (COMPARED, "--table", "t.pdf", ".md, .tex, .csv, .html, or .htm"),
-        (
-            ["compare", "a.mat", "b.mat", "--data", "none"],
-            "--table",
-            "t.pdf",
-            ".md, .tex, .csv, .html, or .htm",
-        ),
-        (COMPARED, "--page", "page.pdf", ".md, .tex, .csv, .html, or .htm"),
-        (
-            ["compare", "none", "--map", "none.tif", "--model", "none.onnx", "other.onnx"],
-            "--table",
-            "t.pdf",
-            ".md, .tex, .csv, .html, or .htm",
-        ),
-        (["locate", *FLOWN], "--out", "track.shp", ".geojson, .kml, or .csv"),
-        (["export", "--model", "none.pth"], "--out", "model.pt", ".onnx"),
+        (f"{PAIR} --json why.json --png", ".png"),
+        (f"{PAIR} --json", ".json"),
+        ("explain none --model none.onnx --over rotation --query 0001/01 --csv", ".csv"),
+        ("failures none --model none.onnx --csv", ".csv"),
+        ("report none --model none.onnx --out", ".html or .htm"),
+        ("models --json", ".json"),
+        ("doctor --json", ".json"),
+        ("search --index none --model none.onnx --picture a.jpg --view drone --json", ".json"),
+        ("evaluate none --model none.onnx --json", ".json"),
+        ("evaluate none --model none.onnx --per-query", ".csv"),
+        ("locate --map none.tif --flight none --json", ".json"),
+        ("locate --map none.tif --flight none --positions survey.csv --residuals", ".csv"),
+        ("locate --map none.tif --flight none --out", ".geojson, .kml, or .csv"),
+        (f"{COMPARED} --json", ".json"),
+        (f"{COMPARED} --table", TABLE),
+        (f"{COMPARED} --page", TABLE),
+        ("export --model none.pth --out", ".onnx"),
     ],
 )
 def test_another_kind_of_file_is_refused_before_anything_is_opened(
-    arguments: list[str],
-    option: str,
-    name: str,
-    expected: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    words: str, expected: str, refused: Refused, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
     Path("none.pth").touch()
-    assert main.main([*arguments, option, f"deep/{name}"]) == 2
-    error = capsys.readouterr().err
-    assert f"named {name};" in error
-    assert expected in error
-    assert len(error.splitlines()) == 1
-    assert not Path("deep").exists()
-
-
-def test_all_names_are_checked_before_a_folder_is_made(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    assert main.main([*PAIR, "--json", "deep/why.json", "--png", "deep/out.pdf"]) == 2
-    assert "expected a name that ends in .png" in capsys.readouterr().err
-    assert not Path("deep").exists()
+    said = refused(*words.split(), "deep/out.xyz")
+    assert "named out.xyz;" in said
+    assert expected in said
+    assert [file.name for file in tmp_path.iterdir()] == ["none.pth"]
 
 
 def test_upper_case_endings_count_and_several_are_listed() -> None:

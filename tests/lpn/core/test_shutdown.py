@@ -43,11 +43,6 @@ def run(self):
             time.sleep(600)
 v.DoctorCommand.run = run
 """
-SLOW_INDEX = """
-import time, lpn.index.folder as f
-write = f.write_part
-f.write_part = lambda *a: (write(*a), print("writing", flush=True), time.sleep(600))
-"""
 
 
 def last_line(process: Process) -> str:
@@ -87,18 +82,6 @@ def test_a_training_keeps_whole_epochs_and_says_how_to_go_on(tmp_path: Path) -> 
             assert last_line(again).endswith(f"go on with lpn train --out {out} --resume.")
 
 
-@pytest.mark.slow
-def test_a_training_without_a_whole_epoch_says_so(tmp_path: Path) -> None:
-    data, out = small_worlds.make_dataset(tmp_path / "places", train=4, test=2), tmp_path / "run"
-    slow = "import time, lpn.training.loader as l\ns = l.Loader.stream\nl.Loader.stream = lambda *a: (time.sleep(600), s(*a))[1]"
-    given = training(data, out)
-    with Process(given, tmp_path / "cache", slow) as process:
-        process.until(lambda: "Computing in" in process.out)
-        process.interrupt()
-        assert process.ended()[0] == 130
-        assert "No epoch was whole yet, so nothing is kept; give the same command again." in last_line(process)
-
-
 @pytest.mark.parametrize("how", ["interrupt", "terminate"])
 def test_a_description_goes_on_where_it_was_stopped(how: str, model_file: Path, data: Path, tmp_path: Path) -> None:
     out = tmp_path / "store"
@@ -113,21 +96,6 @@ def test_a_description_goes_on_where_it_was_stopped(how: str, model_file: Path, 
         assert not (out / "store.json").exists()
         assert main.main([str(one) for one in given]) == 0
         assert len(open_store(out).descriptors) == len(descriptors.pictures_below(data / "test"))
-
-
-def test_an_index_is_as_it_was_before_the_add(model_file: Path, data: Path, tmp_path: Path) -> None:
-    import lpn
-
-    files = descriptors.pictures_below(data / "test" / "gallery_satellite")
-    descriptors.describe(lpn.load(model_file), files, "satellite", tmp_path / "store", root=data)
-    given: list[object] = ["index", "--descriptors", tmp_path / "store", "--out", tmp_path / "index"]
-    with Process(given, tmp_path / "cache", SLOW_INDEX) as process:
-        process.until(lambda: "writing" in process.out)
-        process.terminate()
-        assert process.ended()[0] == 143
-        assert "has by now are kept; the same command goes on." in last_line(process)
-        assert main.main([str(one) for one in given]) == 0
-        assert [verdict.healthy for verdict in verify(tmp_path / "index")] == [True]
 
 
 def test_a_second_signal_ends_at_once_whatever_is_being_written(tmp_path: Path) -> None:
@@ -201,10 +169,15 @@ def test_afterwards_signals_do_what_they_did(tmp_path: Path, monkeypatch: pytest
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
+        (["train", "--data", "x", "--out", "OUT"], "No epoch was whole yet, so nothing is kept; give the same command"),
         (["reproduce", "table1", "--data", "x", "--out", "OUT"], "Whole epochs and measurements in OUT are kept"),
         (
             ["describe", "--model", "m", "--images", "s", "--view", "drone", "--out", "OUT"],
             "What OUT has by now is kept; the same command goes on.",
+        ),
+        (
+            ["index", "--descriptors", "s", "--out", "OUT"],
+            "The tiles that OUT has by now are kept; the same command goes on.",
         ),
         (["export", "--model", "m", "--out", "OUT"], "Nothing is half-written; give the same command again."),
     ],

@@ -48,7 +48,7 @@ TABLE = TextTable(
 def test_a_terminal_shows_each_cell_as_it_is_and_a_line_above_a_ruled_row() -> None:
     console = Console(width=80, file=io.StringIO())
     TABLE.print(console)
-    title, _, head, _, *rows, after = console.file.getvalue().splitlines()  # type: ignore[attr-defined]
+    title, _, head, _, *rows, after = console.file.getvalue().splitlines()
     assert (title.strip(), after) == ("[bold]One[/bold]", "[i]In %[/i].")
     cells = [[cell.strip() for cell in row.strip("│┃").replace("┃", "│").split("│")] for row in (head, *rows)]
     assert cells[0] == list(TABLE.head)
@@ -70,5 +70,5 @@ def test_markdown_html_and_csv_escape_cells_and_keep_their_order() -> None:
     assert '<th scope="col" class="r">R@1</th></tr></thead>' in page
     assert '<tr><th scope="row">[red]a[/red]|&lt;b&gt;</th><td>LPN</td><td class="r">50.00</td></tr>' in page
     assert TABLE.csv().decode().splitlines() == [
-        *("model,kind,R@1", "[red]a[/red]|<b>,LPN,50.00", "'=1+1,SAFA?[1m,-4.00", "mean,,23.00"),
+        *("model,kind,R@1", "[red]a[/red]|<b>,LPN,50.00", "'=1+1,SAFA?[1m,-4.00", "mean,,23.00")
     ]

@@ -16,6 +16,7 @@ from lpn.datasets import open_dataset
 from lpn.doctor.dataset_check import check_dataset
 from lpn.doctor.verify import verify
 from lpn.index import DescriptorKind, create_index
+from tests.conftest import Refused
 from tools.fixtures import layouts, small_worlds
 
 
@@ -55,7 +56,7 @@ def test_broken_and_missing_pictures_are_named_and_end_with_status_1(
         status, found = doctor(root, tmp_path, *more)
         assert (status, found["healthy"]) == (1, False)
         assert found["broken"] == [
-            {"file": "test/query_drone/0007/image-01.png", "why": "is cut short or damaged", "published": False},
+            {"file": "test/query_drone/0007/image-01.png", "why": "is cut short or damaged", "published": False}
         ]
         assert [(item["name"], item["names"], item["of"]) for item in found["lacking"]] == [
             ("train/drone", ["0002"], 6),
@@ -86,8 +87,7 @@ def test_positions_are_checked(tmp_path: Path) -> None:
 
 def test_equal_files_and_shared_places_are_found(tmp_path: Path) -> None:
     root = layouts.pairs(
-        tmp_path / "mine",
-        "satellite,drone,split,place\na.jpg,1.jpg,train,1\nb.jpg,2.jpg,test,1\nc.jpg,3.jpg,test,3\n",
+        tmp_path / "mine", "satellite,drone,split,place\na.jpg,1.jpg,train,1\nb.jpg,2.jpg,test,1\nc.jpg,3.jpg,test,3\n"
     )
     shutil.copy(root / "b.jpg", root / "c.jpg")
     report = check_dataset(open_dataset(root))
@@ -195,10 +195,9 @@ def test_an_index_says_if_it_is_empty_whole_or_has_unfinished_parts_beside_it(
     assert (verdict.healthy, verdict.flaw, verdict.message) == (False, "UNFINISHED", unfinished)
 
 
-def test_files_are_compared_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    for options in (["--data", str(tmp_path)], ["--quick"], ["--json", str(tmp_path / "found.json")]):
-        assert main.main(["doctor", str(tmp_path), *options]) == 2
-        assert "is compared with its checksums alone; leave the options out" in capsys.readouterr().err
-    assert main.main(["doctor", str(tmp_path / "none"), str(tmp_path)]) == 2
-    assert "There is nothing at" in capsys.readouterr().err
+def test_files_are_compared_alone(tmp_path: Path, refused: Refused) -> None:
+    for options in (["--data", tmp_path], ["--quick"], ["--json", tmp_path / "found.json"]):
+        told = refused("doctor", tmp_path, *options)
+        assert "is compared with its checksums alone; leave the options out" in told
+    assert "There is nothing at" in refused("doctor", tmp_path / "none", tmp_path)
     assert not list(tmp_path.iterdir())

@@ -26,6 +26,7 @@ from lpn.core.files import cache_folder
 from lpn.doctor import environment_check
 from lpn.doctor.environment_check import Finding
 from lpn.tasks import ranking_cache
+from tests.conftest import Refused
 from tools.fixtures.tasks import descriptor_task
 
 
@@ -118,7 +119,7 @@ def test_a_package_that_cannot_be_imported_is_a_problem(monkeypatch: pytest.Monk
     )
 
 
-@pytest.mark.parametrize("module", ["numpy", "cv2", "tyro"])
+@pytest.mark.parametrize("module", ["numpy", "tyro"])
 def test_it_runs_without_a_package_that_the_command_line_needs(module: str, tmp_path: Path) -> None:
     (tmp_path / f"{module}.py").write_text('raise ImportError("built for\\nanother Python")')
     paths = (str(tmp_path), str(Path(__file__).parents[3]), *filter(None, [os.environ.get("PYTHONPATH")]))
@@ -132,9 +133,8 @@ def test_it_runs_without_a_package_that_the_command_line_needs(module: str, tmp_
 
     status, told = said("doctor")
     assert status == 1
-    package = {"cv2": "opencv-python-headless"}.get(module, module)
     assert re.search(
-        rf"(?m)^problem {package}: .* cannot be imported \(ImportError: built for\?another Python\); ", told
+        rf"(?m)^problem {module}: .* cannot be imported \(ImportError: built for\?another Python\); ", told
     )
     assert "Something is broken: see the problems above." in told
     assert said("explore") == (
@@ -162,28 +162,6 @@ def test_a_user_without_a_home_is_told_what_to_set(monkeypatch: pytest.MonkeyPat
 def test_a_python_may_call_itself_what_it_likes(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(platform, "python_version", lambda: "3.13.0+")
     assert of("Python", environment_check._python_and_packages).level == "OK"
-
-
-def test_required_packages_are_those_of_this_system_and_of_each_extra(monkeypatch: pytest.MonkeyPatch) -> None:
-    there = requirements.read_requirements()
-    told = {
-        "Requires-Python": ">=3.11",
-        "extras": ["train"],
-        "requires": ["numpy>=1.26", 'torch>=99; extra == "train"', 'colorama; sys_platform == "nowhere"'],
-    }
-
-    class Told(dict[str, Any]):
-        def get_all(self, _: str) -> list[str]:
-            return self["extras"]
-
-    monkeypatch.setattr(metadata, "metadata", lambda _: Told(told))
-    monkeypatch.setattr(metadata, "requires", lambda _: told["requires"])
-    found = requirements.read_requirements()
-    assert there is not None
-    assert found is not None
-    assert [package.requirement for package in found.base] == ["numpy>=1.26"]
-    assert found.base[0] == next(package for package in there.base if package.name == "numpy")
-    assert [(package.name, package.fits) for package in found.extras["train"]] == [("torch", False)]
 
 
 @pytest.mark.parametrize(
@@ -233,7 +211,6 @@ def test_the_onnx_runtime_for_gpus_is_as_good(monkeypatch: pytest.MonkeyPatch) -
 
     def fits() -> list[bool]:
         found = requirements.read_requirements()
-        assert found is not None
         return [package.fits for package in found.base if package.name == "onnxruntime"]
 
     assert fits() == [True]
@@ -243,7 +220,7 @@ def test_the_onnx_runtime_for_gpus_is_as_good(monkeypatch: pytest.MonkeyPatch) -
 
 def test_little_room_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     for free, level in ((10**7, "problem"), (5 * 10**8, "note"), (10**12, "OK")):
-        monkeypatch.setattr(shutil, "disk_usage", lambda _, free=free: shutil._ntuple_diskusage(10**13, 0, free))  # type: ignore[attr-defined]
+        monkeypatch.setattr(shutil, "disk_usage", lambda _, free=free: shutil._ntuple_diskusage(10**13, 0, free))
         assert of("cache", environment_check._cache).level == level
 
 
@@ -264,6 +241,5 @@ def test_cores_are_as_many_as_a_group_has_time_for(tmp_path: Path, monkeypatch: 
         assert resources.usable_cores() == cores
 
 
-def test_quick_is_for_pictures(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main.main(["doctor", "--quick"]) == 2
-    assert "give one with --data" in capsys.readouterr().err
+def test_quick_is_for_pictures(refused: Refused) -> None:
+    assert "give one with --data" in refused("doctor", "--quick")

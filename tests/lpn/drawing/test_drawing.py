@@ -88,7 +88,6 @@ def test_every_window_paints_the_ground_half_way_to_its_neighbours() -> None:
     # Coordinates of a row differ by rounding, and a window is missing.
     places[:3, 1] += (0.0, 1e-9, -1e-9)
     drawn = score_map(places[:5], np.full(5, 40.0), np.arange(5.0))
-    assert drawn is not None
     assert drawn.bounds == pytest.approx((0.0, 25.0, 30.0, 45.0), abs=1e-6)
     np.testing.assert_array_equal(drawn.cells, [[0, 1, 2], [3, 4, np.nan]])
     assert (drawn.low, drawn.high) == (0.0, 4.0)
@@ -97,7 +96,6 @@ def test_every_window_paints_the_ground_half_way_to_its_neighbours() -> None:
 def test_the_highest_score_counts_where_windows_of_several_sizes_lie() -> None:
     places = np.array([(10.0, 10.0), (30.0, 10.0), (20.0, 10.0)])
     drawn = score_map(places, np.array([20.0, 20.0, 40.0]), np.array([0.1, 0.9, 0.5]))
-    assert drawn is not None
     west, south, east, north = drawn.bounds
     assert (west, south, east, north) == pytest.approx((0.0, -10.0, 40.0, 30.0))
 
@@ -112,7 +110,6 @@ def test_the_highest_score_counts_where_windows_of_several_sizes_lie() -> None:
 
 def test_a_lone_window_covers_its_side() -> None:
     drawn = score_map(np.array([(1.0, 2.0)]), np.array([6.0]), np.array([0.3]))
-    assert drawn is not None
     assert drawn.bounds == pytest.approx((-2.0, -1.0, 4.0, 5.0))
     np.testing.assert_array_equal(drawn.cells, [[0.3]])
 
@@ -125,7 +122,6 @@ def described(model: Model) -> list[PictureOfView]:
     made = []
     for view in ("drone", "satellite"):
         one = describe_picture(model, small_worlds.place(7), view)
-        assert one.activation is not None
         made.append(PictureOfView(view, one.picture, one.activation, one.descriptor))
     return made
 

@@ -39,10 +39,8 @@ def test_rows_are_the_shares_of_the_answer_and_the_lead_adds_up(answer: lpn.Answ
     assert [row.title[0] for row in figure.rows] == ["Query", "True tile", "Wrong tile"]
     assert wrong.title[1] == "rank 3"
     for row, evidence in ((true, first), (wrong, second)):
-        assert row.shares is not None
         assert row.shares.sum() == pytest.approx(evidence.distance2, abs=1e-5)
         assert row.heat.sum() + evidence.tile.constants @ evidence.weights == pytest.approx(evidence.score, abs=1e-5)
-    assert query.shares is not None
     assert query.shares.sum() == pytest.approx(second.distance2 - first.distance2, abs=1e-5)
     constants = 2 * (first.query.constants - second.query.constants) * first.weights
     np.testing.assert_allclose(query.heat.sum(axis=(1, 2)) + constants, query.shares, atol=1e-5)
@@ -78,7 +76,6 @@ def test_a_pdf_is_of_lines_and_letters(figure: PaperFigure, tmp_path: Path) -> N
     assert data.startswith(b"%PDF")
     assert b"/CIDFontType2" in data
     box = re.search(rb"/MediaBox \[ ?0 0 ([\d.]+) ([\d.]+) ?\]", data)
-    assert box is not None
     assert float(box[1]) == pytest.approx(180 * MM * 72, abs=0.1)
     assert b"CreationDate" not in data
 
@@ -103,7 +100,6 @@ def test_by_default_the_truth_chooses_the_tiles(answer: lpn.Answer) -> None:
 def test_parts_of_any_shape_are_drawn(data: Path) -> None:
     gallery = lpn.Gallery.of_folder(data / "test" / "gallery_satellite", RegionModel())
     figure = gallery.search(small_worlds.place(9)).paper_figure()
-    assert figure.rows[0].areas is not None
     assert not figure.rows[0].areas.straight
     assert Image.open(io.BytesIO(figure.encode("png"))).width == pytest.approx(300 * 180 * MM, abs=1)
 
@@ -119,7 +115,7 @@ def test_what_cannot_be_drawn_is_refused_in_one_sentence(
     }
     for message, given in refused.items():
         with pytest.raises(InputError, match=message):
-            answer.paper_figure(**given)  # type: ignore[arg-type]
+            answer.paper_figure(**given)
     with pytest.raises(LPNError, match=r"ends in \.png, \.svg, or \.pdf"):
         figure.save(tmp_path / "figure.jpg")
     monkeypatch.setitem(sys.modules, "matplotlib", None)

@@ -28,10 +28,9 @@ def test_notes_are_kept_and_read_back(tmp_path: Path) -> None:
 
 
 def test_a_change_leaves_the_letters_of_other_notes(tmp_path: Path) -> None:
-    file, text = (
-        tmp_path / notes.NAME,
-        "shaking \U0001fae8 \u1781\u200b\u1798\u17d2\u1798\u17c2 \ue000 so\xadft \U000e0fff",
-    )
+    """Also the spaces of French, the joiners of Persian, the marks of Hebrew, and letters that Unicode may still assign."""
+    file = tmp_path / notes.NAME
+    text = "\U0001fae8 \u1781\u200b\u1798\u17d2\u1798\u17c2 \ue000 so\xadft \U000e0fff a\u00a0! \u06cc\u200c\u062e \u200f(1)"
     file.write_text(f"path,tags,note\na.jpg,,{text}\n", "utf-8")
     assert notes.set_note(file, "b.jpg", "x", "other")["a.jpg"].text == text
     assert text in file.read_text("utf-8")

@@ -28,7 +28,7 @@ def ranked(cosines: object, weights: object = None, true: tuple[int, ...] | None
     array = np.array(cosines, np.float32)
     labels = np.ones(len(array), np.int64)
     labels[list(true or ())] = 7
-    weights = scoring.part_weights(array.shape[1], weights)  # type: ignore[arg-type]
+    weights = scoring.part_weights(array.shape[1], weights)
     return retrieval.rank(array, weights, labels, None if true is None else 7)
 
 
@@ -128,7 +128,6 @@ def test_junk_is_no_rival() -> None:
     cosines = np.array([[0.9, 0.9], [0.8, 0.8], [0.5, 0.6]], np.float32)
     ranking = retrieval.rank(cosines, scoring.part_weights(2), truth=Truth(np.array([0]), np.array([1])))
     rival = judge(ranking, ["1", "2"]).rival
-    assert rival is not None
     assert rival.index == 2
 
 
@@ -138,8 +137,6 @@ def test_under_csls_the_gains_are_of_the_distances_that_are_ranked() -> None:
     terms = CslsTerms(rng.uniform(0, 1, 3).astype(np.float32), rng.uniform(0, 1, (20, 3)).astype(np.float32))
     weights = scoring.part_weights(3, [1, 2, 0.5])
     verdict = judge(retrieval.rank(cosines, weights, np.arange(20), 4, csls=terms), ["top", "middle", "bottom"])
-    assert verdict.gains is not None
-    assert verdict.rival is not None
     assert verdict.gains.sum() == pytest.approx(verdict.rival.distance2 - verdict.answer.distance2, abs=1e-5)
     np.testing.assert_allclose(verdict.gains, verdict.rival.contributions - verdict.answer.contributions, atol=1e-5)
 
@@ -149,7 +146,6 @@ def tasks() -> list[Task]:
     """Both directions of the demo, plain, calibrated, and by CSLS."""
     model, dataset = load(DEMO_MODEL, "cpu"), open_dataset(DEMO)
     calibration = shipped_calibration(model, dataset)
-    assert calibration is not None
     names = offered_tasks(model, dataset)
     plain = [describe_task(model, DEMO_MODEL.name, dataset, name) for name in names]
     return [*plain, *scored_tasks(model, DEMO_MODEL.name, dataset, calibration, names)]
@@ -186,7 +182,6 @@ def check(verdict: Verdict, shares: np.ndarray, true: np.ndarray) -> str:
     """Check each claim of a verdict against the shares of d² (G, 4) of all tiles; return the kind of its headline."""
     d2 = shares.sum(axis=1)
     answer, rival = verdict.answer.index, verdict.rival
-    assert rival is not None
     assert d2[answer] <= d2.min() + EQUAL
     assert verdict.sign == true[answer]
     others = np.flatnonzero(~true if verdict.sign else true)
@@ -196,7 +191,6 @@ def check(verdict: Verdict, shares: np.ndarray, true: np.ndarray) -> str:
     np.testing.assert_allclose(verdict.gains, gains, atol=EQUAL)
     assert verdict.lead == pytest.approx(lead, abs=1.1e-3)
     said = re.search(r"by (\d\.\d{3})" if verdict.sign else r"(\d\.\d{3}) behind", verdict.sentence)
-    assert said is not None
     assert float(said[1]) == verdict.lead
     if not verdict.sign:
         before = int((d2 < d2[true].min() - EQUAL).sum())
