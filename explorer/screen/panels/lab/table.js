@@ -10,7 +10,7 @@ export class QueryTable {
     this.set = set;
     this.onMarked = marked;
     this.inner = box.appendChild(make("div"));
-    this.head = this.grid = null;
+    this.head = this.drawn = this.grid = null; // the newest message, and the one that is shown
     this.at = -1;
     this.pieces = new Map();
     this.queries = [];
@@ -24,10 +24,12 @@ export class QueryTable {
 
   /** Show the rows of a message; the grid is kept if its columns are unchanged. */
   async show(head) {
-    const before = this.head;
     this.head = head;
     await this.ready;
+    await this.built;
     if (head !== this.head) return;
+    const before = this.drawn;
+    this.drawn = head;
     const heading = (one) => JSON.stringify([one.columns, one.sort, one.descending]);
     if (this.grid && head.feed === before.feed && heading(head) === heading(before)) return;
     this.pieces.clear();
@@ -38,6 +40,7 @@ export class QueryTable {
         columnDefaults: { headerSort: false, resizable: "header" }, placeholder: "No photo is left by these choices.",
         selectableRows: true, selectableRowsRangeMode: "click", rowFormatter: (row) => row.getElement().classList.toggle("shown", row.getData().at === this.at),
       });
+      this.built = new Promise((resolve) => this.grid.on("tableBuilt", resolve)); // before it, the grid takes no rows
       this.grid.on("tableBuilt", () => {
         this.holder = find(".tabulator-tableholder", this.inner);
         find(".tabulator", this.inner.parentElement).setAttribute("aria-label", "Queries: arrow keys walk; Control or Shift and a click mark");
