@@ -55,12 +55,3 @@ def test_a_mean_that_chance_hardly_explains_is_told_and_a_leg_errs_as_one() -> N
     assert to_the_north([0.1] * 9).figures["independent_north"] == 9, (
         "equal errors count each, though their mean is inexact"
     )
-
-
-def test_neighbours_that_err_alike_are_seldom_called_systematic() -> None:
-    drawn = np.random.default_rng(0).standard_normal((400, 40))
-    for i in range(1, 40):
-        drawn[:, i] = 0.8 * drawn[:, i - 1] + 0.6 * drawn[:, i]
-    called = ["m north" in one and "more than 3" in one.split("east")[-1].replace("no more", "") for one in
-              (to_the_north(errors).bias_sentence for errors in drawn.tolist())]  # fmt: skip
-    assert np.mean(called) < 0.1, "of three standard errors, uncorrected, a quarter is"
