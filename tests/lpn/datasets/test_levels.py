@@ -6,11 +6,13 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from rich.console import Console
 
 from lpn.cli import main
 from lpn.core.errors import DataError
 from lpn.datasets import open_dataset
 from lpn.datasets.layouts.university import University
+from lpn.training.training_set import TrainingSet
 from tools.fixtures import layouts, small_worlds
 
 
@@ -80,6 +82,13 @@ def test_what_systems_leave_in_a_data_set_is_no_part_of_it(tmp_path: Path, capsy
     assert open_dataset(root).lists() == before
     assert main.main(["doctor", "--data", str(root)]) == 0
     assert "Nothing is broken." in capsys.readouterr().out
+
+
+def test_a_folder_of_pictures_is_no_training_set(tmp_path: Path) -> None:
+    for view in ("drone", "satellite"):
+        small_worlds.write(tmp_path / "alike" / view / "1.jpg", layouts.small(1))
+    with pytest.raises(DataError, match="alike is a folder of pictures, and nothing says which of them show the same"):
+        TrainingSet(open_dataset(tmp_path / "alike"), Console(quiet=True))
 
 
 def test_a_folder_that_may_not_be_read_is_no_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
