@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import os
 import shutil
 from pathlib import Path
 
@@ -9,16 +8,6 @@ import pytest
 from lpn.core.errors import DataError
 from lpn.datasets import open_dataset
 from tools.fixtures import layouts, small_worlds
-
-
-def test_the_layout_is_read_in_order_of_place_and_file(data: Path) -> None:
-    dataset = open_dataset(data)
-    assert dataset.tasks() == ["drone-to-satellite", "satellite-to-drone"]
-    queries = dataset.queries("drone")
-    assert [picture.label for picture in queries] == list(range(7, 21))
-    assert [picture.name for picture in queries] == [f"{i:04d}" for i in range(7, 21)]
-    assert [picture.label for picture in dataset.train("satellite")] == list(range(1, 7))
-    assert dataset.train("google") == []
 
 
 def test_several_pictures_of_a_place_are_told_apart(tmp_path: Path) -> None:
@@ -76,15 +65,6 @@ def test_a_folder_of_the_test_split_may_be_a_text_with_the_name_of_another(data:
     for text in ("../../etc", "nowhere", ""):
         (root / "test" / "gallery_drone").write_text(text)
         assert open_dataset(root).tasks() == ["drone-to-satellite"]
-
-
-def test_names_can_always_be_shown_and_sent(tmp_path: Path) -> None:
-    folder = tmp_path / "test" / "query_drone" / "0001"
-    folder.mkdir(parents=True)
-    for name in (b"caf\xe9.png", b"two\nlines.png"):
-        (folder / os.fsdecode(name)).write_bytes(b"")
-    names = [picture.name for picture in open_dataset(tmp_path).queries("drone")]
-    assert names == ["0001/caf?", "0001/two?lines"]
 
 
 def test_what_is_wrong_with_a_folder_is_said_in_one_sentence(tmp_path: Path) -> None:

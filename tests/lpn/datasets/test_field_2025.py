@@ -14,7 +14,6 @@ from lpn.core.errors import DataError
 from lpn.datasets import open_dataset
 from lpn.datasets.layouts.univ import UniV
 from lpn.doctor.dataset_check import check_dataset
-from lpn.tasks.changes import averaged
 from lpn.tasks.opening import lazy_task
 from tools.fixtures import layouts
 from tools.fixtures.small_contracts import PartsModel, RegionModel
@@ -46,9 +45,6 @@ def test_world_uav_has_splits_regions_and_tiles_of_each_region(
     assert {query.group for query in queries} == {"Terrain/Desert/a", "Country/Spain/b"}
     columns = {column.name: column.values[second] for column in mix.columns(queries)}
     assert columns == {"region": "Country/Spain/b", "height": 125, "rotation": 45}
-    report = check_dataset(mix)
-    assert report.healthy
-    assert (report.kind, report.gaps) == ("World-UAV", ())
 
 
 def test_world_uav_is_ranked_within_each_region_and_averaged_over_regions(tmp_path: Path) -> None:
@@ -74,17 +70,6 @@ def test_one_region_of_world_uav_has_all_its_flights_as_queries(tmp_path: Path) 
     truth = region.truth("drone-to-satellite")
     assert truth is not None
     assert not any(len(one.junk) for one in truth)
-
-
-def test_a_split_of_world_uav_that_is_not_there_is_refused(tmp_path: Path) -> None:
-    root = layouts.world_uav(tmp_path / "World-UAV")
-    (root / "Index" / "test_country.txt").unlink()
-    with pytest.raises(
-        DataError, match="World-UAV has the lists of terrain and mix; expected city, so unpack it there"
-    ):
-        open_dataset(root / "city")
-    with pytest.raises(DataError, match=r"There is no data set folder at .*/city; check the path"):
-        open_dataset(layouts.sues(tmp_path / "SUES") / "city")
 
 
 def test_a_key_of_world_uav_without_a_tile_is_no_query(tmp_path: Path) -> None:
@@ -133,12 +118,6 @@ def test_univ_has_videos_by_angle_and_rate_and_shares_tiles(tmp_path: Path, capl
     assert next(count for count in report.counts if count.name == "train/drone").full_places == 701
 
 
-def test_videos_of_univ_are_queries_when_their_frames_are_averaged(tmp_path: Path) -> None:
-    dataset = open_dataset(layouts.univ(tmp_path / "UniV") / "30" / "5fps")
-    result = averaged(lazy_task(PartsModel(RegionModel()), dataset, "drone-to-satellite")).evaluate()
-    assert (result.queries, result.gallery) == (2, 3)
-
-
 def test_univ_without_query_folders_says_how_to_make_them(tmp_path: Path) -> None:
     root = layouts.univ(tmp_path / "UniV", organized=False)
     dataset = open_dataset(root / "30" / "5fps")
@@ -151,14 +130,6 @@ def test_univ_without_query_folders_says_how_to_make_them(tmp_path: Path) -> Non
     shutil.rmtree(root / "45" / "5fps")
     with pytest.raises(DataError, match=r"UniV has the lists of 45/2fps and 45/10fps and 30/2fps .*; expected 45/5fps"):
         UniV(root, "45/5fps")
-
-
-def test_a_folder_inside_univ_names_the_one_to_give(tmp_path: Path) -> None:
-    root = layouts.univ(tmp_path / "UniV")
-    with pytest.raises(DataError, match=rf"is the part 45 of a data set; give {root}\."):
-        open_dataset(root / "45")
-    with pytest.raises(DataError, match=rf"is the part 45/2fps/test of a data set; give {root}\."):
-        open_dataset(root / "45" / "2fps" / "test")
 
 
 @pytest.mark.parametrize(("images", "schematic", "drones"), [(True, False, 2), (False, True, 1)])

@@ -109,25 +109,3 @@ def test_mistakes_in_a_file_of_positions_are_named(tmp_path: Path, text: str, sa
     (tmp_path / "geo.csv").write_bytes(b"path,latitude,longitude\n\xff\xfe,1,2\n")
     with pytest.raises(DataError, match="UTF-8"):
         Positions(tmp_path)
-
-
-def test_columns_and_paths_of_any_form_and_mistakes_in_any_line(tmp_path: Path) -> None:
-    others = "".join(f"other/{i}.jpg,1,2\n" for i in range(1000))
-    pictures = [Picture(tmp_path / "a" / name, 1, "1") for name in ("2.jpg", "1.jpg")]
-    found = [Position(3, 4), Position(1, 2)]
-    write(tmp_path, f"\ufeffPath,latitude,longitude\n{others}a/1.jpg,1,2\r\na/2.jpg,3,4\n")
-    assert Positions(tmp_path).of(pictures) == Positions(tmp_path).match(["a/2.jpg", "a/1.jpg"]) == found
-    for text in (  # the columns in another order, quotes, and paths of another system
-        f"latitude,longitude,path\n{others.replace('other', '1,2,other').replace(',1,2', '')}1,2,a/1.jpg\n3,4,a/2.jpg\n",
-        f'path,latitude,longitude\n{others}a/1.jpg,1,2\n"a/2.jpg",3,4\n',
-        f"path,latitude,longitude\n{others}A\\1.JPG,1,2\na/2.jpg,3,4\n",
-    ):
-        assert Positions(write(tmp_path, text)).of(pictures) == found
-    # A picture without a line counts, and a malformed line and a second one are named by their numbers.
-    for text, said in (
-        (f"{others}a/1.jpg,1,2\n", "no position for 1 of 2 pictures, the first being a/2.jpg"),
-        (f"{others}a/1.jpg,1,2\na/2.jpg,3,east\n", "Line 1003 of geo.csv has the longitude 'east'"),
-        (f"{others}a/1.jpg,1,2\na/2.jpg,3,4\na/1.jpg,1,2\n", "Line 1004 of geo.csv gives a/1.jpg a second position"),
-    ):
-        with pytest.raises(DataError, match=said):
-            Positions(write(tmp_path, f"path,latitude,longitude\n{text}")).of(pictures)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,7 +11,7 @@ from PIL import Image
 
 from lpn.cli import main
 from lpn.core.errors import DataError
-from lpn.flight.files import Frame, ground_width, make_flight, open_flight
+from lpn.flight.files import Frame, make_flight, open_flight
 from lpn.flight.files.base import local_metres
 from lpn.flight.files.quality import flight_notes, with_courses
 from lpn.flight.locate.tracks import write_track
@@ -98,19 +96,6 @@ def test_a_track_that_lpn_locate_wrote_is_no_log(tmp_path: Path, suffix: str) ->
     assert not (tmp_path / "monday").exists()
 
 
-def test_tiff_photos_are_read_and_other_pictures_named(tmp_path: Path) -> None:
-    folder = tmp_path / "photos"
-    write_photo(folder / "1.jpg", exif(47.0, 8.0))
-    for name in ("2.tif", "3.TIFF"):
-        Image.new("RGB", (40, 30)).save(folder / name, "TIFF", exif=exif(47.0, 8.0).tobytes())
-    (folder / "1.DNG").write_bytes(b"x")
-    (folder / "2.heic").write_bytes(b"x")
-    for flight in (open_flight(folder), make_flight([folder], tmp_path / "flight")):
-        assert [frame.name for frame in flight.frames] == ["1.jpg", "2.tif", "3.TIFF"]
-        assert {(round(frame.latitude or 0, 6), frame.longitude) for frame in flight.frames} == {(47.0, 8.0)}
-        assert "Left out, because their kind is not supported: 1.DNG, 2.heic." in flight.notes
-
-
 def test_maps_of_a_survey_program_are_no_photos(tmp_path: Path) -> None:
     write_photo(tmp_path / "odm" / "images" / "a.jpg", exif(47.0, 8.0))
     folder = tmp_path / "odm" / "odm_orthophoto"
@@ -177,42 +162,3 @@ def test_without_the_extra_video_the_note_says_what_to_install(tmp_path: Path, m
     assert any("pip install 'lpn-explorer[maps]'" in note for note in flight.notes)
     (tmp_path / "a.SRT").write_text(srt(["[latitude: 1.0] [longitude: 2.0] [rel_alt: 3.0 abs_alt: 4.0]"]))
     assert make_flight([video], tmp_path / "flight").frames[0].latitude == 1.0
-
-
-REAL = Path(os.environ["LPN_FLIGHTS"]) if "LPN_FLIGHTS" in os.environ else None
-
-
-@pytest.mark.skipif(REAL is None, reason="LPN_FLIGHTS does not name a folder of real flights")
-@pytest.mark.parametrize(
-    ("name", "frames", "heights", "extent", "source", "width"),
-    [
-        # Heights are those of the flights' README, and so are the widths, which were measured on the map: 65 to 73 m in brighton,
-        # and 78 to 103 m in seneca, whose photos are cropped to nine tenths without a tag that says so.
-        ("brighton", 18, (39.8, 40.2), (84, 84), "gimbal", (65, 73)),
-        ("caliterra", 60, None, (103, 141), "course", None),
-        ("seneca", 60, (63, 77), (379, 397), "aircraft", (78 / 0.9, 103 / 0.9)),
-    ],
-)
-def test_real_flights_are_read(
-    name: str,
-    frames: int,
-    heights: tuple[float, float] | None,
-    extent: tuple[float, float],
-    source: str,
-    width: tuple[float, float] | None,
-) -> None:
-    assert REAL is not None
-    flight = open_flight(REAL / name / "photos")
-    assert len(flight.frames) == frames
-    known = [frame.flying_height for frame in flight.frames if frame.flying_height is not None]
-    assert (min(known) >= heights[0] - 0.05 and max(known) <= heights[1] + 0.05) if heights else not known
-    assert np.ptp(local_metres(flight.degrees), axis=0) == pytest.approx(extent, rel=0.02)
-    assert Counter(frame.heading_source for frame in flight.frames).most_common(1)[0][0] == source
-    widths = [found for frame in flight.frames if (found := ground_width(frame)) is not None]
-    if width is None:
-        assert not widths
-    else:
-        assert width[0] < min(widths)
-        assert max(widths) < width[1]
-    assert any("its field of view is right if it was reduced" in note for note in flight.notes)
-    assert not any("cannot be read" in note for note in flight.notes)

@@ -31,13 +31,6 @@ def test_a_flight_is_read_as_it_was_written(tmp_path: Path) -> None:
     assert "../photos/a.jpg" in (tmp_path / "flight" / "flight.csv").read_text("utf-8")
 
 
-def test_a_flight_may_be_moved_with_its_photos(tmp_path: Path) -> None:
-    write_photo(tmp_path / "one" / "photos" / "a.jpg", exif(1.0, 2.0))
-    write_flight(open_flight(tmp_path / "one" / "photos"), tmp_path / "one" / "flight")
-    (tmp_path / "one").rename(tmp_path / "two")
-    assert open_flight(tmp_path / "two" / "flight").frames[0].file == tmp_path / "two" / "photos" / "a.jpg"
-
-
 @pytest.mark.parametrize(("name", "text"), [("flight.csv", "latitude,longitude,time\n1,2,3\n"), ("flight.json", "{}")])
 def test_files_that_lpn_flight_did_not_write_are_not_replaced(tmp_path: Path, name: str, text: str) -> None:
     photo, own = write_photo(tmp_path / "a.jpg", exif(1.0, 2.0)), tmp_path / "flight"

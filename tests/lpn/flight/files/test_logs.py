@@ -308,16 +308,6 @@ def test_angles_beyond_their_range_are_not_used(
     assert any(note in line for line in log.notes) if note else not log.notes
 
 
-def test_a_few_positions_that_are_none_are_left_out(tmp_path: Path) -> None:
-    rows = [f"{'-5.797e+148' if i == 7 else 47 + i / 1000},8.5\n" for i in range(30)]
-    log = read_log(written(tmp_path, "lat,lon\n" + "".join(rows)))
-    assert [row.line for row in log.entries if row.latitude is None] == [9]
-    assert log.notes == (
-        "1 of 30 values of the column lat of log.csv are not from -90 to 90 degrees and were not used, first in line 9.",
-        "1 of 30 rows of log.csv have no position.",
-    )
-
-
 @pytest.mark.parametrize(
     ("dates", "clock", "says"),
     [

@@ -14,7 +14,6 @@ from PIL import ExifTags, Image
 from lpn.core.errors import DataError, PictureError
 from lpn.core.images import load_picture
 from lpn.flight.files import open_flight
-from lpn.flight.files.base import Frame
 from lpn.flight.files.photos import photo_of, read_photo
 from tools.fixtures.field_photos import FIELD
 from tools.fixtures.photos import (
@@ -29,21 +28,6 @@ from tools.fixtures.photos import (
 
 BASE, GPS = ExifTags.Base, ExifTags.GPS
 NOON = {BASE.DateTimeOriginal: "2024:05:01 14:00:00"}
-
-
-def test_xmp_is_believed_before_exif(tmp_path: Path) -> None:
-    packet = dji_xmp(
-        GpsLatitude="+46.8426075", GpsLongitude="-91.9945602", AbsoluteAltitude="+198.31", RelativeAltitude="+39.80",
-        GimbalRollDegree="+0.00", GimbalYawDegree="-45.00", GimbalPitchDegree="-89.90", FlightYawDegree="+46.00",
-    )  # fmt: skip
-    photo = read_photo(write_photo(tmp_path / "a.jpg", exif(46.84, -91.99, gps={GPS.GPSAltitude: 5.0}), packet))
-    frame = photo.frame
-    assert (frame.name, frame.width, frame.height) == ("a.jpg", 40, 30)
-    assert (frame.latitude, frame.longitude) == (46.8426075, -91.9945602)
-    assert (frame.altitude, frame.height_above_takeoff, frame.height_above_ground) == (198.31, 39.8, None)
-    assert (frame.heading, frame.heading_source, frame.pitch, frame.roll) == (315.0, "gimbal", -89.9, 0.0)
-    assert frame.flying_height == 39.8
-    assert not photo.oddities
 
 
 def test_a_picture_that_was_saved_upright_has_the_longer_side_upright() -> None:
@@ -245,12 +229,6 @@ def test_one_damaged_directory_of_exif_leaves_the_others() -> None:
     damaged = told[:pointer] + b"\xff\xff\xff\x0f" + told[pointer + 4 :]
     frame = photo_of(photo_bytes(damaged), Path("a.jpg")).frame
     assert (frame.width, frame.height, frame.latitude) == (30, 40, None)
-
-
-def test_an_unknown_frame_has_every_field_of_the_table() -> None:
-    empty = photo_of(photo_bytes(), Path("a.jpg"))
-    assert empty.frame == Frame("a.jpg", Path("a.jpg"), 40, 30)
-    assert empty.oddities == ()
 
 
 def test_the_facts_are_those_of_the_file() -> None:

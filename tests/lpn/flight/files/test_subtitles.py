@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import re
 from pathlib import Path
 
@@ -144,22 +143,3 @@ def test_a_dialect_that_is_not_known_is_named_by_a_line_of_it(line: str) -> None
     found = parsed(srt([f"{text}\nH: 12.5m"]))
     assert found.entries[0].height_above_takeoff == 12.5
     assert found.notes == (f"1 of 1 entries of a.SRT have no position; one of its lines is {line!r}.",)
-
-
-SAMPLES = Path(os.environ["LPN_FLIGHTS"]).parent / "srt" if "LPN_FLIGHTS" in os.environ else None
-
-
-@pytest.mark.skipif(
-    SAMPLES is None or not SAMPLES.is_dir(), reason="LPN_FLIGHTS does not name real flights with srt beside them"
-)
-def test_real_samples_are_read() -> None:
-    assert SAMPLES is not None
-    refused = set()
-    for file in sorted(SAMPLES.glob("*.SRT")):
-        try:
-            found = read_subtitles(file)
-        except DataError:
-            refused.add(file.stem)
-            continue
-        assert any(entry.latitude is not None for entry in found.entries), file.stem
-    assert refused == {"mavic_air", "broken_empty2"}

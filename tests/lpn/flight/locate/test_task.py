@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
 import pytest
 
 import lpn
-from lpn.core.errors import DataError, PictureError
 from lpn.flight.files import Flight
 from lpn.flight.locate import retrieval
 from lpn.flight.locate.located import LocatedFlight
@@ -133,14 +131,3 @@ def test_no_window_is_cut_before_it_is_shown(
     assert task.gallery[7].load().shape == (*model.input_size, 3)
     assert located.retrieval is not None
     assert cuts == [located.retrieval.gallery.windows[7]]
-
-
-def test_a_window_on_a_damaged_part_of_the_map_is_a_picture_that_cannot_be_read(
-    task: Task, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def damaged(*_: Any) -> None:
-        raise DataError("The tile 3.png cannot be read; delete it, or make it again.")
-
-    monkeypatch.setattr(Map, "read", damaged)
-    with pytest.raises(PictureError, match=r"The tile 3\.png cannot be read"):
-        task.gallery[7].load()

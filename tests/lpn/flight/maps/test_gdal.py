@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import json
-import os
 import sqlite3
 import subprocess
 import sys
@@ -37,16 +36,6 @@ while True:
         heard.flush()
         connection.sendall(b"HTTP/1.1 404 Not Found\\r\\nContent-Length: 0\\r\\nConnection: close\\r\\n\\r\\n")
 """
-# Rasterio by itself, as it reads a map: overviews, then pixels.
-_PLAIN = """
-import sys, rasterio
-for path in sys.argv[1:]:
-    try:
-        with rasterio.open(path) as file:
-            file.overviews(1), file.read(1, out_shape=(8, 8)), file.crs
-    except Exception as error:
-        print(path, error)
-"""
 _WMS = (
     '<GDAL_WMS><Service name="TMS"><ServerUrl>{}/${{z}}/${{x}}/${{y}}.png</ServerUrl></Service><DataWindow><UpperLeftX>0'
     "</UpperLeftX><UpperLeftY>600</UpperLeftY><LowerRightX>600</LowerRightX><LowerRightY>0</LowerRightY><TileLevel>2</TileLevel>"
@@ -68,36 +57,16 @@ _NOTES = (
 )
 
 
-class Listener:
-    """A server on loopback in a process of its own: GDAL holds Python's lock while it asks."""
-
-    def __init__(self, log: Path) -> None:
-        log.touch()
-        self._log = log
-        self._process = subprocess.Popen([sys.executable, "-c", _LISTENER, log], stdout=subprocess.PIPE, text=True)
-        assert self._process.stdout is not None
-        self.address = f"http://127.0.0.1:{int(self._process.stdout.readline())}"
-
-    def heard(self) -> list[str]:
-        return self._log.read_text().splitlines()
-
-    def close(self) -> None:
-        self._process.kill()
-        self._process.communicate()
-
-
-def run_plainly(program: str, path: Path) -> str:
-    """Run a program that opens a file by rasterio itself in a process of its own, and return its output."""
-    plain = {name: value for name, value in os.environ.items() if not name.startswith(("GDAL", "CPL_", "OGR_"))}
-    command = [sys.executable, "-c", program, path]
-    return subprocess.run(command, env=plain, check=True, capture_output=True, text=True).stdout
-
-
 @pytest.fixture
-def listener(tmp_path: Path) -> Iterator[Listener]:
-    made = Listener(tmp_path / "heard.txt")
-    yield made
-    made.close()
+def listener(tmp_path: Path) -> Iterator[tuple[str, Path]]:
+    """A server on loopback in a process of its own, as GDAL holds Python's lock while it asks: its address, and what it hears."""
+    heard = tmp_path / "heard.txt"
+    heard.touch()
+    process = subprocess.Popen([sys.executable, "-c", _LISTENER, heard], stdout=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    yield f"http://127.0.0.1:{int(process.stdout.readline())}", heard
+    process.kill()
+    process.communicate()
 
 
 def text(contents: str) -> Callable[[Path, str], Path]:
@@ -153,10 +122,10 @@ CASES: dict[str, Callable[[Path, str], Path]] = {
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_no_file_of_a_user_makes_gdal_ask_a_server(tmp_path: Path, listener: Listener, case: str) -> None:
+def test_no_file_of_a_user_makes_gdal_ask_a_server(tmp_path: Path, listener: tuple[str, Path], case: str) -> None:
     _gdal.rasterio()  # before anything else uses GDAL, as the commands do
     (tmp_path / "theirs").mkdir()
-    path = CASES[case](tmp_path / "theirs", listener.address)
+    path = CASES[case](tmp_path / "theirs", listener[0])
     corners = MapOptions(corners=(48.0, 9.0, 47.999, 9.0014))
     if case == "a JPEG that is a VRT, too":
         open_map(path, corners).overview(8)
@@ -166,23 +135,11 @@ def test_no_file_of_a_user_makes_gdal_ask_a_server(tmp_path: Path, listener: Lis
     with pytest.raises(DataError, match=r"^[^\n]*$"):
         ElevationFile(path)
     main(["doctor", "--data", str(path.parent)])
-    assert not listener.heard()
-    run_plainly(_PLAIN, path)
-    assert bool(listener.heard()) == (case != "a CRS that names a grid")
-
-
-def test_a_folder_of_a_map_from_elsewhere_reads_no_text_file(tmp_path: Path) -> None:
-    build_map([write_geotiff(tmp_path / "a.tif", smooth(60, 60))], tmp_path / "map").close()
-    (tmp_path / "map" / "sheets" / "secret.txt").write_bytes(b"what no map shows. " * 30)
-    text(_RAW)(tmp_path / "map" / "sheets", "").replace(tmp_path / "map" / "sheets" / "01.tif")
-    with pytest.raises(DataError, match=r"01\.tif begins with .* cannot be read as a map"):
-        open_map(tmp_path / "map")
+    assert not listener[1].read_text()
 
 
 def test_a_sheet_is_read_by_the_driver_that_opened_it(tmp_path: Path) -> None:
     """A grid of bytes, which only its header tells from any other file, begins as the index of a raw band over a text file."""
-    import rasterio
-
     side = 400
     (tmp_path / "secret.txt").write_bytes(b"what no map shows. " * (side * side // 19 + 1))
     (tmp_path / "raw.vrt").write_text(_RAW.replace("20", str(side)))
@@ -195,8 +152,6 @@ def test_a_sheet_is_read_by_the_driver_that_opened_it(tmp_path: Path) -> None:
     pixels = index + b"\0" + smooth(side, side)[:, :, 0].tobytes()[len(index) + 1 :]
     path = tmp_path / "town.bil"
     path.write_bytes(pixels)
-    with rasterio.open(path) as file:
-        assert b"no map shows" in file.read(1).tobytes()
     raster = open_map(path, MapOptions(crs="EPSG:32632")).sheets[0].raster
     row = raster.cut(np.array([[1.0, 0, 0], [0, 1, 100]]), (side, 1), 1)[0]
     assert row[0, :, 0].tobytes() == pixels[100 * side : 101 * side]
@@ -217,8 +172,6 @@ def test_no_table_of_an_mbtiles_is_another_file(tmp_path: Path) -> None:
     database.close()
     with pytest.raises(DataError, match="cannot be read as a map"):
         open_map(path)
-    program = "import sys, rasterio\nwith rasterio.open(sys.argv[1]) as file:\n    print(file.read(1).std() > 10)"
-    assert run_plainly(program, path) == "True\n"
 
 
 @pytest.mark.parametrize("elsewhere", [False, True])
@@ -238,8 +191,6 @@ def test_a_file_of_imagine_takes_pixels_from_its_own_folder_alone(tmp_path: Path
         written.write_bytes(written.read_bytes().replace(name, named))
     (mine / "link.img").symlink_to(written.name)
     for path in (mine / ".." / "mine" / written.name, mine / "link.img"):
-        with rasterio.open(path) as file:
-            assert np.array_equal(file.read(1), smooth(60, 60)[:, :, 0])
         if elsewhere:
             with pytest.raises(DataError, match=r"takes pixels from another folder \(.*other.*secret\.ige\); make one"):
                 open_map(path)
@@ -261,14 +212,14 @@ def test_a_name_by_which_gdal_would_open_another_file_is_refused(tmp_path: Path,
         open_map(path)
 
 
-def test_no_crs_is_asked_of_a_server_or_read_from_a_file(tmp_path: Path, listener: Listener) -> None:
+def test_no_crs_is_asked_of_a_server_or_read_from_a_file(tmp_path: Path, listener: tuple[str, Path]) -> None:
     from rasterio.crs import CRS
 
     (tmp_path / "wkt.txt").write_text(CRS.from_epsg(32632).to_wkt())
     plain = write_geotiff(tmp_path / "b.tif", smooth(60, 60), crs=None)
     build_map([write_geotiff(tmp_path / "a.tif", smooth(60, 60))], tmp_path / "map").close()
     record = json.loads((tmp_path / "map" / "map.json").read_text())
-    for crs in (f"{listener.address}/crs", str(tmp_path / "wkt.txt")):
+    for crs in (f"{listener[0]}/crs", str(tmp_path / "wkt.txt")):
         with pytest.raises(InputError, match="There is no CRS"):
             parse_crs(crs)
         plain.with_suffix(".prj").write_text(crs)
@@ -278,12 +229,7 @@ def test_no_crs_is_asked_of_a_server_or_read_from_a_file(tmp_path: Path, listene
         (tmp_path / "map" / "map.json").write_text(json.dumps(record))
         with pytest.raises(InputError, match="There is no CRS"):
             open_map(tmp_path / "map")
-    assert not listener.heard()
-    # Rasterio itself does both.
-    assert CRS.from_user_input(str(tmp_path / "wkt.txt")).to_epsg() == 32632
-    asked = "import sys\nfrom rasterio.crs import CRS\ntry:\n    CRS.from_user_input(sys.argv[1])\nexcept ValueError:\n    pass"
-    subprocess.run([sys.executable, "-c", asked, f"{listener.address}/crs"], check=True)
-    assert listener.heard()
+    assert not listener[1].read_text()
 
 
 _DEGREES = 'PRIMEM["Greenwich",0],UNIT["degree",0.0174532925199433]]'
@@ -307,28 +253,12 @@ _GRIDS = {
 }
 
 
-@pytest.fixture
-def pipe(tmp_path: Path) -> Iterator[tuple[Path, Path]]:
-    """A pipe, and a file that has a line for each time that it was opened for reading."""
-    path, log = tmp_path / "grid", tmp_path / "opened.txt"
-    os.mkfifo(path)
-    log.touch()
-    # Nobody who opens it waits.
-    writer = subprocess.Popen(["sh", "-c", 'while : > "$0"; do echo opened >> "$1"; done', path, log])
-    yield path, log
-    writer.kill()
-    writer.wait()
-
-
 @pytest.mark.parametrize("kind", _GRIDS)
-def test_no_crs_makes_proj_open_a_path(
-    tmp_path: Path, pipe: tuple[Path, Path], capfd: pytest.CaptureFixture[str], kind: str
-) -> None:
-    crs = _GRIDS[kind].format(pipe[0])
+def test_no_crs_makes_proj_open_a_path(tmp_path: Path, capfd: pytest.CaptureFixture[str], kind: str) -> None:
+    crs = _GRIDS[kind].format(tmp_path / "grid")
     for text in (crs, f" {crs}\n"):
         with pytest.raises(DataError, match="names a file by its path"):
             parse_crs(text)
-    assert not pipe[1].read_text()
     if kind != "init":  # which GDAL itself refuses
         # Rasterio opens the path where it lies in a raster, before any of us knows of it.
         (tmp_path / "grid.txt").write_text("what no map shows")

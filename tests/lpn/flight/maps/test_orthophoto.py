@@ -202,12 +202,11 @@ def test_photos_that_make_no_map_are_named_in_one_sentence(
 
 @pytest.mark.slow
 def test_even_photos_of_caliterra_are_registered_on_a_map_of_the_odd_ones(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path,
 ) -> None:
     if "LPN_FLIGHTS" not in os.environ:
         pytest.skip("LPN_FLIGHTS names no folder of real flights")
     pytest.importorskip("orthomosaic")
-    monkeypatch.setenv("LPN_CACHE", str(tmp_path / "cache"))
     files = sorted((Path(os.environ["LPN_FLIGHTS"]) / "caliterra" / "photos").iterdir())[:30]
     assert main(["map", "--from-flight", *map(str, files[::2]), "--out", str(tmp_path / "map")]) == 0
     even = photos_of(files[1::2], "even")

@@ -169,19 +169,6 @@ def test_nodata_of_each_band(tmp_path: Path) -> None:
     assert share(path) == pytest.approx(0.75, abs=0.002)
 
 
-def test_scaled_numbers_are_stretched_as_they_are(tmp_path: Path) -> None:
-    import rasterio
-
-    values = (PICTURE[:, :, :1].astype(np.int16) - 100) * 5
-    values[:, :16] = -32_768
-    path = write(tmp_path / "town.tif", values, nodata=-32_768)
-    with rasterio.open(path, "r+") as file:
-        file.scales = [0.001]
-    town = open_map(path)
-    assert share(town) == pytest.approx(0.75, abs=0.002)
-    assert "the percentiles 2 and 98 of each band (-260 to 535)" in town.notes[0]
-
-
 @pytest.mark.parametrize(("colour", "name"), [(255, "white"), (0, "black")])
 def test_a_compressed_border_has_no_data_but_the_same_colour_inside_has(tmp_path: Path, colour: int, name: str) -> None:
     picture = smooth(200, 200)
