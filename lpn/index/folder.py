@@ -168,7 +168,9 @@ class FolderIndex(Index):
                 break
             before = self._store
             try:
-                self._store = open_store(self.folder, {} if before is None else {p.folder.name: p for p in before.parts})
+                self._store = open_store(
+                    self.folder, {} if before is None else {p.folder.name: p for p in before.parts}
+                )
                 self._store.stamp = stamp
                 if before is not None:
                     self._store.take_names(before)
