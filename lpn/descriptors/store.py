@@ -286,10 +286,8 @@ class Part:
         vectors: (B, n, D) in the precision of the store.
     """
 
-    def __init__(self, folder: Path, vectors: AnyArray, notes: PartRows | None = None) -> None:
+    def __init__(self, folder: Path, vectors: AnyArray) -> None:
         self.folder, self.vectors = folder, vectors
-        if notes is not None:
-            self.notes = notes
 
     @classmethod
     def open(cls, folder: Path, kind: DescriptorKind, rows: int) -> Part:

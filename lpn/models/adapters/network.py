@@ -69,16 +69,16 @@ class PartBranch(nn.Module):
 
 
 class HeldNorm(nn.Module):
-    """A LayerNorm of a pooled vector, which is affine in the vector once its mean and variance are held."""
+    """A LayerNorm of a pooled vector, which is affine in the vector once its mean and variance are held.
 
-    def __init__(self, weight: Tensor, bias: Tensor, epsilon: float = 1e-6) -> None:
+    Args:
+        norm: a LayerNorm, or timm's LayerNorm of a map.
+    """
+
+    def __init__(self, norm: Any) -> None:
         super().__init__()
-        self.weight, self.bias, self.epsilon = nn.Buffer(weight), nn.Buffer(bias), epsilon
-
-    @classmethod
-    def of(cls, norm: Any) -> HeldNorm:
-        """Convert a LayerNorm, or timm's LayerNorm of a map, to a `HeldNorm`."""
-        return cls(norm.weight.detach(), norm.bias.detach(), norm.eps)
+        self.weight, self.bias = (nn.Buffer(values.detach()) for values in (norm.weight, norm.bias))
+        self.epsilon = norm.eps
 
     def affine(self, pooled: Tensor) -> tuple[Tensor, Tensor]:
         """Return scale and offset of each channel, (B, C) each: the norm of (B, C) is scale * pooled + offset."""
