@@ -286,10 +286,8 @@ class Part:
         vectors: (B, n, D) in the precision of the store.
     """
 
-    def __init__(self, folder: Path, vectors: AnyArray, notes: PartRows | None = None) -> None:
+    def __init__(self, folder: Path, vectors: AnyArray) -> None:
         self.folder, self.vectors = folder, vectors
-        if notes is not None:
-            self.notes = notes
 
     @classmethod
     def open(cls, folder: Path, kind: DescriptorKind, rows: int) -> Part:
@@ -312,11 +310,6 @@ class Part:
             if len(notes.files) != len(self.vectors):
                 raise ValueError("another number of rows")
             return notes
-
-    @cached_property
-    def row_of(self) -> dict[str, int]:
-        """The row of each file."""
-        return {name: row for row, name in enumerate(self.notes.files)}
 
     @cached_property
     def positions(self) -> Float64Array:
@@ -409,12 +402,28 @@ class Store:
 
     def find(self, names: Sequence[str]) -> Int64Array:
         """Return the place of each name among the rows of all parts, (B,), -1 for a name that is in none."""
-        places = np.full(len(names), -1, np.int64)
-        for part, entry, start in zip(self.parts, self.manifest.parts, self.starts.tolist(), strict=False):
-            gone = set(entry.replaced)
-            for i, name in enumerate(names):
-                if (row := part.row_of.get(name)) is not None and row not in gone:
-                    places[i] = start + row
+        return np.array([self.place_of.get(name, -1) for name in names], np.int64)
+
+    @cached_property
+    def place_of(self) -> dict[str, int]:
+        """The place of each name, see `find`."""
+        return self._places_from(0)
+
+    def take_names(self, before: Store) -> None:
+        """Take over the names of an earlier version, if parts were only added to it, so that adds need not read all again."""
+        known = len(before.parts)
+        if "place_of" in before.__dict__ and self.parts[:known] == before.parts:
+            places = before.place_of | self._places_from(known)
+            # Rows may also be replaced without a new row of their name.
+            if len(places) == len(self):
+                self.place_of = places
+
+    def _places_from(self, first: int) -> dict[str, int]:
+        places: dict[str, int] = {}
+        for number, part in enumerate(self.parts[first:], first):
+            start, files, kept = int(self.starts[number]), part.notes.files, self.kept[number]
+            rows = range(len(files)) if kept is None else kept.tolist()
+            places |= {files[row]: start + row for row in rows}
         return places
 
     def check(self) -> int:

@@ -166,10 +166,14 @@ class FolderIndex(Index):
             stamp = self._read_stamp()
             if self._store is not None and stamp == self._store.stamp:
                 break
-            known = {} if self._store is None else {part.folder.name: part for part in self._store.parts}
+            before = self._store
             try:
-                self._store = open_store(self.folder, known)
+                self._store = open_store(
+                    self.folder, {} if before is None else {p.folder.name: p for p in before.parts}
+                )
                 self._store.stamp = stamp
+                if before is not None:
+                    self._store.take_names(before)
             except StoreError:
                 # Another process may have removed a part since store.json was read.
                 if attempt + 1 == _ATTEMPTS or self._read_stamp() == stamp:

@@ -29,7 +29,7 @@ _FIELDS = ("id", "name", "vector", "latitude", "longitude")
 # Latitude and longitude of a tile without a position, outside of every box, as Milvus 2.3 has no null.
 _NOWHERE = 1000.0
 # Tiles in a message, far below a server's limit of 64 MB, and seconds of a call.
-_STEP, _CALL = 500, {"timeout": 30.0}
+_STEP, _SECONDS = 500, 30.0
 
 
 class MilvusIndex(Index):
@@ -61,28 +61,28 @@ class MilvusIndex(Index):
         uri = f"http://{parts.netloc.rpartition('@')[2]}"
         token = f"{unquote(parts.username)}:{unquote(parts.password or '')}" if parts.username else ""
         with self._told():
-            self._client = self._milvus.MilvusClient(uri=uri, token=token, **_CALL)
-            try:
-                self.kind = self._opened(self._client, kind)
-                self._client.load_collection(self._name)
-            except BaseException:
-                self.close()
-                raise
+            self._client = self._milvus.MilvusClient(uri=uri, token=token, timeout=_SECONDS)
+        try:
+            self.kind = self._opened(kind)
+            self._call("load_collection", timeout=None)
+        except BaseException:
+            self.close()
+            raise
 
-    def _opened(self, client: Any, kind: DescriptorKind | None) -> DescriptorKind:
+    def _opened(self, kind: DescriptorKind | None) -> DescriptorKind:
         """Return the kind of the collection, which is made if it is missing and a kind is given."""
-        types, name = self._milvus.DataType, self._name
-        if not client.has_collection(name, **_CALL):
+        if not self._call("has_collection"):
             if kind is None:
                 raise StoreError(f"{self._url} has no such collection; make it with lpn index.")
             described = FORMAT + msgspec.json.encode(kind).decode()
+            types, client = self._milvus.DataType, self._client
             schema = client.create_schema(auto_id=False, enable_dynamic_field=False, description=described)
             schema.add_field("id", types.VARCHAR, is_primary=True, max_length=32)
             schema.add_field("name", types.VARCHAR, max_length=4 * ID_LENGTH)
             schema.add_field("vector", types.FLOAT_VECTOR, dim=kind.numbers)
             schema.add_field("latitude", types.DOUBLE).add_field("longitude", types.DOUBLE)
-            client.create_collection(name, schema=schema, consistency_level="Strong", **_CALL)
-        described = str(client.describe_collection(name, **_CALL).get("description", ""))
+            self._call("create_collection", schema=schema, consistency_level="Strong")
+        described = str(self._call("describe_collection").get("description", ""))
         try:
             held = msgspec.json.decode(described.removeprefix(FORMAT), type=DescriptorKind)
         except (ValueError, RecursionError, InputError) as error:
@@ -91,12 +91,12 @@ class MilvusIndex(Index):
             ) from error
         if kind not in (None, held):
             raise StoreError(f"{self._url} holds {held}, and these would be {kind}; choose another collection.")
-        if not client.list_indexes(name):
+        if not (indexes := self._call("list_indexes")):
             hnsw = {"index_type": "HNSW", "params": {"M": 32, "efConstruction": 200}}
-            built = client.prepare_index_params()
+            built = self._client.prepare_index_params()
             built.add_index("vector", metric_type="IP", **(hnsw if self._hnsw else {"index_type": "FLAT"}))
-            client.create_index(name, built, **_CALL)
-        elif self._hnsw and client.describe_index(name, client.list_indexes(name)[0])["index_type"] != "HNSW":
+            self._call("create_index", built)
+        elif self._hnsw and self._call("describe_index", indexes[0])["index_type"] != "HNSW":
             raise StoreError(f"{self._url} was made without ?hnsw; leave it out, or choose another collection.")
         return held
 
@@ -107,15 +107,13 @@ class MilvusIndex(Index):
             some = slice(start, start + _STEP)
             tiles = zip(names[some], flat[some].tolist(), *degrees[some].T.tolist(), strict=True)
             rows = [dict(zip(_FIELDS, (_key(tile[0]), *tile), strict=True)) for tile in tiles]
-            with self._told():
-                self._client.upsert(self._name, rows, **_CALL)
+            self._call("upsert", rows)
 
     def _nearest(self, wanted: Float64Array, k: int, box: DegreeBox | None) -> Tiles:
         """See `Index._nearest`; hnsw may return too few tiles, for example in a box. Ties come in any order, so sort by name."""
         options: dict[str, Any] = {"limit": k, "consistency_level": "Session", "filter": _inside(box)}
         options["search_params"] = {"metric_type": "IP", "params": {"ef": max(128, k)}}
-        with self._told():
-            hits = self._client.search(self._name, data=[wanted.astype(np.float32).tolist()], **options, **_CALL)[0]
+        hits = self._call("search", data=[wanted.astype(np.float32).tolist()], **options)[0]
         rows = self._read([str(hit["id"]) for hit in hits], level="Session")
         return self._tiles(sorted(rows), rows)
 
@@ -127,32 +125,32 @@ class MilvusIndex(Index):
         rows: dict[str, TileRow] = {}
         fields = [field for field in _FIELDS[1:] if vectors or field != "vector"]
         for start in range(0, len(keys), _STEP):
-            asked = {"ids": list(keys[start : start + _STEP]), "output_fields": fields}
-            with self._told():
-                found = self._client.query(self._name, consistency_level=level, **asked, **_CALL)
-            for row in found:
+            ids = list(keys[start : start + _STEP])
+            for row in self._call("query", consistency_level=level, ids=ids, output_fields=fields):
                 at = [np.nan if row[one] == _NOWHERE else row[one] for one in ("latitude", "longitude")]
                 rows[str(row["name"])] = row.get("vector"), at
         return rows
 
     def count(self) -> int:
         """See `Index.count`."""
-        asked = {"filter": "", "output_fields": ["count(*)"], "consistency_level": "Strong"}
-        with self._told():
-            return int(self._client.query(self._name, **asked, **_CALL)[0]["count(*)"])
+        rows = self._call("query", filter="", output_fields=["count(*)"], consistency_level="Strong")
+        return int(rows[0]["count(*)"])
 
     def close(self) -> None:
         """See `Index.close`."""
         with suppress(Exception):  # the connection may be lost already
             self._client.close()
 
+    def _call(self, method: str, *given: object, **options: object) -> Any:
+        """Call a method of the client on the collection."""
+        with self._told():
+            return getattr(self._client, method)(self._name, *given, **{"timeout": _SECONDS, **options})
+
     @contextmanager
     def _told(self) -> Iterator[None]:
         """Turn errors of the server and of the connection into one sentence."""
         try:
             yield
-        except (StoreError, InputError):
-            raise
         except Exception as error:  # pymilvus raises its own errors and those of grpc, whose text has many lines
             text = getattr(error, "message", "") or str(error) or type(error).__name__
             raise StoreError(

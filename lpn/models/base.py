@@ -249,6 +249,14 @@ class Model(ABC):
         if view not in self.views:
             raise InputError(f"This model has no {view!r} view; it has {', '.join(self.views)}.")
 
+    def check_size(self, images: Float32Array) -> None:
+        """Raise InputError unless images (B, 3, H, W) are of the model's input size."""
+        if images.shape[2:] != self.input_size:
+            raise InputError(
+                f"The images are {images.shape[2]} x {images.shape[3]}; this model takes {self.input_size[0]} x "
+                f"{self.input_size[1]}, so resize them, or open or export it for that size."
+            )
+
     def _parts(self, images: Float32Array, view: View) -> Float32Array:
         """Return the part embeddings of one chunk; a model may override it to skip the feature map."""
         outputs = self.run(images, view)

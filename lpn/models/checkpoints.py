@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import logging
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -42,8 +41,6 @@ from lpn.models.published_checkpoints import (
 )
 from lpn.models.spec import SLOPES, ModelSpec, is_timm
 from lpn.models.timm_networks import TimmMap, renamed
-
-log = logging.getLogger(__name__)
 
 FORMAT = "lpn-explorer/1"
 WeightType = Literal["float32", "float16", "int8"]

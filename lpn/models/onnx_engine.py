@@ -173,11 +173,7 @@ class Engine(Model):
     def _outputs(self, names: list[str], images: Float32Array, view: View) -> list[Float32Array]:
         """Run the graph of a view, in batches of its fixed size if it has one; see `_compute`."""
         self.check_view(view)
-        if images.shape[2:] != self.input_size:
-            raise InputError(
-                f"The images are {images.shape[2]} x {images.shape[3]}; this exported model takes "
-                f"{self.input_size[0]} x {self.input_size[1]}, so resize them or export the model for that size."
-            )
+        self.check_size(images)
         session, size, count = self._session(view), self._fixed_batch, len(images)
         if size is None or size == count:
             return self._compute(names, images, session)

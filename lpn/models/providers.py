@@ -32,12 +32,6 @@ def available() -> list[ProviderName]:
     return sorted(name for name in built if name != _REMOTE)
 
 
-def settings(provider: ProviderName) -> list[tuple[str, dict[str, str]]]:
-    """Return the providers of a session with their options, in order of preference, with the CPU last."""
-    cpu: tuple[str, dict[str, str]] = (f"CPU{PROVIDER_ENDING}", {})
-    return [cpu] if provider == "cpu" else [(_full_name(provider), _CUDA if provider == "cuda" else {}), cpu]
-
-
 def open_on_provider(path: Path, provider: ProviderName, input_size: tuple[int, int]) -> ort.InferenceSession:
     """Open a checked graph on another provider than the CPU, and compute one blank picture there.
 
@@ -60,7 +54,8 @@ def open_on_provider(path: Path, provider: ProviderName, input_size: tuple[int, 
     reason = "it is built in, but was not started"
     try:
         _load_libraries()
-        session = _create(path, options, settings(provider))
+        preferred = [(name, _CUDA if provider == "cuda" else {}), (f"CPU{PROVIDER_ENDING}", {})]
+        session = _create(path, options, preferred)
         if session.get_providers()[0] == name:
             session.run(["parts"], {"images": np.zeros((1, 3, *input_size), np.float32)})
             return session

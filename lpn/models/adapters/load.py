@@ -11,7 +11,7 @@ from lpn.core.errors import InputError
 from lpn.core.files import fingerprint, printable
 from lpn.models.adapters import Kind, tokens
 from lpn.models.adapters.published import PublishedModel, PublishedParts
-from lpn.models.adapters.registry import LPN, choose
+from lpn.models.adapters.registry import choose
 from lpn.models.base import Model
 from lpn.models.checkpoints import from_state, holds_safetensors, is_own, load_torch, read_state
 from lpn.models.entries import Entries
@@ -64,7 +64,7 @@ def load_file(
             f"{path.name} is no network by itself; name its network for --pooling, as timm:NAME:{path.name}, or leave it out."
         )
     adapter, state = choose(kind, state, options, path.name)
-    if adapter is LPN:
+    if adapter.build is None:
         return from_state(state, options, path, device)
     entries = Entries(path.name, state, options)
     made = adapter.build(entries)

@@ -49,13 +49,10 @@ def named_vector(name: str, entries: Entries, size: tuple[int, int]) -> tuple[Pa
             return FirstToken(whole), vector.shape[1]
         pooled = mapped(noise).mean((2, 3))
         behind = timm_networks.norm_behind(whole)
-        for norm in (None, *([] if behind is None else [HeldNorm.of(behind)])):
+        for norm in (None, *([] if behind is None else [HeldNorm(behind)])):
             found = pooled if norm is None else norm(pooled)
             if found.shape == vector.shape and bool((found - vector).abs().max() < _SAME * vector.abs().max()):
-                step = size[0] // mapped.grid[0]
-                uneven = size[0] % mapped.grid[0] or step * mapped.grid[1] != size[1]
-                fixed = mapped.patch is not None or bool(uneven) or timm_networks.has_fixed_size(name)
-                return MeanVector(mapped.without_head(), norm, mapped.grid, None if fixed else step), vector.shape[1]
+                return MeanVector(mapped.without_head(), norm, mapped.grid), vector.shape[1]
     return FirstToken(whole), vector.shape[1]
 
 

@@ -7,8 +7,6 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor, nn
 
-from lpn.core.errors import InputError
-
 NORM_HELD = "the LayerNorm's mean and variance"
 
 
@@ -34,7 +32,6 @@ class PartBranch(nn.Module):
     Args:
         grid: (h, w) of the map of a picture of the model's input size; 1 x 1 without cells.
         heads: A (n, D, C) and c (n, D) of static heads; None if features include them, or there are none.
-        step: sides of pictures may be any multiple of it; None for the training size alone.
         held: the quantities that the account holds for each picture, "" for none; None without cells.
 
     Attributes:
@@ -48,11 +45,10 @@ class PartBranch(nn.Module):
         self,
         grid: tuple[int, int],
         heads: tuple[Tensor, Tensor] | None = None,
-        step: int | None = None,
         held: str | None = None,
     ) -> None:
         super().__init__()
-        self.grid, self.step, self.held = grid, step, held
+        self.grid, self.held = grid, held
         weight, bias = heads or (None, None)
         self.register_buffer("weight", weight)
         self.register_buffer("bias", bias)
@@ -65,17 +61,6 @@ class PartBranch(nn.Module):
         """Return the raw parts of pictures with their account."""
         raise NotImplementedError
 
-    def check_size(self, size: tuple[int, int], trained: tuple[int, int]) -> None:
-        """Raise InputError unless the network takes pictures of a size (height, width)."""
-        if size == trained:
-            return
-        if self.step is None or any(side % self.step for side in size):
-            takes = "pictures of that size alone" if self.step is None else f"multiples of {self.step} pixels"
-            raise InputError(
-                f"The images are {size[0]} x {size[1]}; this model was trained with {trained[0]} x {trained[1]} and takes "
-                f"{takes}."
-            )
-
     def headed(self, pooled: Tensor) -> Tensor:
         """Apply the head of each part, if there are heads: (B, n, C) -> (B, n, D)."""
         if self.weight is None or self.bias is None:
@@ -84,16 +69,16 @@ class PartBranch(nn.Module):
 
 
 class HeldNorm(nn.Module):
-    """A LayerNorm of a pooled vector, which is affine in the vector once its mean and variance are held."""
+    """A LayerNorm of a pooled vector, which is affine in the vector once its mean and variance are held.
 
-    def __init__(self, weight: Tensor, bias: Tensor, epsilon: float = 1e-6) -> None:
+    Args:
+        norm: a LayerNorm, or timm's LayerNorm of a map.
+    """
+
+    def __init__(self, norm: Any) -> None:
         super().__init__()
-        self.weight, self.bias, self.epsilon = nn.Buffer(weight), nn.Buffer(bias), epsilon
-
-    @classmethod
-    def of(cls, norm: Any) -> HeldNorm:
-        """Convert a LayerNorm, or timm's LayerNorm of a map, to a `HeldNorm`."""
-        return cls(norm.weight.detach(), norm.bias.detach(), norm.eps)
+        self.weight, self.bias = (nn.Buffer(values.detach()) for values in (norm.weight, norm.bias))
+        self.epsilon = norm.eps
 
     def affine(self, pooled: Tensor) -> tuple[Tensor, Tensor]:
         """Return scale and offset of each channel, (B, C) each: the norm of (B, C) is scale * pooled + offset."""
@@ -111,7 +96,7 @@ class MeanVector(PartBranch):
     Args:
         trunk: gives a map (B, C, h, w).
         norm: of the mean; None for none.
-        grid, step, heads: see `PartBranch`.
+        grid, heads: see `PartBranch`.
     """
 
     def __init__(
@@ -119,10 +104,9 @@ class MeanVector(PartBranch):
         trunk: nn.Module,
         norm: HeldNorm | None,
         grid: tuple[int, int],
-        step: int | None,
         heads: tuple[Tensor, Tensor] | None = None,
     ) -> None:
-        super().__init__(grid, heads, step, "" if norm is None else NORM_HELD)
+        super().__init__(grid, heads, "" if norm is None else NORM_HELD)
         self.trunk, self.norm = trunk, norm
 
     def account(self, images: Tensor) -> Account:

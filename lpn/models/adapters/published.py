@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, cast
 
@@ -13,7 +13,7 @@ from torch import Tensor
 
 from lpn.core.arrays import Float32Array
 from lpn.core.errors import ModelFileError
-from lpn.core.views import View
+from lpn.core.views import VIEWS, View
 from lpn.models.adapters.network import Account, PartBranch
 from lpn.models.base import Model
 from lpn.models.checkpoints import exact_inference
@@ -44,8 +44,6 @@ class PublishedParts:
 class PublishedModel(Model):
     """A published model that runs in PyTorch, on a device.
 
-    Pictures may have other sizes than the model's if its positions allow that.
-
     Args:
         published: its contract and branches.
         fingerprint: of its file.
@@ -74,7 +72,7 @@ class PublishedModel(Model):
         """Run one forward pass of images (B, 3, H, W).
 
         Raises:
-            InputError: if the model lacks the view, or cannot take pictures of this size.
+            InputError: if the model lacks the view, or the images have another size.
         """
         account = cast(Account, self._forward(images, view, account=True))
         return ForwardPass(*(None if tensor is None else _array(tensor) for tensor in account))  # type: ignore[arg-type]
@@ -84,7 +82,7 @@ class PublishedModel(Model):
 
     def _forward(self, images: Float32Array, view: View, account: bool) -> Tensor | Account:
         network = self.network(view)
-        network.check_size((images.shape[2], images.shape[3]), self.input_size)
+        self.check_size(images)
         with exact_inference():
             batch = torch.tensor(images, device=self._device)
             return network.account(batch) if account else cast(Tensor, network(batch))
@@ -115,14 +113,14 @@ def published(
     """Return a model of branches by view, or by the roles query and gallery; views of one branch share its weights.
 
     Args:
-        parts: their names with numbers; none for a method of one vector.
+        parts: their names without numbers; none for a method of one vector.
         embedding: length of a part; 0 takes the length from the branch's heads.
         further: other fields of the contract.
     """
     roles = "query" in branches
     views = PAIR if roles else cast("tuple[View, ...]", tuple(branches))
     by_branch = [tuple(view for view in views if branches.get(view) is one) for one in dict.fromkeys(branches.values())]
-    names, first = tuple(parts) or ("1 whole",), next(iter(branches.values()))
+    names, first = [f"{i} {name}" for i, name in enumerate(parts or ["whole"], 1)], next(iter(branches.values()))
     level: AccountLevel = "exact, with held" if first.held else "exact"
     contract = Contract(
         method=method,
@@ -135,29 +133,17 @@ def published(
         held=first.held or "",
         groups=() if roles else tuple(by_branch),
         roles="role" if roles else "view",
-        part_names=dict.fromkeys(views, names),
+        part_names=dict.fromkeys(views, tuple(names)),
         **further,
     )
     return PublishedParts(contract, branches)
 
 
-def by_view(
-    entries: Entries,
-    branch: Callable[[Entries], PartBranch],
-    method: str,
-    backbone: str,
-    size: tuple[int, int],
-    names: list[str],
-) -> PublishedParts:
-    """Build a model whose satellite and drone share `model_1`; `model_2`, if it exists, describes the street."""
-    three = entries.has("model_2.")
-    check_option(entries, "views", 3 if three else 2)
-    made = [branch(own) for own in numbered(entries)]
-    branches: dict[View | Role, PartBranch] = {"satellite": made[0], "drone": made[0]}
-    if three:
-        branches = {"satellite": made[0], "street": made[-1], "drone": made[0]}
-    parts = [f"{number + 1} {name}" for number, name in enumerate(names)]
-    return published(branches, method, backbone, size, parts)
+def by_view(entries: Entries, made: Sequence[PartBranch]) -> dict[View | Role, PartBranch]:
+    """Return the first branch for satellite and drone, and the last for the street if there is a `model_2`."""
+    views: tuple[View, ...] = VIEWS if entries.has("model_2.") else PAIR
+    check_option(entries, "views", len(views))
+    return {view: made[-1 if view == "street" else 0] for view in views}
 
 
 def distinct(entries: Entries, *prefixes: str) -> list[Entries]:

@@ -32,14 +32,15 @@ class Adapter:
         kind: the method's name for `--kind`; several adapters may have the same name.
         needs: patterns that must each match the beginning of some entry's name. An option of opts.yaml is an entry
             `opts.yaml:NAME`.
-        build: builds the model from all entries. It raises ModelFileError for entries that are missing, have wrong shapes,
-            contradict the options, or belong to another form of the method, and InputError if timm is needed and missing.
+        build: builds the model from all entries; None for LPN, which `lpn.models.checkpoints` opens. It raises ModelFileError for
+            entries that are missing, have wrong shapes, contradict the options, or belong to another form of the method, and
+            InputError if timm is needed and missing.
         unused: a pattern of entries for training alone.
     """
 
     kind: str
     needs: tuple[str, ...]
-    build: Callable[[Entries], PublishedParts]
+    build: Callable[[Entries], PublishedParts] | None
     unused: str = r"(?!)"
 
     def fits(self, names: Collection[str]) -> bool:
@@ -47,12 +48,8 @@ class Adapter:
         return all(any(re.match(pattern, name) for name in names) for pattern in self.needs)
 
 
-def _lpn(entries: Entries) -> PublishedParts:
-    raise AssertionError(f"{entries.name} is opened by lpn.models.checkpoints")
-
-
 _HEAD = r"classifier\d*\.add_block\."
-LPN = Adapter("lpn", (r"model_\d\.model\.", f"{_HEAD}0.weight", f"{_HEAD}1.weight", f"{_HEAD}1.running_mean"), _lpn)
+LPN = Adapter("lpn", (r"model_\d\.model\.", f"{_HEAD}0.weight", f"{_HEAD}1.weight", f"{_HEAD}1.running_mean"), None)
 
 
 @cache

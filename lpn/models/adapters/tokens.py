@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, cast
@@ -21,8 +20,6 @@ from lpn.models.entries import Entries
 from lpn.models.options import NETWORK, PICTURES, read_configuration, stated_normalisation, stated_size
 from lpn.models.timm_networks import TimmMap
 from lpn.models.token_pooling import TokenPooling, pooled
-
-log = logging.getLogger(__name__)
 
 
 class TimmTokens(nn.Module):
@@ -114,7 +111,7 @@ def of_timm(entries: Entries, pooling: TokenPooling, name: str) -> PublishedPart
     except ModelFileError as error:
         raise ModelFileError(f"As timm's {base} for {size[0]} x {size[1]} pixels: {error}") from error
     behind = timm_networks.norm_behind(network)
-    norm = None if behind is None else HeldNorm.of(behind)
+    norm = None if behind is None else HeldNorm(behind)
     return _parts(TimmTokens(mapped.without_head()), pooling, base, size, normalisation, norm)
 
 

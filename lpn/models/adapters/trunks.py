@@ -175,7 +175,7 @@ class ConvNeXt(Trunk):
         title = _CONVNEXTS.get((depths[2], widths[0]), "ConvNeXt").replace("Xt", "Xt V2" if second else "Xt")
         super().__init__(network, widths[-1], title)
         entries.fill(network)
-        self.norm = HeldNorm.of(network.head.norm)
+        self.norm = HeldNorm(network.head.norm)
 
 
 class ResNetMap(nn.Module):

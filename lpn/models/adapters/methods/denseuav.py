@@ -7,7 +7,7 @@ from typing import Any
 from lpn.core.errors import ModelFileError
 from lpn.models.adapters.named import filled_map
 from lpn.models.adapters.network import FirstToken, MeanVector, PartBranch, TokenMap
-from lpn.models.adapters.published import PublishedParts, by_view, size_of
+from lpn.models.adapters.published import PublishedParts, by_view, published, size_of
 from lpn.models.adapters.registry import Adapter
 from lpn.models.adapters.trunks import Tokens, Trunk, trained_side
 from lpn.models.entries import Entries
@@ -54,8 +54,8 @@ def build(entries: Entries) -> PublishedParts:
     if pool == "global" and prefix:
         branch: PartBranch = FirstToken(tokens, heads)
     else:
-        branch = MeanVector(mapped, None, grid, None, heads)
-    return by_view(entries, lambda _: branch, "DenseUAV", name, size, ["whole"])
+        branch = MeanVector(mapped, None, grid, heads)
+    return published(by_view(entries, [branch]), "DenseUAV", name, size, ["whole"])
 
 
 ADAPTERS = (

@@ -7,7 +7,7 @@ from torch import Tensor, nn
 
 from lpn.core.errors import ModelFileError
 from lpn.models.adapters.network import Account, FirstToken, PartBranch, on_grid
-from lpn.models.adapters.published import PublishedParts, by_view, check_option, size_of
+from lpn.models.adapters.published import PublishedParts, by_view, check_option, numbered, published, size_of
 from lpn.models.adapters.registry import Adapter
 from lpn.models.adapters.trunks import Tokens
 from lpn.models.entries import Entries
@@ -72,7 +72,7 @@ def build(entries: Entries) -> PublishedParts:
         return Regions(trunk, regions, heads) if regions else FirstToken(trunk, heads)
 
     names = [*["hottest", *["region"] * max(regions - 2, 0), "coolest"][:regions], "class token"]
-    return by_view(entries, branch, "FSRA", "ViT-S", size, names)
+    return published(by_view(entries, list(map(branch, numbered(entries)))), "FSRA", "ViT-S", size, names)
 
 
 ADAPTERS = (

@@ -11,7 +11,7 @@ from torch import Tensor, nn
 from lpn.core.errors import ModelFileError
 from lpn.core.files import printable
 from lpn.models.adapters.network import NORM_HELD, Account, PartBranch, by_heads
-from lpn.models.adapters.published import PublishedParts, by_view, check_option, equal, size_of
+from lpn.models.adapters.published import PublishedParts, by_view, check_option, equal, published, size_of
 from lpn.models.adapters.registry import Adapter
 from lpn.models.adapters.trunks import STRIDE, hand_made_trunk
 from lpn.models.entries import Entries
@@ -48,7 +48,7 @@ class Mccg(PartBranch):
         names = [*(f"classifier_mcb{number + 1}" for number in range(blocks)), "classifier1"]
         grid = size[0] // STRIDE, size[1] // STRIDE
         held = "the gates" if trunk.norm is None else f"the gates and {NORM_HELD}"
-        super().__init__(grid, entries.heads(names, trunk.channels), STRIDE, held)
+        super().__init__(grid, entries.heads(names, trunk.channels), held)
         self.trunk, self.norm = trunk, trunk.norm
         gates = entries.under("tri_layer.")
         self.gates = nn.ModuleList([Gate(gates.under(f"{name}.conv.")) for name in ("cw", "hc")[:blocks]])
@@ -98,7 +98,7 @@ def build(entries: Entries) -> PublishedParts:
         entries.read.update(key for key in entries.state if key.startswith("model_1."))
     branch = Mccg(entries.under(only), size, blocks)
     names = [*("gate of columns", "gate of rows")[:blocks], "whole"]
-    return by_view(entries, lambda _: branch, "MCCG", branch.trunk.title, size, names)
+    return published(by_view(entries, [branch]), "MCCG", branch.trunk.title, size, names)
 
 
 MCCG = (r"model_1\.convnext\.", r"model_1\.tri_layer\.cw\.", r"model_1\.classifier_mcb1\.add_block\.")

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections import OrderedDict
 from dataclasses import replace
+from typing import cast
 
 import torch
 import torch.nn.functional as F
@@ -38,16 +40,16 @@ class Salad(PartBranch):
     def __init__(self, entries: Entries, size: tuple[int, int], mega: bool) -> None:
         trunk = dinov2(entries.under("backbone." if mega else "backbone.model."), size)
         own, channels = entries.under("aggregator.agg." if mega else "aggregator."), trunk.channels
-        length, numbers, self.clusters = (
-            own.shape(f"{name}.bias", 1)[0] for name in ("token_features.2", "cluster_features.3", "score.3")
-        )
+        names = {"token_features": "2", "cluster_features": "3", "score": "3"}
+        layers = [_layers(own.under(f"{name}."), channels, second) for name, second in names.items()]
+        length, numbers, self.clusters = (cast(nn.Linear, some[-1]).out_features for some in layers)
         self.width = length + self.clusters * numbers
-        token = _layers(own.under("token_features."), channels, "2")
-        values, scores = (_layers(own.under(f"{name}."), channels, "3") for name in ("cluster_features", "score"))
-        weight, bias = entries.linear("aggregator.linear", self.width) if mega else (None, None)
-        held = "the clusters' shares of each cell, and the lengths of the clusters"
-        super().__init__(trunk.grid, None if weight is None or bias is None else (weight[None], bias[None]), held=held)
-        self.trunk, self.token, self.values, self.scores = trunk, token, values, scores
+        heads = None
+        if mega:
+            weight, bias = entries.linear("aggregator.linear", self.width)
+            heads = weight[None], bias[None]
+        super().__init__(trunk.grid, heads, "the clusters' shares of each cell, and the lengths of the clusters")
+        self.trunk, (self.token, self.values, self.scores) = trunk, layers
         self.dust_bin = nn.Buffer(own.tensor("dust_bin", ()))
         if (cells := self.grid[0] * self.grid[1]) <= self.clusters:
             raise ModelFileError(
@@ -57,23 +59,20 @@ class Salad(PartBranch):
 
     def forward(self, images: Tensor) -> Tensor:
         """Return the vector of pictures: (B, 3, H, W) -> (B, 1, D)."""
-        token, values, shares = self._shared(images)
-        return self.headed(torch.cat([token, torch.matmul(shares, values).transpose(1, 2).flatten(1)], 1)[:, None])
+        return self.headed(self._shared(images)[0])
 
     def account(self, images: Tensor) -> Account:
         """Return the vector and its account, with the shares of the clusters and the lengths held."""
-        token, values, shares = self._shared(images)
-        parts = torch.matmul(shares, values)
+        vector, token, values, shares = self._shared(images)
         by_cell = (values.transpose(1, 2).unsqueeze(2) * shares.unsqueeze(1)).flatten(1, 2) * values.shape[1]
         features = on_grid(F.pad(by_cell, (0, 0, token.shape[1], 0)), self.grid)
         constants = F.pad(token, (0, by_cell.shape[1]))
-        vector = torch.cat([token, parts.transpose(1, 2).flatten(1)], 1)
-        return Account(self.headed(vector[:, None]), features, whole_mean(features), self.headed(constants[:, None]))
+        return Account(self.headed(vector), features, whole_mean(features), self.headed(constants[:, None]))
 
-    def _shared(self, images: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Return the class token's part (B, T), the cells' vectors (B, N, l), and their shares in the clusters (B, m, N).
+    def _shared(self, images: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Return the vector before the head (B, 1, D), and its terms, which are divided by their lengths.
 
-        Shares and token are divided by the lengths, so that the vector of token and clusters has length 1.
+        These are the class token's part (B, T), the cells' vectors (B, N, l), and their shares in the clusters (B, m, N).
         """
         tokens = self.trunk(images)
         token, cells = tokens[:, 0], tokens[:, self.trunk.prefix :]
@@ -81,18 +80,19 @@ class Salad(PartBranch):
         shares = transport(self.scores(cells).transpose(1, 2), self.dust_bin)
         lengths = torch.linalg.vector_norm(torch.matmul(shares, values), dim=2, keepdim=True).clamp(min=_LEAST)
         scale = (self.clusters + 1) ** -0.5
-        return F.normalize(self.token(token), dim=1) * scale, values, shares / lengths * scale
+        first, shares = F.normalize(self.token(token), dim=1) * scale, shares / lengths * scale
+        vector = torch.cat([first, torch.matmul(shares, values).transpose(1, 2).flatten(1)], 1)
+        return vector[:, None], first, values, shares
 
 
 def _layers(entries: Entries, channels: int, second: str) -> nn.Sequential:
     """Return two linear layers with a ReLU between them; 1 x 1 convolutions are read as linear layers."""
-    entries = entries.renamed({rf"{second}\.": "2."})
-    flat = replace(
-        entries, state={key: value.flatten(1) if value.ndim == 4 else value for key, value in entries.state.items()}
-    )
-    hidden, out = (flat.shape(f"{name}.weight", 2)[0] for name in ("0", "2"))
+    state = {key: value.flatten(1) if value.ndim == 4 else value for key, value in entries.state.items()}
+    flat = replace(entries, state=state)
+    hidden, out = (flat.shape(f"{name}.weight", 2)[0] for name in ("0", second))
     with torch.device("meta"):
-        layers = nn.Sequential(nn.Linear(channels, hidden), nn.ReLU(), nn.Linear(hidden, out))
+        named = {"0": nn.Linear(channels, hidden), "relu": nn.ReLU(), second: nn.Linear(hidden, out)}
+    layers = nn.Sequential(OrderedDict(named))
     flat.fill(layers)
     return layers
 

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
+from functools import lru_cache, reduce
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 
 from lpn.core.arrays import Int64Array
-from lpn.core.errors import InputError, ModelFileError
+from lpn.core.errors import ModelFileError
 from lpn.models.adapters.network import Account, PartBranch, by_heads, on_grid
 from lpn.models.adapters.published import PublishedParts, by_role, check_option, numbered, published, size_of
 from lpn.models.adapters.registry import LPN, Adapter
@@ -17,69 +17,62 @@ from lpn.models.backbones import Bottleneck, ResNet
 from lpn.models.entries import Entries
 
 SHIFTS = (-2, 0, 2)
-_NAMES = (
-    "centre, ring, ring, outer, rings 1 and 2, rings 2 and 3, rings 3 and 4, rings 1 to 3, rings 2 to 4, outer again"
+# The parts by name, each with its first and its last of four rings. The last ring is the rest of the map.
+_RINGS = (
+    ("centre", 1, 1),
+    ("ring", 2, 2),
+    ("ring", 3, 3),
+    ("outer", 4, 4),
+    ("rings 1 and 2", 1, 2),
+    ("rings 2 and 3", 2, 3),
+    ("rings 3 and 4", 3, 4),
+    ("rings 1 to 3", 1, 3),
+    ("rings 2 to 4", 2, 4),
+    ("outer again", 4, 4),
 )
-PART_NAMES = tuple(f"{number} {name}" for number, name in enumerate(_NAMES.split(", "), 1))
-PARTS = len(PART_NAMES)
 # Pixels along a side of one cell of the map.
 _STRIDE = 16
 # The rings need eight cells along a side, and shifts by two cells need sixteen.
 _SIDE_STEP, _SMALLEST = 128, 256
-_SIZES = f"squares of a multiple of {_SIDE_STEP} pixels from {_SMALLEST}"
 # Lower bound of values in the generalised mean of exponent 3.
 _FLOOR = 1e-6
 _HIDDEN = ("4", "6", "8")
-# For each place of a part at one shift, the two map cells that are summed there: row * S + column, or S * S for none.
-_Places = tuple[Int64Array, Int64Array]
 
 
-def planes(side: int) -> list[list[_Places]]:
+def planes(side: int) -> list[list[list[Int64Array]]]:
     """Return the places of the ten parts at each shift for a map of `side` x `side` cells, cut as in the released code.
 
-    Each shift sets the box of its third ring to zero. The released code does that in the map itself, so this box is
-    also zero in later shifts. Checkpoints were trained with this, and need it.
+    A part's places are one or two arrays (P,) of the map's cells, row * S + column, or S * S for none. A place has the sum of its
+    cells. Each shift sets the box of its third ring to zero. The released code does that in the map itself, so this box is also
+    zero in later shifts. Checkpoints were trained with this, and need it.
     """
     unit, centre, none = side // 8, side // 2, side * side
-    cells = np.arange(none).reshape(side, side)
+    rest = np.arange(none).reshape(side, side)
 
-    def box(ring: int, shift: int) -> tuple[slice, slice]:
+    def box(ring: int, shift: int = 0) -> tuple[slice, slice]:
         span = slice(centre - ring * unit + shift, centre + ring * unit + shift)
         return span, span
 
-    def hollow(square: Int64Array, hole: int) -> Int64Array:
-        square, middle = square.copy(), len(square) // 2
-        square[middle - hole : middle + hole, middle - hole : middle + hole] = none
-        return square
-
-    def add(ring: Int64Array, *filling: Int64Array) -> _Places:
-        """Add the contents of a ring's middle; if the ring is not empty there, a place has two cells."""
-        outer, inner = ring.copy(), np.full_like(ring, none)
-        for square in filling:
-            begin = (len(ring) - len(square)) // 2
-            span = slice(begin, begin + len(square))
-            occupied = outer[span, span] != none
-            inner[span, span] = np.where(occupied, square, inner[span, span])
-            outer[span, span] = np.where(occupied, outer[span, span], square)
-        return outer.reshape(-1), inner.reshape(-1)
-
-    by_shift: list[list[_Places]] = []
+    by_shift: list[list[list[Int64Array]]] = []
     for shift in SHIFTS:
-        p0 = cells[box(1, shift)]
-        p1, p2 = hollow(cells[box(2, shift)], unit), hollow(cells[box(3, shift)], 2 * unit)
-        cells = cells.copy()
-        cells[box(3, shift)] = none
-        p3 = cells
-        pairs = [add(p0), add(p1), add(p2), add(p3)]
-        by_shift.append([*pairs, add(p1, p0), add(p2, p1), add(p3, p2), add(p2, p1, p0), add(p3, p2, p1), add(p3)])
+        cells, rest = rest, rest.copy()
+        rest[box(3, shift)] = none
+        parts = []
+        for _, first, last in _RINGS:
+            inner = np.full_like(cells, none)
+            inner[box(min(last, 3))] = cells[box(min(last, 3), shift)]
+            inner[box(first - 1)] = none
+            squares = [inner[box(last)]] if last < 4 else [rest] if first == 4 else [rest, inner]
+            parts.append([square.reshape(-1) for square in squares])
+        by_shift.append(parts)
     return by_shift
 
 
 @lru_cache(maxsize=8)
-def _places(side: int, device: torch.device) -> list[list[tuple[Tensor, Tensor]]]:
+def _places(side: int, device: torch.device) -> list[list[list[Tensor]]]:
     """Return the places of each part at each shift, by part, as tensors."""
     with torch.inference_mode(False):
-        made = [[tuple(torch.from_numpy(cells).to(device) for cells in pair) for pair in of] for of in planes(side)]
+        made = [[[torch.from_numpy(cells).to(device) for cells in part] for part in parts] for parts in planes(side)]
     return [list(of_part) for of_part in zip(*made, strict=True)]
 
 
@@ -105,14 +98,6 @@ class Sdpl(PartBranch):
         blocks.fill(self.shift_blocks)
         self.matrix, self.offsets = (nn.Buffer(tensor) for tensor in heads)
 
-    def check_size(self, size: tuple[int, int], trained: tuple[int, int]) -> None:
-        """Check that a picture is a square of a size that fits the rings."""
-        if not _fits(size):
-            raise InputError(
-                f"The images are {size[0]} x {size[1]}; this model was trained with {trained[0]} x {trained[1]} and takes "
-                f"{_SIZES}."
-            )
-
     def shift_weights(self, features: Tensor) -> Tensor:
         """Return the weight of each shift: (B, C, S, S) -> (B, 3)."""
         hidden = torch.relu(self.shift_blocks["0"](features)).mean((2, 3))
@@ -129,8 +114,8 @@ class Sdpl(PartBranch):
         """Pool each part of maps (B, C, S, S) with the weights of the shifts (B, 3): (B, 10, C)."""
         flat = nn.functional.pad(features.flatten(2), (0, 1))
         parts = []
-        for shifts in _places(features.shape[2], features.device):
-            pooled = [_mean(flat[:, :, outer] + flat[:, :, inner]) for outer, inner in shifts]
+        for shifts in _places(self.grid[0], features.device):
+            pooled = [_mean(_summed(flat, cells)) for cells in shifts]
             parts.append((torch.stack(pooled, 2) * weights[:, None]).sum(2))
         return torch.stack(parts, 1)
 
@@ -141,21 +126,20 @@ class Sdpl(PartBranch):
         share of the part's places, weighted over the shifts.
         """
         features = self.trunk(images)
-        weights, places = self.shift_weights(features), _places(features.shape[2], features.device)
+        weights, places = self.shift_weights(features), _places(self.grid[0], features.device)
         flat = nn.functional.pad(features.flatten(2), (0, 1))
         maps, cells, constants = [], [], []
         for matrix, offset, shifts in zip(self.matrix, self.offsets, places, strict=True):
             shares, rest, covered = torch.zeros_like(flat), torch.zeros_like(flat[..., 0]), torch.zeros_like(flat[:, 0])
-            for shift, pair in enumerate(shifts):
-                both = [flat[:, :, where] for where in pair]
-                values = both[0] + both[1]
+            for shift, arrays in enumerate(shifts):
+                values = _summed(flat, arrays)
                 mean, own = _mean(values), weights[:, shift, None]
                 # By Euler's theorem the mean is the sum of these shares. A value at the lower bound comes from no cell.
                 factor = own / (values.shape[2] * mean * mean)
                 square = torch.where(values > _FLOOR, values * values, 0.0) * factor[:, :, None]
                 rest += factor * _FLOOR**3 * (values <= _FLOOR).sum(2)
-                for term, where in zip(both, pair, strict=True):
-                    shares.index_add_(2, where, term * square)
+                for where in arrays:
+                    shares.index_add_(2, where, flat[:, :, where] * square)
                     covered.index_add_(1, where, (own / len(where)).expand(-1, len(where)))
             weight = covered[:, :-1]
             turned = torch.matmul(matrix, shares[..., :-1])
@@ -164,10 +148,15 @@ class Sdpl(PartBranch):
             constants.append(rest @ matrix.T + offset)
         return Account(
             by_heads(self.pool(features, weights), self.matrix, self.offsets),
-            on_grid(torch.stack(maps, 1), tuple(features.shape[2:])),
-            on_grid(torch.stack(cells, 1), tuple(features.shape[2:])),
+            on_grid(torch.stack(maps, 1), self.grid),
+            on_grid(torch.stack(cells, 1), self.grid),
             torch.stack(constants, 1),
         )
+
+
+def _summed(flat: Tensor, arrays: list[Tensor]) -> Tensor:
+    """Return the sums of the cells at each place: (B, C, S S + 1) -> (B, C, P)."""
+    return reduce(torch.add, [flat[:, :, where] for where in arrays])
 
 
 def _mean(values: Tensor) -> Tensor:
@@ -175,21 +164,18 @@ def _mean(values: Tensor) -> Tensor:
     return values.clamp(min=_FLOOR).pow(3).mean(-1).pow(1 / 3)
 
 
-def _fits(size: tuple[int, int]) -> bool:
-    return size[0] == size[1] and size[0] % _SIDE_STEP == 0 and size[0] >= _SMALLEST
-
-
 def build(entries: Entries) -> PublishedParts:
     """Build SDPL: `model_1` describes queries, and `model_2` the gallery."""
     check_option(entries, "views", 2)
     size = size_of(entries, (512, 512))
-    if not _fits(size):
+    if size[0] != size[1] or size[0] % _SIDE_STEP or size[0] < _SMALLEST:
         raise ModelFileError(
-            f"The opts.yaml beside {entries.name} says {size[0]} x {size[1]} pixels; SDPL takes {_SIZES}."
+            f"The opts.yaml beside {entries.name} says {size[0]} x {size[1]} pixels; SDPL takes squares of a multiple of "
+            f"{_SIDE_STEP} pixels from {_SMALLEST}."
         )
-    heads = entries.heads([f"classifier{number}" for number in range(PARTS)], 2048)
+    heads = entries.heads([f"classifier{number}" for number in range(len(_RINGS))], 2048)
     branches = by_role([Sdpl(branch, heads, size) for branch in numbered(entries)])
-    return published(branches, "SDPL", "ResNet-50", size, PART_NAMES, heads[1].shape[1])
+    return published(branches, "SDPL", "ResNet-50", size, [name for name, *_ in _RINGS], heads[1].shape[1])
 
 
 # SDPL has one entry more than an LPN of two branches.

@@ -40,7 +40,7 @@ class LopsidedSum(PartBranch):
 
     def __init__(self, vector: PartBranch, heads: tuple[Tensor, Tensor]) -> None:
         held = None if vector.held is None else "the length of the picture's own pass"
-        super().__init__(vector.grid, heads, vector.step, held)
+        super().__init__(vector.grid, heads, held)
         self.vector = vector
 
     def account(self, images: Tensor) -> Account:

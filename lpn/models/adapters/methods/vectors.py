@@ -38,7 +38,7 @@ class _Network(NamedTuple):
 def _on_map(entries: Entries, trunk: ConvNeXt | ResNetMap) -> _Network:
     size = size_of(entries, (384, 384), STRIDE)
     grid = size[0] // STRIDE, size[1] // STRIDE
-    return _Network(MeanVector(trunk, trunk.norm, grid, STRIDE), trunk.title, trunk.channels, size)
+    return _Network(MeanVector(trunk, trunk.norm, grid), trunk.title, trunk.channels, size)
 
 
 def _of_timm(entries: Entries) -> _Network:

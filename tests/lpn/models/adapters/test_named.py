@@ -65,13 +65,13 @@ def test_a_network_that_the_options_name_answers_as_timms(name: str, claim: str,
         agrees(model, pictures, made(torch.from_numpy(pictures))[:, None])
 
 
-def test_a_network_whose_map_does_not_divide_the_picture_takes_that_size_alone(tmp_path: Path) -> None:
+def test_a_map_need_not_divide_the_picture_and_the_model_takes_one_size(tmp_path: Path) -> None:
     _, own = network("test_resnet", (80, 80))
     state = prefixed("model.", own) | {"logit_scale": torch.ones(())}
     model = opened(state, tmp_path, "model: test_resnet\nh: 80\nw: 80\n")
     assert model.map_size("drone") == (3, 3)
     assert model.part_embeddings(seeded.pictures(29, 1, 80, 80), "drone").shape == (1, 1, 96)
-    with pytest.raises(InputError, match="trained with 80 x 80 and takes pictures of that size alone"):
+    with pytest.raises(InputError, match="are 64 x 64; this model takes 80 x 80, so resize them"):
         model.part_embeddings(seeded.pictures(29, 1, 64, 64), "drone")
 
 
