@@ -61,7 +61,7 @@ def test_the_demo_s_descriptors_are_its_models_(view: View, file: Path) -> None:
     prepared = np.stack([images.prepare(images.load_picture(pictures[i].path), model.input_size) for i in some])
     found = model.descriptors(prepared, view)
     error = 1e-2 if view == "drone" else 1e-3  # 8 bits and 16
-    np.testing.assert_allclose(shipped.descriptors[list(some)], found, atol=error * float(np.abs(found).max()))
+    np.testing.assert_allclose(shipped[list(some)], found, atol=error * float(np.abs(found).max()))
 
 
 @pytest.mark.parametrize("file", [*MODELS, DEMO_MODEL.with_suffix(".safetensors")], ids=lambda file: file.name)
@@ -99,7 +99,7 @@ def test_both_models_are_packed_with_descriptors_that_the_explorer_finds(
             ("query", "drone", dataset.queries("drone")),
             ("gallery", "satellite", dataset.gallery("satellite")),
         ):
-            found = descriptors.shipped_or_cached(model, pictures, view, root, role).descriptors  # type: ignore[arg-type]
+            found = descriptors.shipped_or_cached(model, pictures, view, root, role)  # type: ignore[arg-type]
             assert found.shape == (len(pictures), parts, 512)
     assert not cache_folder().exists()  # nothing was described again
     monkeypatch.setattr(pack, "LARGEST", {".onnx": 1_000})
@@ -117,7 +117,7 @@ def test_the_demo_offers_both_directions_on_the_same_pictures_and_places() -> No
         assert [picture.path.resolve() for picture in queries] == [picture.path.resolve() for picture in gallery]
         assert where.of(queries) == where.of(gallery)
         of_queries, of_gallery = (
-            descriptors.shipped_or_cached(model, pictures, view, DEMO, role).descriptors
+            descriptors.shipped_or_cached(model, pictures, view, DEMO, role)
             for role, pictures in (("query", queries), ("gallery", gallery))
         )
         np.testing.assert_array_equal(of_queries, of_gallery)
