@@ -87,9 +87,13 @@ test-all: check $(VENV)/.browser $(VENV)/.milvus
 	$(MAKE) keep
 	$(MAKE) -j2 fuzz soak INPUTS=300 MINUTES=3 ALONE=15 CLIENTS=8 PAGES=1
 
-# Lines and branches by room: make coverage OUT=slow.json TESTS="-m ''" with the slow tests.
+# Lines and branches that the tests run: make coverage TESTS="-m ''" with the slow tests. pyproject.toml has the settings.
+coverage: export COVERAGE_FILE := $(abspath runs/coverage/data)
 coverage: $(VENV)/.browser $(VENV)/.milvus
-	$(subst -m pytest,-m tools.coverage --out $(or $(OUT),tools/coverage.json),$(PYTEST)) --dist worksteal $(TESTS)
+	mkdir -p runs/coverage
+	-$(subst -m pytest,-m coverage run -m pytest,$(PYTEST)) --dist worksteal $(TESTS)
+	$(BIN)/python -m coverage combine --quiet
+	$(BIN)/python -m coverage report --skip-covered --sort=cover
 
 # Each planted fault must be noticed: make mutations NAMES="swapped-views" for some of tools/mutations.txt.
 mutations: $(VENV)/.dev

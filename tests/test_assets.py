@@ -57,7 +57,7 @@ def test_the_demo_s_descriptors_are_its_models_(view: View, file: Path) -> None:
     prepared = np.stack([images.prepare(images.load_picture(pictures[i].path), model.input_size) for i in some])
     found = model.descriptors(prepared, view)
     error = 1e-2 if view == "drone" else 1e-3  # 8 bits and 16
-    np.testing.assert_allclose(shipped.descriptors[list(some)], found, atol=error * float(np.abs(found).max()))
+    np.testing.assert_allclose(shipped[list(some)], found, atol=error * float(np.abs(found).max()))
 
 
 def test_the_demo_s_models_are_small_and_those_of_the_lpn_of_one_training() -> None:
@@ -86,7 +86,7 @@ def test_both_models_are_packed_with_descriptors_that_the_explorer_finds(
             ("query", "drone", dataset.queries("drone")),
             ("gallery", "satellite", dataset.gallery("satellite")),
         ):
-            found = descriptors.shipped_or_cached(model, pictures, view, root, role).descriptors
+            found = descriptors.shipped_or_cached(model, pictures, view, root, role)
             assert found.shape == (len(pictures), parts, 512)
     assert not cache_folder().exists()  # nothing was described again
     monkeypatch.setattr(pack, "LARGEST", {".onnx": 1_000})
@@ -104,7 +104,7 @@ def test_the_demo_offers_both_directions_on_the_same_pictures_and_places() -> No
         assert [picture.path.resolve() for picture in queries] == [picture.path.resolve() for picture in gallery]
         assert where.of(queries) == where.of(gallery)
         of_queries, of_gallery = (
-            descriptors.shipped_or_cached(model, pictures, view, DEMO, role).descriptors
+            descriptors.shipped_or_cached(model, pictures, view, DEMO, role)
             for role, pictures in (("query", queries), ("gallery", gallery))
         )
         np.testing.assert_array_equal(of_queries, of_gallery)

@@ -8,11 +8,16 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+import torch
 
 from lpn.core.errors import DataError
+from lpn.core.numbers import wrap_degrees
+from tools.fixtures.parity import ParityCase
 from tools.keep import __main__ as keep
-from tools.keep import _resumable, flights
+from tools.keep import _resumable, flights, published
+from tools.keep._maps import RENDERED, forged, open_pair
 from tools.keep.measures import (
     Bound,
     Measure,
@@ -244,7 +249,7 @@ def test_nothing_more_is_accepted_over_a_wrong_map(elsewhere: int, coarse: int, 
         counts = (0, 0), (elsewhere, elsewhere), (coarse, beyond)
         return flights.wrong_map_figures(
             [
-                {"map": name, "photos": 18, "accepted": {"registration": accepted}, "beyond": {"registration": off}}
+                {"map": name, "photos": 18, "accepted": accepted, "beyond": off}
                 for name, (accepted, off) in zip(names, counts, strict=True)
             ]
         )
@@ -252,6 +257,40 @@ def test_nothing_more_is_accepted_over_a_wrong_map(elsewhere: int, coarse: int, 
     before = figures(0, 4, 0)
     assert errors(KNOWN["wrong-brighton"], before, before) == {}
     assert set(errors(KNOWN["wrong-brighton"], figures(elsewhere, coarse, beyond), before)) == wrong
+
+
+@pytest.mark.slow
+def test_a_gpu_is_compared_in_each_precision_and_by_each_provider_where_there_is_one(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    with pytest.raises(NotMeasuredError, match=r"^torch .* finds no GPU here$"):
+        published.on_gpu()
+    tiny = ParityCase("vgg16_bn", 3, 1, ("drone",), size=64, options=True)
+    figures = published.of_case(tiny, "cpu", ("bfloat16",))
+    figures = {f"{tiny}{precision}": value for precision, value in figures.items()} | published.of_providers(tiny)
+    assert set(figures) >= {str(tiny), f"{tiny}, bfloat16", "exported, cpu"}
+    # Mixed precision differs, and is only reported.
+    assert figures[f"{tiny}, bfloat16"] > published.ON_GPU
+    assert errors(KNOWN["gpu"], figures, {}) == {}
+    assert set(errors(KNOWN["gpu"], {**figures, str(tiny): 1.1e-4}, {})) == {str(tiny)}
+
+
+@pytest.mark.slow
+def test_forged_tags_are_those_of_the_flight_turned_and_moved() -> None:
+    flight, own = open_pair(RENDERED, Path())
+    moved = forged(flight, own, own, 3)
+    before, after = own.frame.xy(*flight.degrees.T), own.frame.xy(*moved.degrees.T)
+    steps, turned = np.diff(before, axis=0), np.diff(after, axis=0)
+    np.testing.assert_allclose(np.linalg.norm(turned, axis=1), np.linalg.norm(steps, axis=1), atol=0.05)
+    long = np.linalg.norm(steps, axis=1) > 5
+    turns = wrap_degrees(np.degrees(np.arctan2(*turned.T) - np.arctan2(*steps.T)))[long]
+    np.testing.assert_allclose(wrap_degrees(turns - turns[0]), 0, atol=0.5)
+    headings = np.array([[frame.heading for frame in one.frames] for one in (moved, flight)], float)
+    np.testing.assert_allclose(wrap_degrees(headings[0] - headings[1] - turns[0]), 0, atol=0.5)
+    west, south, east, north = own.bounds
+    assert ((after >= (west, south)) & (after <= (east, north))).all()
+    assert np.linalg.norm(after.mean(axis=0) - before.mean(axis=0)) > 5
 
 
 def test_a_killed_measure_goes_on_with_its_rows_unless_the_code_has_changed(

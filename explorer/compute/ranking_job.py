@@ -11,8 +11,8 @@ import numpy as np
 from explorer.compute.background_jobs import BackgroundJob, BackgroundJobs, ReportProgress
 from lpn.core.arrays import BoolArray, Float64Array, Int64Array
 from lpn.core.errors import LPNError
+from lpn.retrieval import metrics
 from lpn.retrieval.metrics import Retrieval
-from lpn.tasks import ranking_cache
 from lpn.tasks.measure import error_shares
 from lpn.tasks.task import Task
 
@@ -66,20 +66,17 @@ class RankingJob:
     def __init__(self, task: Task) -> None:
         self.task = task
         self.result: TaskRanking | None = None
-        self._ranking = ranking_cache.ResumableRanking(task)
         self._jobs, self._rank_lock = BackgroundJobs(), threading.Lock()
         self._job: BackgroundJob[TaskRanking] | None = None
 
     def start(self) -> None:
-        """Rank at once if that is quick, otherwise load a cached ranking if there is one.
+        """Rank at once if that is quick.
 
         Raises:
             InputError: when the task cannot be ranked.
         """
         if self.task.query_descriptors.size * self.task.tiles <= QUICK_COST:
-            self.result = self._result(self._ranking.finish(lambda *_: None))
-        elif (cached := ranking_cache.load(self.task)) is not None:
-            self.result = self._result(cached)
+            self.result = self._rank()
 
     @property
     def ranks(self) -> Int64Array:
@@ -111,7 +108,7 @@ class RankingJob:
         return "" if job is None or job.cancelled else job.error or ""
 
     def join(self, client: object) -> BackgroundJob[TaskRanking]:
-        """Start or resume the ranking for a client; it pauses when all clients have left."""
+        """Start the ranking for a client, or join it; it stops when all clients have left."""
         self._job = job = self._jobs.join("ranking", client, self._rank)
         return job
 
@@ -139,14 +136,12 @@ class RankingJob:
             self.leave(client)
         return self.result
 
-    def _rank(self, report: ReportProgress) -> TaskRanking:
+    def _rank(self, report: ReportProgress = lambda *_: None) -> TaskRanking:
+        task, (queries, gallery) = self.task, self.task.compared
         with self._rank_lock:  # a cancelled job may still be computing its last block
-            ranking = self._ranking.finish(report)
-        ranking_cache.save(self.task, ranking)
-        self.result = self._result(ranking)
+            report(0, len(queries))
+            labels = task.query_labels, task.gallery_labels
+            ranking = metrics.retrieve(queries, labels[0], gallery, labels[1], task.truth, progress=report)
+        errors = None if task.geometry is None else task.geometry.answer_errors_m(ranking.best)
+        self.result = TaskRanking(ranking, errors, task.known)
         return self.result
-
-    def _result(self, ranking: Retrieval) -> TaskRanking:
-        geometry = self.task.geometry
-        errors = None if geometry is None else geometry.answer_errors_m(ranking.best)
-        return TaskRanking(ranking, errors, self.task.known)

@@ -9,7 +9,6 @@ from __future__ import annotations
 from lpn.descriptors.cache import (
     STORES,
     Reader,
-    StoredDescriptors,
     cached_descriptors,
     descriptor_reader,
     shipped_descriptors,
@@ -28,7 +27,6 @@ __all__ = [
     "Reader",
     "Row",
     "Store",
-    "StoredDescriptors",
     "cached_descriptors",
     "describe",
     "describe_share",

@@ -7,7 +7,6 @@ import json
 import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -33,14 +32,6 @@ STORES = "descriptors"
 Reader = Callable[[Model, Sequence[Picture], View, Change], Float32Array]
 
 
-@dataclass(frozen=True, eq=False)
-class StoredDescriptors:
-    """Descriptors (N, n, D) of the queries or the gallery of a test split, and their digest."""
-
-    descriptors: Float32Array
-    identity: str
-
-
 def cached_descriptors(
     model: Model, pictures: Sequence[Picture], view: View, change: Change = UNCHANGED
 ) -> Float32Array:
@@ -48,10 +39,6 @@ def cached_descriptors(
 
     The cache is `$LPN_CACHE`, else `lpn-explorer` in `$XDG_CACHE_HOME` or `~/.cache`; it may be deleted at any time.
     """
-    return _cached(model, pictures, view, change).descriptors
-
-
-def _cached(model: Model, pictures: Sequence[Picture], view: View, change: Change) -> StoredDescriptors:
     files = _resolved(pictures)
     # The key contains the folder, not the list of files, so that the other rows are reused if one picture changes.
     common = os.path.commonpath({file.parent for file in files})
@@ -65,7 +52,7 @@ def _cached(model: Model, pictures: Sequence[Picture], view: View, change: Chang
         if (cached := _from_store(folder, kind, rows)) is not None:
             return cached
         store = describe(model, files, view, folder, change=change, boxes=boxes)
-        return StoredDescriptors(store.float32, store.identity)
+        return store.float32
 
 
 @contextmanager
@@ -96,7 +83,7 @@ def _resolved(pictures: Sequence[Picture]) -> list[Path]:
 
 def shipped_descriptors(
     model: Model, pictures: Sequence[Picture], view: View, store: Path, exact: bool = False
-) -> StoredDescriptors | None:
+) -> Float32Array | None:
     """Return descriptors from a shipped store; None if its model or its pictures differ.
 
     Files are compared by name and size, as copies have other modification times.
@@ -113,20 +100,18 @@ def shipped_descriptors(
         return None
     rows = [(printable(row.file), row.size, row.box) for row in shipped.rows]
     these = [(f"{p.path.parent.name}/{p.path.name}", p.path.stat().st_size, p.box) for p in pictures]
-    return StoredDescriptors(shipped.float32, shipped.identity) if rows == these else None
+    return shipped.float32 if rows == these else None
 
 
-def shipped_or_cached(
-    model: Model, pictures: Sequence[Picture], view: View, root: Path, role: Role
-) -> StoredDescriptors:
+def shipped_or_cached(model: Model, pictures: Sequence[Picture], view: View, root: Path, role: Role) -> Float32Array:
     """Return the descriptors of queries or gallery that ship with the data set in `root`, else those of the cache."""
     shipped = shipped_only(model, pictures, view, root, role)
-    return _cached(model, pictures, view, UNCHANGED) if shipped is None else shipped
+    return cached_descriptors(model, pictures, view) if shipped is None else shipped
 
 
 def shipped_only(
     model: Model, pictures: Sequence[Picture], view: View, root: Path, role: Role | None, exact: bool = False
-) -> StoredDescriptors | None:
+) -> Float32Array | None:
     """Return the descriptors of queries, of the gallery, or of either, that ship with the data set in `root`; None without them.
 
     Stores directly in `STORES` come before those in its subfolders. For `exact` see `shipped_descriptors`.
@@ -147,7 +132,7 @@ def descriptor_reader(root: Path) -> Reader:
 
     def read(model: Model, pictures: Sequence[Picture], view: View, change: Change = UNCHANGED) -> Float32Array:
         shipped = None if change else shipped_only(model, pictures, view, root, None, exact=True)
-        return cached_descriptors(model, pictures, view, change) if shipped is None else shipped.descriptors
+        return cached_descriptors(model, pictures, view, change) if shipped is None else shipped
 
     return read
 
@@ -162,7 +147,7 @@ def temporary_descriptors(
         return np.array(store.descriptors)
 
 
-def _from_store(folder: Path, kind: DescriptorKind, wanted: Sequence[Row]) -> StoredDescriptors | None:
+def _from_store(folder: Path, kind: DescriptorKind, wanted: Sequence[Row]) -> Float32Array | None:
     """Read descriptors from a store of the kind that has all of these rows, and perhaps more; None without such a store."""
     try:
         store = open_store(folder)
@@ -174,10 +159,9 @@ def _from_store(folder: Path, kind: DescriptorKind, wanted: Sequence[Row]) -> St
     if store.kind != kind:
         return None
     if held == wanted:
-        return StoredDescriptors(store.float32, store.identity)
+        return store.float32
     place_of = {row: place for place, row in enumerate(held)}
     places = [place_of.get(row) for row in wanted]
     if None in places:
         return None
-    some = np.array(places, np.int64)
-    return StoredDescriptors(store.some(some), hashlib.sha256(store.identity.encode() + some.tobytes()).hexdigest())
+    return store.some(np.array(places, np.int64))

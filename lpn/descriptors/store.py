@@ -381,11 +381,6 @@ class Store:
         """The descriptors (N, n, D) in float32: memory-mapped if stored so in a single part, else a copy."""
         return to_float32(self.descriptors)
 
-    @property
-    def identity(self) -> str:
-        """A digest of the contents."""
-        return hashlib.sha256(json.dumps(msgspec.to_builtins(self.manifest)).encode()).hexdigest()
-
     def some(self, rows: IntegerArray) -> Float32Array:
         """Return some rows in float32 without reading the others."""
         places = self.places[rows]

@@ -96,7 +96,7 @@ def dataset_queries(model: Model, dataset: Dataset, index: Index) -> IndexQuerie
         data_name=printable(dataset.root.resolve().name),
         root=dataset.root,
         pictures=queries,
-        descriptors=descriptors.shipped_or_cached(model, queries, view, dataset.root, "query").descriptors,
+        descriptors=descriptors.shipped_or_cached(model, queries, view, dataset.root, "query"),
         places=None if positions is None else positions.of(queries),
         listed=held,
         truth=dataset.truth(name) if held else unknown_truth(queries),

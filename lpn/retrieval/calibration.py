@@ -11,7 +11,6 @@ s(r STEP^k) - PRIOR k^2, k = -2 .. 2. No label enters.
 
 from __future__ import annotations
 
-import hashlib
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -114,13 +113,10 @@ class Calibration:
 
     def stored(
         self, model: Model, pictures: Sequence[Picture], view: View, root: Path, role: Role, read: descriptors.Reader
-    ) -> descriptors.StoredDescriptors:
-        """Return the calibrated descriptors of queries or gallery, and their digest: those that ship with `root`, else read."""
+    ) -> Float32Array:
+        """Return the calibrated descriptors of queries or gallery: those that ship with `root`, else read."""
         shipped = descriptors.shipped_only(self.applied(model), pictures, view, root, role)
-        if shipped is not None:
-            return shipped
-        described = self.read(model, pictures, view, read)
-        return descriptors.StoredDescriptors(described, hashlib.sha256(described.tobytes()).hexdigest())
+        return self.read(model, pictures, view, read) if shipped is None else shipped
 
     def applied(self, model: Model) -> Model:
         """Return the model that subtracts the means. Contributions stay exact; the length of the mean's term is held."""

@@ -129,15 +129,10 @@ def retrieve(
         blocks.append(ranks.rank(scores, ground_truth, rows, block, errors))
         if progress is not None:
             progress(rows.stop, len(queries))
-    return joined(blocks, len(tiles))
-
-
-def joined(parts: Sequence[Ranked], gallery: int) -> Retrieval:
-    """Join the rankings of consecutive queries; `gallery` is the number of tiles, junk included."""
     first, true, false, precision, gap = (
-        np.concatenate([getattr(part, column.name) for part in parts]) for column in fields(Ranked)
+        np.concatenate([getattr(block, column.name) for block in blocks]) for column in fields(Ranked)
     )
-    return Retrieval(first, true, false, precision, gap, gallery)
+    return Retrieval(first, true, false, precision, gap, len(tiles))
 
 
 def _check_truth(truth: Sequence[Truth], queries: int, gallery: int) -> None:

@@ -6,7 +6,6 @@ Pictures are described when the changed task's descriptors are first read. Each 
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 from typing import Any
@@ -82,7 +81,6 @@ def changed(task: Task, change: Change) -> Task:
         **described,
         change=change,
         clauses=(*clauses, *_clauses(task, change)),
-        identity=hashlib.sha256(f"{task.identity} {change}".encode()).hexdigest() if task.identity else "",
     )
 
 
@@ -110,9 +108,7 @@ def calibrated(task: Task, calibration: Calibration | None) -> Task:
         return calibration.read(model, pictures, view, read, change)
 
     def stored(side: int, role: Role) -> Float32Array:
-        return calibration.stored(
-            model, (task.queries, task.gallery)[side], views[side], task.root, role, read
-        ).descriptors
+        return calibration.stored(model, (task.queries, task.gallery)[side], views[side], task.root, role, read)
 
     sides = [calibration.pictures(view, side) for view, side in zip(views, (task.queries, task.gallery), strict=True)]
     moved = calibration.applied(model)
@@ -126,7 +122,6 @@ def calibrated(task: Task, calibration: Calibration | None) -> Task:
         describe=describe,
         calibration=calibration,
         clauses=(*task.clauses, calibration.describe()),
-        identity="",
     )
 
 
@@ -226,7 +221,7 @@ def by_csls(task: Task, neighbours: int) -> Task:
 def _derived(task: Task, clause: str, **changes: Any) -> Task:
     """Return a task with descriptors that are computed from the descriptors of `task`, without a network."""
     return task.with_fields(
-        **{"model": None, "describe": None, "weights": None, "identity": "", **changes}, clauses=(*task.clauses, clause)
+        **{"model": None, "describe": None, "weights": None, **changes}, clauses=(*task.clauses, clause)
     )
 
 

@@ -155,7 +155,7 @@ def describe_task(
         check_neighbours(neighbours, len(task.queries))
     read = descriptors.descriptor_reader(dataset.root)
 
-    def stored(pictures: Sequence[Picture], view: View, role: Role) -> descriptors.StoredDescriptors:
+    def stored(pictures: Sequence[Picture], view: View, role: Role) -> Float32Array:
         if calibration is None:
             with counted_among(0 if role == "query" else len(task.queries), both):
                 return descriptors.shipped_or_cached(model, pictures, view, task.root, role)
@@ -163,22 +163,17 @@ def describe_task(
 
     try:
         with ended():
-            query_side, gallery_side = (
-                stored(task.queries, views[0], "query"),
-                stored(task.gallery, views[1], "gallery"),
-            )
+            queries, gallery = stored(task.queries, views[0], "query"), stored(task.gallery, views[1], "gallery")
     except PictureError:  # name the broken pictures of all lists at once
         check_test_split(dataset, offered)
         raise
-    identities = query_side.identity, gallery_side.identity
     return replace(
         task,
         map_sizes={view: model.map_size(view) for view in views},
-        query_descriptors=query_side.descriptors,
-        gallery_descriptors=gallery_side.descriptors,
+        query_descriptors=queries,
+        gallery_descriptors=gallery,
         # The explorer replaces the model by one that describes pictures in the background.
         describe=None,
-        identity=" ".join(identities) if all(identities) else "",
         weights=weights,
         columns=dataset.columns(task.queries),
     )

@@ -15,7 +15,6 @@ longitude, in degrees, may be empty. Only file and side are needed.
 
 from __future__ import annotations
 
-import hashlib
 import logging
 import os
 from collections.abc import Mapping, Sequence
@@ -127,9 +126,6 @@ def array_task(
     lines = _numbered(counts) if paths is None else _listed(Path(paths), counts, FilesBelow(folder))
     numbers = _label_numbers([line.label for of in lines.values() for line in of])
     labels = {side: np.array([numbers[line.label] for line in of], np.int64) for side, of in lines.items()}
-    digest = hashlib.sha256(sides["query"].data)
-    digest.update(b"|")
-    digest.update(sides["gallery"].data)
     views = views_of_paths(*([line.file for line in of] for of in lines.values())) or ("drone", "satellite")
     n, size = sides["query"].shape[1:]
     contract = Contract(
@@ -160,7 +156,6 @@ def array_task(
         gallery_descriptors=sides["gallery"],
         truth=_truth(labels, _known(lines)),
         geometry=GalleryGeometry.of([line.position for line in lines["query"]], tiles) if placed else None,
-        identity=digest.hexdigest(),
         clauses=_CLAUSES,
     )
 

@@ -74,7 +74,6 @@ class Task:
         query_descriptors, gallery_descriptors: (Q, n, D) and (G, n, D), without part weights.
         truth: true matches and junk of each query, for data sets that list them; None if labels define the true matches.
         geometry: positions of the pictures, for example from a `geo.csv`; None without positions.
-        identity: digests of both sides' descriptors, for the key of the cached ranking; empty if a digest is missing.
         weights: part weights, see `scoring.part_weights`; None for equal ones.
         notes: the user's tags and notes by the query's path, see `lpn.tasks.notes`.
         columns: further columns of the table about the queries.
@@ -104,7 +103,6 @@ class Task:
     gallery_descriptors: LazyArray = LazyArray()
     truth: Sequence[Truth] | None = None
     geometry: GalleryGeometry | None = None
-    identity: str = ""
     weights: npt.ArrayLike | None = None
     notes: Mapping[str, Note] = field(default_factory=dict)
     columns: Sequence[Column] = ()

@@ -1,7 +1,6 @@
 """Run all benchmarks, in one table: `python -m tools.bench [NAME ...]`.
 
-Names are query, search, evaluate, describe, page, and train; without one, all are run, each in a process of its own. The
-page is measured on the demo.
+Names are query, search, evaluate, describe, page, and train; without one, all are run, each in a process of its own.
 """
 
 from __future__ import annotations
@@ -12,7 +11,6 @@ import sys
 from dataclasses import asdict
 from importlib import import_module
 
-from lpn.core.demo import DEMO
 from tools.bench.figures import Figure, show
 
 NAMES = ("query", "search", "evaluate", "describe", "page", "train")
@@ -30,8 +28,7 @@ def measured(name: str) -> list[Figure]:
 
 def main(arguments: list[str]) -> None:
     if arguments[:1] == ["--json"]:
-        given = (DEMO, DEMO / "lpn.onnx") if arguments[1] == "page" else ()
-        found = import_module(f"tools.bench.{arguments[1]}").figures(*given)
+        found = import_module(f"tools.bench.{arguments[1]}").figures()
         print(json.dumps([asdict(figure) for figure in found]))
         return
     if unknown := set(arguments) - set(NAMES):

@@ -1,4 +1,4 @@
-"""Pictures per second into descriptors: `python -m tools.bench.describe [--pictures N] [FOLDER]`.
+"""Pictures per second into descriptors: `python -m tools.bench describe`.
 
 The peer is the published test loop: a DataLoader with worker processes decodes with Pillow, resizes bicubically, and
 normalises; PyTorch in eager mode passes each batch of 32 and then its mirror, and the parts of the sum are normalised. Ours is
@@ -6,13 +6,11 @@ normalises; PyTorch in eager mode passes each batch of 32 and then its mirror, a
 the same network quantized. They take turns in one process, after a warm-up round; the table gives medians. The limit is ONNX
 Runtime's bare forward passes, two for each picture, on as many threads as there are cores.
 
-FOLDER holds pictures with folders below it; without it, synthetic JPEG files of 512 x 512 pixels are made. Weights are random,
-which changes no time.
+Pictures are synthetic JPEG files of 512 x 512 pixels, and weights are random, which changes no time.
 """
 
 from __future__ import annotations
 
-import argparse
 import io
 import statistics
 import tempfile
@@ -38,7 +36,7 @@ from lpn.models.lpn import LPN
 from lpn.models.onnx_engine import Engine
 from lpn.models.quantize import quantize
 from lpn.models.spec import ModelSpec
-from tools.bench.figures import Figure, show, take_turns
+from tools.bench.figures import Figure, take_turns
 from tools.bench.pictures import make_folder, make_train_split
 
 PICTURES = 96
@@ -95,13 +93,13 @@ def agreement(a: Float32Array, b: Float32Array) -> float:
     return float((a * b).sum(1).mean())
 
 
-def figures(count: int = PICTURES, given: Path | None = None) -> list[Figure]:
-    """Measure at most `count` pictures of a folder."""
+def figures() -> list[Figure]:
+    """Measure the pictures of a folder."""
     torch.manual_seed(0)
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        root = given or make_folder(folder / "pictures", count)
-        files = descriptors.pictures_below(root)[:count]
+        root = make_folder(folder / "pictures", PICTURES)
+        files = descriptors.pictures_below(root)
         save(LPN(SPEC), folder / "model.safetensors")
         export(folder / "model.safetensors", folder / "model.onnx")
         quantize(folder / "model.onnx", open_dataset(make_train_split(folder / "places")), folder / "int8.onnx", 32)
@@ -123,11 +121,3 @@ def figures(count: int = PICTURES, given: Path | None = None) -> list[Figure]:
         ),
         Figure("1 - mean cosine of the published descriptors and ours in float32", apart, ""),
     ]
-
-
-if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--pictures", type=int, default=PICTURES, help="how many are described in each turn, at most")
-    parser.add_argument("folder", nargs="?", type=Path, help="a folder of pictures")
-    options = parser.parse_args()
-    show("A folder of pictures", figures(options.pictures, options.folder))

@@ -1,10 +1,9 @@
-"""A whole evaluation, from descriptors to Recall@K and AP: `python -m tools.bench.evaluate [SHARE]`.
+"""A whole evaluation, from descriptors to Recall@K and AP: `python -m tools.bench evaluate`.
 
 The peer is the published evaluation: query by query, all scores, a full sort, and a walk over the true matches. The limit is
 the matrix product of the two sides in single precision, which ranks nothing. The loop runs once, the others several times, of
-which the median counts. SHARE, 0 .. 1, is how much of both sizes is measured, 1 by default. Descriptors are drawn: places are
-points in a space of few dimensions, mapped to unit parts, with the noise that leaves a trained network's Recall@1. Ours is
-measured in a process of its own, which tells its peak memory.
+which the median counts. Descriptors are drawn: places are points in a space of few dimensions, mapped to unit parts, with the
+noise that leaves a trained network's Recall@1. Ours is measured in a process of its own, which tells its peak memory.
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ import numpy as np
 
 from lpn.core.arrays import Float32Array, Int64Array
 from lpn.retrieval import metrics
-from tools.bench.figures import Figure, show
+from tools.bench.figures import Figure
 
 LENGTH, PARTS, LATENT, NOISE = 2048, 4, 96, 1.2
 KEYS = ("recall@1", "recall@5", "recall@10", "recall@1%", "ap")
@@ -40,12 +39,11 @@ class GallerySize:
 SIZES = (GallerySize("drone to satellite", 37_855, 951, 1), GallerySize("satellite to drone", 701, 51_355, 54))
 
 
-def draw(size: GallerySize, share: float) -> tuple[Float32Array, Int64Array, Float32Array, Int64Array]:
+def draw(size: GallerySize) -> tuple[Float32Array, Int64Array, Float32Array, Int64Array]:
     """Draw descriptors and labels of queries and gallery."""
     rng = np.random.default_rng(0)
-    count, tiles = (max(round(share * number), 20) for number in (size.queries, size.gallery))
-    labels = np.arange(tiles) // size.each
-    asked = rng.integers(0, max(int(0.74 * labels[-1]), 1), count)
+    labels = np.arange(size.gallery) // size.each
+    asked = rng.integers(0, int(0.74 * labels[-1]), size.queries)
     centres = rng.standard_normal((int(labels[-1]) + 1, LATENT), dtype=np.float32)
     spread = rng.standard_normal((LATENT, LENGTH), dtype=np.float32) / np.float32(np.sqrt(LATENT))
 
@@ -83,9 +81,9 @@ def published(
     return {key: 100 * float(value) / len(query) for key, value in zip(KEYS, (*values, total), strict=True)}
 
 
-def ours(size: GallerySize, share: float) -> None:
+def ours(size: GallerySize) -> None:
     """Measure in this process; print metrics, times, and peak memory as JSON."""
-    query, query_labels, gallery, labels = draw(size, share)
+    query, query_labels, gallery, labels = draw(size)
     _ = query[:256] @ gallery[:256].T  # the first product starts the threads
     started = time.perf_counter()
     figures = metrics.evaluate(query, query_labels, gallery, labels)
@@ -104,12 +102,12 @@ def ours(size: GallerySize, share: float) -> None:
     print(json.dumps(told | {"peak": most * 1024}))
 
 
-def figures(share: float = 1.0) -> list[Figure]:
+def figures() -> list[Figure]:
     made: list[Figure] = []
     for number, size in enumerate(SIZES):
-        command = [sys.executable, "-m", "tools.bench.evaluate", "ours", str(number), str(share)]
+        command = [sys.executable, "-m", "tools.bench.evaluate", str(number)]
         found = json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout)
-        drawn = draw(size, share)
+        drawn = draw(size)
         started = time.perf_counter()
         theirs = published(*drawn)
         loop = time.perf_counter() - started
@@ -123,15 +121,5 @@ def figures(share: float = 1.0) -> list[Figure]:
     return made
 
 
-def main(arguments: list[str]) -> None:
-    if arguments[:1] == ["ours"]:
-        ours(SIZES[int(arguments[1])], float(arguments[2]))
-        return
-    share = float(arguments[0]) if arguments else 1.0
-    if not 0 < share <= 1:
-        raise SystemExit(f"The share is {share:g}; expected more than 0 and at most 1.")
-    show("Evaluation", figures(share))
-
-
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    ours(SIZES[int(sys.argv[1])])

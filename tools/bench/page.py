@@ -1,7 +1,7 @@
-"""Times from command to page, and from a key to the new numbers: `python -m tools.bench.page [DATA MODEL]`.
+"""Times from command to page, and from a key to the new numbers: `python -m tools.bench page`.
 
-Starts the real app as a process, opens it in headless Chromium, and turns and picks as a person does. Without DATA and MODEL it
-draws a small data set and an untrained network. The limit is measured in the same run: the forward passes of an answer.
+Starts the real app on the demo as a process, opens it in headless Chromium, and turns and picks as a person does. The limit is
+measured in the same run: the forward passes of an answer.
 """
 
 from __future__ import annotations
@@ -15,13 +15,14 @@ import tempfile
 import time
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any, Self
+from typing import Self
 
 from playwright.sync_api import Browser, Page, sync_playwright
 
 from lpn import datasets, load
 from lpn.core import images
-from tools.bench.figures import Figure, medians, show
+from lpn.core.demo import DEMO, DEMO_MODEL
+from tools.bench.figures import Figure, medians
 from tools.fixtures.chromium import launch
 from tools.fixtures.processes import free_port
 
@@ -101,16 +102,12 @@ def forward_ms(model: Path, data: Path) -> float:
     return medians({"pass": lambda: opened.run(batch, view)})["pass"]
 
 
-def figures(data: Path | None = None, model: Path | None = None) -> list[Figure]:
+def figures() -> list[Figure]:
     """Start everything, measure, and stop it."""
     with ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
-        if data is None or model is None:
-            from tools.fixtures import small_worlds
-
-            data, model = small_worlds.make_dataset(folder / "places"), small_worlds.make_model(folder, size=256)
         environment = {**os.environ, "LPN_CACHE": str(folder / "cache")}
-        options = ["explore", str(data), "--model", str(model), "--port"]
+        options = ["explore", str(DEMO), "--model", str(DEMO_MODEL), "--port"]
         command = [sys.executable, "-m", "lpn", *options]
         with ServerProcess([*command, str(free_port())], environment) as cold:
             pass
@@ -129,7 +126,7 @@ def figures(data: Path | None = None, model: Path | None = None) -> list[Figure]
         page.wait_for_timeout(4000)  # the scene has been drawn before
         turn, pick = key_seconds(page, "j"), key_seconds(page, "n")
         browser.close()
-        forward = forward_ms(model, data) / 1000
+        forward = forward_ms(DEMO_MODEL, DEMO) / 1000
     return [
         Figure("command to address, descriptors at hand", statistics.median(starts), "s"),
         Figure("command to address, nothing described yet", cold.seconds, "s"),
@@ -137,14 +134,3 @@ def figures(data: Path | None = None, model: Path | None = None) -> list[Figure]
         Figure("J, to new numbers (limit: the passes)", turn, "s", limit=forward),
         Figure("N, to new numbers (limit: the passes)", pick, "s", limit=forward),
     ]
-
-
-def main(arguments: list[str]) -> None:
-    if len(arguments) not in (0, 2):
-        raise SystemExit(f"Given: {' '.join(arguments)}; expected DATA and MODEL, or nothing.")
-    given: list[Any] = [Path(argument) for argument in arguments] or [None, None]
-    show("The explorer", figures(*given))
-
-
-if __name__ == "__main__":
-    main(sys.argv[1:])

@@ -1,15 +1,13 @@
-"""One query, from the bytes of a JPEG to its descriptor: `python -m tools.bench.query [PICTURES]`.
+"""One query, from the bytes of a JPEG to its descriptor: `python -m tools.bench query`.
 
 The peer is the published pipeline: Pillow decodes and resizes, PyTorch in eager mode passes the picture and then its mirror.
 Ours is `lpn.retrieval.describe_picture` on ONNX Runtime, in float32 and quantised. The limit of a pass is ONNX Runtime's bare
-run of the same graph on the same batch. Weights are random, which changes no time; PICTURES is a folder to calibrate by and to
-query with, in any layout of a data set; without it synthetic pictures are made.
+run of the same graph on the same batch. Weights are random and pictures synthetic, which changes no time.
 """
 
 from __future__ import annotations
 
 import io
-import sys
 import tempfile
 from collections.abc import Callable
 from functools import partial
@@ -32,7 +30,7 @@ from lpn.models.lpn import LPN
 from lpn.models.onnx_engine import Engine
 from lpn.models.quantize import quantize
 from lpn.models.spec import ModelSpec
-from tools.bench.figures import Figure, medians, show
+from tools.bench.figures import Figure, medians
 from tools.bench.pictures import make_train_split
 
 SPECS = {
@@ -107,7 +105,7 @@ def measure(name: str, spec: ModelSpec, dataset: Dataset, folder: Path) -> list[
     return [*made, Figure(what, found["prepare"], "ms")]
 
 
-def figures(root: Path | None = None) -> list[Figure]:
+def figures() -> list[Figure]:
     """Measure both networks."""
     torch.set_num_threads(usable_cores())
     images.use_all_cores()  # as the explorer does
@@ -115,11 +113,7 @@ def figures(root: Path | None = None) -> list[Figure]:
     found: list[Figure] = []
     with tempfile.TemporaryDirectory() as made:
         folder = Path(made)
-        dataset = open_dataset(root or make_train_split(folder / "places"))
+        dataset = open_dataset(make_train_split(folder / "places"))
         for name, spec in SPECS.items():
             found += measure(name, spec, dataset, folder)
     return found
-
-
-if __name__ == "__main__":
-    show("One query", figures(Path(sys.argv[1]) if len(sys.argv) > 1 else None))

@@ -1,4 +1,4 @@
-"""One query against a gallery: `python -m tools.bench.search`.
+"""One query against a gallery: `python -m tools.bench search`.
 
 The peers are NumPy's product with the whole gallery and a partial sort, and faiss's flat index. Ours is
 `lpn.index.folder`, memory-mapped, with equal and with other part weights; it gives names, scores,
@@ -11,10 +11,9 @@ hundredth; there, NumPy picks out the tiles within and scores these.
 
 from __future__ import annotations
 
-import argparse
 import itertools
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from importlib import import_module
@@ -29,7 +28,7 @@ from lpn.index import DegreeBox, DescriptorKind, base, create_index
 from lpn.models.base import normalise
 from lpn.retrieval import scoring
 from tools.bench import figures as measuring
-from tools.bench.figures import Figure, show
+from tools.bench.figures import Figure
 
 KIND = DescriptorKind("bench", 4, 512)
 TILES = (951, 51_355)
@@ -166,12 +165,6 @@ def compare(count: int, folder: Path) -> list[Figure]:
     ]
 
 
-def figures(counts: Sequence[int] = TILES) -> list[Figure]:
+def figures() -> list[Figure]:
     with tempfile.TemporaryDirectory() as folder:
-        return [figure for count in counts for figure in compare(count, Path(folder))]
-
-
-if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--tiles", type=int, nargs="+", default=TILES, help="sizes of the galleries compared")
-    show("One query against a gallery", figures(parser.parse_args().tiles))
+        return [figure for count in TILES for figure in compare(count, Path(folder))]

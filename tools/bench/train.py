@@ -1,4 +1,4 @@
-"""Images per second in training: `python -m tools.bench.train [DATA]`.
+"""Images per second in training: `python -m tools.bench train`.
 
 The peer is the plain loop of the published recipe: each step takes one batch per view, its pictures decoded by Pillow one
 after the other, resized, padded, cropped, mirrored, and satellites turned; a float32 pass for each view, the cross-entropy
@@ -6,15 +6,13 @@ of all parts and views summed, SGD with momentum.
 
 Ours is `lpn.training.trainer` with the same network, batch, and recipe, whose pictures are prepared by threads: `ours, first
 pass` decodes every picture, as the plain loop does, `ours` finds it kept, and `ours, float32` is that without mixed precision.
-All take turns in one process, and the table gives medians. DATA is a data set in University-1652's layout
-with a train split; without it, synthetic JPEG files of that layout are made: satellites of 512 x 512 pixels, drone pictures of
-256 x 256.
+All take turns in one process, and the table gives medians. Pictures are synthetic JPEG files: satellites of 512 x 512 pixels,
+drone pictures of 256 x 256.
 """
 
 from __future__ import annotations
 
 import statistics
-import sys
 import tempfile
 from collections.abc import Callable
 from contextlib import closing
@@ -38,7 +36,7 @@ from lpn.training.recipe import Recipe
 from lpn.training.recipes import RECIPES
 from lpn.training.trainer import Trainer
 from lpn.training.training_set import TrainingSet
-from tools.bench.figures import Figure, show, take_turns
+from tools.bench.figures import Figure, take_turns
 from tools.bench.pictures import make_train_split
 
 # More than a batch has, which takes each place once.
@@ -121,14 +119,14 @@ def ours(trainer: Trainer) -> Callable[[], None]:
     return steps
 
 
-def figures(root: Path | None = None) -> list[Figure]:
+def figures() -> list[Figure]:
     """Measure each loop, in median images per second."""
     torch.manual_seed(0)
     quiet = Console(quiet=True)
     recipe = replace(RECIPES["released"], batch=32, backbone="resnet18", last_layer="layer3")
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        data = root or make_train_split(folder / "data", PLACES)
+        data = make_train_split(folder / "data", PLACES)
 
         def trainer(name: str, precision: Any = recipe.precision) -> Trainer:
             changed = replace(recipe, precision=precision)
@@ -153,7 +151,3 @@ def figures(root: Path | None = None) -> list[Figure]:
         Figure(f"training ResNet-18 to layer3, {recipe.batch} per view, {loop}", speed, "images/s", plain, more=True)
         for loop, speed in zip(list(times)[1:], speeds, strict=True)
     ]
-
-
-if __name__ == "__main__":
-    show("Training", figures(Path(sys.argv[1]) if len(sys.argv) > 1 else None))

@@ -308,30 +308,6 @@ def checkpoints(folder: Path) -> list[FuzzCase]:
     ]
 
 
-def rankings(folder: Path) -> list[FuzzCase]:
-    """A ranking kept between runs."""
-    from lpn.models.base import normalise
-    from lpn.retrieval import metrics
-    from lpn.tasks import ranking_cache
-    from tools.fixtures.tasks import descriptor_task
-
-    os.environ["LPN_CACHE"] = str(folder)
-    rng = np.random.default_rng(0)
-    asked, tiles = (normalise(rng.standard_normal((count, 2, 8)).astype(np.float32)) for count in (10, 7))
-    labels = rng.integers(0, 4, 10), rng.integers(-1, 3, 7)
-    task = descriptor_task(asked, tiles, *labels, identity="these")
-    ranking_cache.save(task, metrics.retrieve(asked, labels[0], tiles, labels[1]))
-    file = ranking_cache.cache_file(task)
-    assert file is not None
-
-    def read() -> None:
-        found = ranking_cache.load(task)
-        assert found is None or found.metrics()["gallery"] == 7
-
-    names = ("first.npy", "precision.npy", "gallery.npy")
-    return [in_file(file, read), *(in_archive(file, read, name, file.read_bytes()) for name in names)]
-
-
 def links(folder: Path) -> list[FuzzCase]:
     """The address of a page, and the messages of its channel."""
     from explorer.opening import open_model
@@ -373,5 +349,5 @@ def links(folder: Path) -> list[FuzzCase]:
 
 
 TARGETS: dict[str, Callable[[Path], list[FuzzCase]]] = {
-    made.__name__: made for made in (pictures, stores, tables, results, onnx, checkpoints, rankings, links)
+    made.__name__: made for made in (pictures, stores, tables, results, onnx, checkpoints, links)
 }

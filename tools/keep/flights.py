@@ -1,7 +1,7 @@
 """Flights located anew: the shipped ones, forged tags, maps of other places, and single photos.
 
-Registration runs without a model, over the whole map. Real flights lie in the folder that LPN_FLIGHTS names, see
-`tools.bench.wrong_maps.open_pair`.
+Registration runs without a model, over the whole map. Real flights lie in the folder that LPN_FLIGHTS names: each in a
+folder with `photos/`, and `map.tif` or `map.jpg`.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import csv
 import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,6 +20,7 @@ from tools.keep.measures import Bound, Figures, Measure, Value, at_least, at_mos
 
 if TYPE_CHECKING:
     from lpn.flight.files import Flight
+    from lpn.flight.locate.ground import MapFeatures
     from lpn.flight.maps import Map
 
 # The stride of the photos of a flight that are located over maps of other places, and over its own map in other pixels.
@@ -27,7 +28,7 @@ WRONG_MAPS = {"brighton": (1, 1), "rendered": (1, 4), "caliterra": (4, 4), "sene
 PLACED = ("accepted", "contradicted")
 # Metres to the east and north by which forged tags lie off.
 MOVED = (60.0, 0.0)
-# Metres from its true tag beyond which an accepted photo is false, as in `tools.bench.wrong_maps`.
+# Metres from its true tag beyond which an accepted photo is false.
 BEYOND = 50.0
 
 
@@ -133,7 +134,7 @@ def wrong_maps(name: str) -> Figures:
     It takes about 4 minutes of processor time for brighton, 6 for rendered, 45 for caliterra, and 55 for seneca.
     """
     folder_of_flights = data_folder("LPN_FLIGHTS")
-    from tools.bench.wrong_maps import SIDE, changed_maps, foreign_maps, open_pair
+    from tools.keep._maps import SIDE, changed_maps, foreign_maps, open_pair
 
     with resumable(f"wrong-{name}") as folder:
         pairs = {other: open_pair(other, folder_of_flights) for other in WRONG_MAPS}
@@ -144,29 +145,31 @@ def wrong_maps(name: str) -> Figures:
         for every, tried in zip(WRONG_MAPS[name], (elsewhere, changed_maps(own, SIDE, maps)), strict=True):
             chosen = replace(flight, name=name, frames=flight.frames[::every])
             rows += [
-                keep_row(folder / "rows.json", map_name, partial(_located_over, chosen, name, map_name, basemap))
+                keep_row(folder / "rows.json", map_name, partial(_located_over, chosen, map_name, basemap))
                 for map_name, basemap in tried
             ]
     return wrong_map_figures(rows)
 
 
-def _located_over(flight: Flight, name: str, map_name: str, basemap: Map) -> dict[str, Any]:
+def _located_over(flight: Flight, map_name: str, basemap: Map) -> dict[str, Any]:
+    """Count the accepted photos of a flight over a map, and those of them that lie beyond 50 m of their tag or have none."""
     from lpn.flight.locate.pipeline import locate
-    from tools.bench.wrong_maps import row_of
 
-    located = locate(basemap, flight)
-    return asdict(row_of(located, name, map_name, located.frames))
+    frames = locate(basemap, flight).frames
+    accepted = [one for one in frames if one.stages["registration"].accepted]
+    beyond = sum(one.tag is None or (one.error("registration") or 0.0) > BEYOND for one in accepted)
+    return {"map": map_name, "photos": len(frames), "accepted": len(accepted), "beyond": beyond}
 
 
 def wrong_map_figures(rows: Sequence[Mapping[str, Any]]) -> Figures:
-    """Reduce rows of `tools.bench.wrong_maps.WrongMapRow` to figures; over the own map none should lie beyond 50 m of its tag."""
+    """Reduce rows of `_located_over` to figures; over the own map none should lie beyond 50 m of its tag."""
     figures: dict[str, Value] = {}
     for row in rows:
         own = row["map"].startswith("own, ")
         over = row["map"] if own else f"over {row['map']}"
-        figures |= {f"{over} photos": row["photos"], f"{over} accepted": sum(row["accepted"].values())}
+        figures |= {f"{over} photos": row["photos"], f"{over} accepted": row["accepted"]}
         if own:
-            figures[f"{over} beyond"] = sum(row["beyond"].values())
+            figures[f"{over} beyond"] = row["beyond"]
     return figures
 
 
@@ -199,7 +202,6 @@ def _single_photos(name: str, **sides: Mapping[Path, int]) -> Figures:
     from lpn.flight.locate.ground import MapFeatures
     from lpn.flight.locate.matchers import open_matchers
     from lpn.flight.maps import open_map
-    from tools.bench.single_photos import accepted, photos_of
 
     with resumable(name) as folder:
         basemap = open_map(DEMO_PLACE[0])
@@ -208,12 +210,29 @@ def _single_photos(name: str, **sides: Mapping[Path, int]) -> Figures:
         for side, sources in sides.items():
             for source, every in sources.items():
                 answers = [
-                    keep_row(folder / "rows.json", str(file), partial(accepted, basemap, features, file))[0]
-                    for _, file in photos_of([source], every)
+                    keep_row(folder / "rows.json", str(file), partial(_accepted, basemap, features, file))
+                    for file in photos_of(source, every)
                 ]
                 known = source.parent.name if source.name == "photos" else source.name
                 figures |= {f"{known} {side} photos": len(answers), f"{known} {side} accepted": sum(answers)}
     return figures
+
+
+def photos_of(folder: Path, every: int) -> list[Path]:
+    """Every n-th photo below a folder, in the order of names."""
+    files = (file for file in folder.rglob("*") if file.suffix.lower() in (".jpg", ".jpeg", ".png", ".webp"))
+    return sorted(files)[::every]
+
+
+def _accepted(basemap: Map, features: Sequence[MapFeatures], file: Path) -> bool:
+    """Register a photo as a visitor's own picture is, of which the pixels alone are known, and return whether it is accepted."""
+    from explorer import uploads
+    from lpn.flight.locate.own_photo import register_own_photo
+
+    picture = uploads.read(file.name, file.read_bytes()).picture
+    photo = register_own_photo(basemap, features, picture, None, ())
+    assert photo.whole_map
+    return photo.answer.accepted
 
 
 def forged_tags() -> Figures:
@@ -239,7 +258,7 @@ def _located_forged(map_path: Path, flight_path: Path, forgery: str) -> dict[str
     from lpn.flight.locate.pipeline import locate
     from lpn.flight.locate.verdict import judge
     from lpn.flight.maps import open_map
-    from tools.bench.wrong_maps import forged
+    from tools.keep._maps import forged
 
     basemap, flight = open_map(map_path), open_flight(flight_path)
     tags = basemap.frame.xy(*flight.degrees.T)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tools.keep.measures import Figures, Measure, Value, at_least, at_most
+from tools.keep.measures import Figures, Measure, NotMeasuredError, Value, at_least, at_most, reported
 
 if TYPE_CHECKING:
     from tools.fixtures.parity import ParityCase
@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 # Largest difference of LPN relative to the largest value of the array, and of other methods relative to that of each part. Single
 # precision alone makes up to 1.9e-6 of the latter.
 AGREEMENT, BY_PART = 1e-6, 3e-6
+# The same on a GPU, and mixed precisions that are tried there without a limit.
+ON_GPU, MIXED = 1e-4, ("float16", "bfloat16")
 # Methods besides LPN by the names of their released code's arrays: those for every day, and those of large networks.
 QUICK = ("fsra_vits_b3", "mccg_tiny", "sample4geo_tiny_256", "denseuav_vits_224")
 LARGE = ("sdpl_resnet50_512", "sample4geo_base_384", "dac_base_384", "game4loc_vitb_384")
@@ -31,19 +33,63 @@ def lpn_configurations() -> Figures:
     """
     from tools.fixtures.parity import CASES
 
-    differences = {str(case): _of_case(case) for case in CASES}
+    differences = {str(case): of_case(case, "cpu")[""] for case in CASES}
     return {"agreeing": _agreeing(differences, AGREEMENT), **differences}
 
 
-def _of_case(case: ParityCase) -> float:
-    import lpn
+def on_gpu() -> Figures:
+    """Compare the same on a GPU, in float32 and in mixed precision, and one exported by each of ONNX Runtime's providers."""
+    import torch
+
+    if not torch.cuda.is_available():
+        raise NotMeasuredError(f"torch {torch.__version__} finds no GPU here")
+    from tools.fixtures.parity import CASES
+
+    figures: dict[str, Value] = {}
+    for case in CASES:
+        for precision, difference in of_case(case, "cuda", MIXED).items():
+            figures[f"{case}{precision}"] = difference
+    return figures | of_providers(CASES[3])
+
+
+def of_case(case: ParityCase, device: str, mixed: Sequence[str] = ()) -> dict[str, float]:
+    """Return a case's largest differences in float32, named "", and in mixed precisions, named as in ", float16"."""
+    import torch
+
+    from lpn.models.checkpoints import load_torch
     from tools.fixtures.seeded import relative
 
     with tempfile.TemporaryDirectory() as folder:
-        model = lpn.load(case.write(Path(folder)), "cpu")
-        return _rounded(
-            *(relative(model.part_embeddings(case.pictures(), view), case.expected(view)) for view in case.compared)
-        )
+        model = load_torch(case.write(Path(folder)), device)
+    found: dict[str, list[float]] = {}
+    for view in case.compared:
+        expected = case.expected(view)
+        found.setdefault("", []).append(relative(model.part_embeddings(case.pictures(), view), expected))
+        for precision in mixed:
+            with torch.inference_mode(), torch.autocast(device, getattr(torch, precision)):
+                outputs = model.network.embed(case.pictures().to(device), view)[0].float().cpu().numpy()
+            found.setdefault(f", {precision}", []).append(relative(outputs, expected))
+    return {precision: _rounded(*differences) for precision, differences in found.items()}
+
+
+def of_providers(case: ParityCase) -> dict[str, Value]:
+    """Export a case, and return its largest difference by each provider of ONNX Runtime that starts here."""
+    from lpn.core.errors import LPNError
+    from lpn.models.export import export
+    from lpn.models.onnx_engine import Engine
+    from lpn.models.providers import available
+    from tools.fixtures.seeded import relative
+
+    view, found = case.compared[0], dict[str, Value]()
+    with tempfile.TemporaryDirectory() as folder:
+        export(case.write(Path(folder)), file := Path(folder, "model.onnx"))
+        for provider in available():
+            try:
+                outputs = Engine(file, provider=provider).part_embeddings(case.pictures(), view)
+                found[f"exported, {provider}"] = _rounded(relative(outputs, case.expected(view)))
+            except LPNError as error:
+                print(f"{provider} was not run: {error}")
+    return found
 
 
 def other_methods(names: Sequence[str]) -> Figures:
@@ -90,4 +136,5 @@ MEASURES = (
         {"agreeing": at_least(len(LARGE)), "*": at_most(BY_PART)},
         slow=True,
     ),
+    Measure("gpu", on_gpu, {"*float16": reported(), "*": at_most(ON_GPU)}, slow=True),
 )

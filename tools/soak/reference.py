@@ -110,7 +110,7 @@ class Reference:
             views = views_of(name)
             if set(views) <= set(opened.views):
                 gallery = dataset.gallery(views[1])
-                stored = descriptors.shipped_or_cached(opened, gallery, views[1], data, "gallery").descriptors
+                stored = descriptors.shipped_or_cached(opened, gallery, views[1], data, "gallery")
                 for index in {0, len(gallery) // 2, len(gallery) - 1}:
                     found = retrieval.describe_picture(self._model, gallery[index].load_cropped(), views[1]).descriptor
                     if not scoring.part_cosines(found, stored[index : index + 1]).min() >= NEAR:

@@ -6,7 +6,6 @@ evidence, outcomes, reports. No picture is described again, and windows are cut 
 
 from __future__ import annotations
 
-import hashlib
 import logging
 import math
 from collections.abc import Sequence
@@ -90,7 +89,6 @@ def flight_task(model: Model, model_name: str, located: LocatedFlight, root: Pat
         headings.append(views.headings[turn])
         if described is not None:
             queries[i] = described[turn]
-    digest = hashlib.sha256(queries.tobytes() + np.ascontiguousarray(gallery.described).tobytes()).hexdigest()
     if retrieval.means:
         model = model.centred(retrieval.means, retrieval.whitening)
     first, several = len(queries), len(set(gallery.sizes.tolist())) > 1
@@ -125,7 +123,6 @@ def flight_task(model: Model, model_name: str, located: LocatedFlight, root: Pat
         gallery_descriptors=gallery.described,
         truth=_truth(located, retrieval),
         geometry=_geometry(located, retrieval),
-        identity=digest,
         columns=_columns(located, retrieval, headings),
     )
 

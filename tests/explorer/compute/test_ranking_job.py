@@ -14,7 +14,6 @@ from explorer.screen.fields import opening
 from explorer.screen.rail import Rail
 from explorer.workspace import Workspace
 from lpn.core.errors import LPNError
-from lpn.tasks import ranking_cache
 from tools.fixtures import small_worlds
 from tools.fixtures.waiting import TIMEOUT
 
@@ -26,7 +25,6 @@ def data(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A data set that counts as too large to be ranked before the first page is served."""
     monkeypatch.setenv("LPN_CACHE", str(tmp_path / "cache"))
     monkeypatch.setattr(ranking_job, "QUICK_COST", 0)
-    monkeypatch.setattr(ranking_cache, "STEP", 2)
     return small_worlds.map_dataset(small_worlds.make_dataset(tmp_path / "places", train=1, test=9))
 
 
@@ -51,16 +49,6 @@ def test_a_ranking_in_the_background_equals_one_at_the_start(
     np.testing.assert_array_equal(ranking.ranks, quick.ranks)
 
 
-def test_a_ranking_is_cached_until_a_picture_changes(data: Path, workspace: Workspace, model_file: Path) -> None:
-    assert workspace.rankings[TASK].join("me").wait(TIMEOUT)
-    again = open_model(data, model_file).rankings
-    assert again[TASK].results == workspace.rankings[TASK].results
-    assert again["satellite-to-drone"].result is None
-    file = workspace.tasks[TASK].queries[3].path
-    small_worlds.write(file, small_worlds.place(99))
-    assert open_model(data, model_file).rankings[TASK].result is None
-
-
 def test_nothing_is_marked_before_the_ranking_is_done(workspace: Workspace) -> None:
     ranking, feeds = workspace.rankings[TASK], workspace.feeds
     state = opening(workspace)
@@ -71,7 +59,7 @@ def test_nothing_is_marked_before_the_ranking_is_done(workspace: Workspace) -> N
     assert workspace.graded(ranking).all()
 
 
-def test_a_ranking_without_clients_pauses_and_resumes(workspace: Workspace) -> None:
+def test_a_ranking_without_clients_stops_and_starts_again(workspace: Workspace) -> None:
     ranking = workspace.rankings[TASK]
     with ranking._rank_lock:  # keeps it from starting
         cancelled = ranking.join("me")
@@ -87,7 +75,7 @@ def test_a_ranking_without_clients_pauses_and_resumes(workspace: Workspace) -> N
 def test_a_failed_ranking_can_start_again(workspace: Workspace, monkeypatch: pytest.MonkeyPatch) -> None:
     ranking = workspace.rankings[TASK]
     with monkeypatch.context() as patched:
-        patched.setattr(ranking_cache, "save", lambda *_: 1 / 0)
+        patched.setattr(ranking_job, "TaskRanking", lambda *_: 1 / 0)
         with pytest.raises(LPNError, match="ZeroDivisionError"):
             ranking.wait("me", lambda *_: None)
     assert ranking.wait("me", lambda *_: None) is ranking.result

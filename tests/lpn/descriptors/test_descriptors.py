@@ -241,7 +241,7 @@ def test_a_store_that_comes_along_is_used_for_its_own_pictures_and_model(
     pictures = [Picture(file, 1, file.stem) for file in copied]
     shipped = descriptors.shipped_descriptors(model, pictures, "drone", tmp_path / "store")
     assert shipped is not None
-    np.testing.assert_array_equal(shipped.descriptors, made)
+    np.testing.assert_array_equal(shipped, made)
     assert descriptors.shipped_descriptors(model, pictures, "satellite", tmp_path / "store") is None
     assert descriptors.shipped_descriptors(model, pictures[1:], "drone", tmp_path / "store") is None
     assert descriptors.shipped_descriptors(model, pictures, "drone", tmp_path / "absent") is None
@@ -274,7 +274,7 @@ def test_a_smaller_store_says_nearly_the_same(
     pictures = [Picture(file, 1, file.stem) for file in files]
     shipped = descriptors.shipped_descriptors(model, pictures, "drone", tmp_path / "small")
     assert shipped is not None
-    np.testing.assert_array_equal(shipped.descriptors, small.float32)
+    np.testing.assert_array_equal(shipped, small.float32)
     with pytest.raises(StoreError, match=rf"in {precision}, and these would be .* in float32"):
         descriptors.describe(model, files, "drone", tmp_path / "small", root=folder)
     with open_index(tmp_path / "small", model.fingerprint) as index:  # which is converted block by block

@@ -13,7 +13,6 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import onnxruntime
 import pytest
 
@@ -25,9 +24,7 @@ from lpn.core.errors import OutputError
 from lpn.core.files import cache_folder
 from lpn.doctor import environment_check
 from lpn.doctor.environment_check import Finding
-from lpn.tasks import ranking_cache
 from tests.conftest import Refused
-from tools.fixtures.tasks import descriptor_task
 
 
 def of(name: str, *checks: Any) -> Finding:
@@ -155,8 +152,6 @@ def test_a_user_without_a_home_is_told_what_to_set(monkeypatch: pytest.MonkeyPat
     )
     with pytest.raises(OutputError, match="set LPN_CACHE to a folder that can be written"):
         cache_folder()
-    one = np.ones((1, 1, 4), np.float32)
-    assert ranking_cache.load(descriptor_task(one, one, np.zeros(1, int), np.zeros(1, int), identity="one")) is None
 
 
 def test_a_python_may_call_itself_what_it_likes(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -194,9 +194,7 @@ def test_the_demo_s_headings_are_found_more_often_than_by_chance() -> None:
     errors = []
     for i in downward:
         picture, angles = images.load_picture(queries[i].path), changes_over("rotation", 45)
-        points = tuple(
-            sweep_points(model, picture, "drone", angles, ranked_in(tiles.descriptors, scoring.part_weights(4)))
-        )
+        points = tuple(sweep_points(model, picture, "drone", angles, ranked_in(tiles, scoring.part_weights(4))))
         heading = SweepResult("rotation", points).heading()
         assert heading is not None
         errors.append(abs((heading - (known[i].heading or 0.0) + 180) % 360 - 180))

@@ -58,7 +58,7 @@ def test_the_figures_on_the_demo_are_those_of_its_shipped_descriptors(card: Mode
         views = views_of(task)
         sides = dataset.queries(views[0]), dataset.gallery(views[1])
         query, gallery = (
-            shipped_or_cached(model, pictures, view, DEMO, role).descriptors  # type: ignore[arg-type]
+            shipped_or_cached(model, pictures, view, DEMO, role)  # type: ignore[arg-type]
             for pictures, view, role in zip(sides, views, ("query", "gallery"), strict=True)
         )
         labels = [[picture.label for picture in side] for side in sides]

@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import hashlib
 import json
 import re
 import tracemalloc
@@ -431,8 +430,6 @@ def test_an_array_is_scaled_in_little_memory(tmp_path: Path) -> None:
     assert peak < 2 * gallery.nbytes
     norms = np.linalg.norm(gallery.astype(np.float64), axis=2, keepdims=True) * np.sqrt(2)
     np.testing.assert_array_equal(found.gallery_descriptors, (gallery / norms).astype(np.float32))
-    expected = hashlib.sha256(found.query_descriptors.tobytes() + b"|" + found.gallery_descriptors.tobytes())
-    assert found.identity == expected.hexdigest()
 
 
 def test_labels_are_texts(tmp_path: Path, files: list[Path]) -> None:
