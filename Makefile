@@ -90,10 +90,9 @@ test-all: check $(VENV)/.browser $(VENV)/.milvus
 # Lines and branches that the tests run: make coverage TESTS="-m ''" with the slow tests. pyproject.toml has the settings.
 coverage: export COVERAGE_FILE := $(abspath runs/coverage/data)
 coverage: $(VENV)/.browser $(VENV)/.milvus
-	mkdir -p runs/coverage
-	-$(subst -m pytest,-m coverage run -m pytest,$(PYTEST)) --dist worksteal $(TESTS)
-	$(BIN)/python -m coverage combine --quiet
-	$(BIN)/python -m coverage report --skip-covered --sort=cover
+	rm -rf runs/coverage && mkdir -p runs/coverage
+	$(subst -m pytest,-m coverage run -m pytest,$(PYTEST)) --dist worksteal $(TESTS); status=$$?; \
+	$(BIN)/python -m coverage combine --quiet && $(BIN)/python -m coverage report --skip-covered --sort=cover && exit $$status
 
 # Each planted fault must be noticed: make mutations NAMES="swapped-views" for some of tools/mutations.txt.
 mutations: $(VENV)/.dev

@@ -45,7 +45,7 @@ def main(arguments: Sequence[str], measures: dict[str, Measure] | None = None, b
     options = _parser(known).parse_args(arguments)
     if unknown := sorted(set(options.names + options.accept) - set(known)):
         return _refuse(f"There is no measure {', '.join(unknown)}; there are {', '.join(known)}.")
-    names = options.names + options.accept
+    names = options.names + options.accept + ["calls"] * options.calls
     names = list(dict.fromkeys(names)) or [name for name, one in known.items() if one.slow == options.slow]
     try:
         check_outputs((options.out, ".json"))
@@ -84,6 +84,7 @@ def _parser(known: dict[str, Measure]) -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="python -m tools.keep", description="Measure what must not get worse.")
     parser.add_argument("names", nargs="*", metavar="NAME", help=f"measures: {', '.join(known)}")
     parser.add_argument("--slow", action="store_true", help="run the slow half instead of the quick one")
+    parser.add_argument("--calls", action="store_true", help="count the calls of a turn, and print their path")
     parser.add_argument("--out", type=Path, help="JSON file of the results; the same commit goes on where it stopped")
     parser.add_argument(
         "--accept", action="append", default=[], metavar="NAME", help="write a new baseline for this measure"
