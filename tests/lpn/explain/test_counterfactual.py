@@ -9,17 +9,8 @@ from scipy.optimize import linprog, minimize
 from lpn import retrieval
 from lpn.core.arrays import Float32Array
 from lpn.explain import counterfactual
-from lpn.explain.counterfactual import shortest
 from lpn.models.base import normalise
 from lpn.retrieval import Ranking, metrics, scoring
-
-
-def ranked(cosines: object, weights: object = None, true: tuple[int, ...] = (0,)) -> Ranking:
-    """A ranking of given part cosines (G, n) in which some tiles are true."""
-    array = np.array(cosines, np.float32)
-    labels = np.ones(len(array), np.int64)
-    labels[list(true)] = 7
-    return retrieval.rank(array, scoring.part_weights(array.shape[1], weights), labels, 7)  # type: ignore[arg-type]
 
 
 def random_case(seed: int) -> tuple[Ranking, np.ndarray]:
@@ -134,17 +125,6 @@ def _by_scipy(ranking: Ranking, labels: np.ndarray) -> float | None:
     return min(found, default=None)
 
 
-def test_no_weighting_helps_where_a_wrong_tile_is_better_or_equal_in_every_part() -> None:
-    assert counterfactual.smallest_change(ranked([[0.5, 0.5], [0.6, 0.5]])) is None
-    assert counterfactual.smallest_change(ranked([[0.5], [0.6]])) is None
-    assert counterfactual.smallest_change(ranked([[0.9, 0.1], [0.9, 0.1]], true=(1,))) is None
-    # No tile is better everywhere, but of any weighting one of the two is.
-    assert counterfactual.smallest_change(ranked([[0.5, 0.5], [0.9, 0.2], [0.2, 0.9]])) is None
-    found = counterfactual.smallest_change(ranked([[0.5, 0.5], [0.9, 0.2], [0.2, 0.7]]))
-    assert found is not None
-    assert found[1] == pytest.approx(4 / 7, abs=1e-3)
-
-
 def test_a_chosen_tile_can_be_put_first_and_an_unknown_truth_cannot() -> None:
     cosines = [[0.9, 0.1], [0.8, 0.7], [0.1, 0.8]]
     ranking = retrieval.rank(np.array(cosines, np.float32), scoring.part_weights(2))
@@ -156,14 +136,6 @@ def test_a_chosen_tile_can_be_put_first_and_an_unknown_truth_cannot() -> None:
     standings = counterfactual.ranks_without_parts(ranking, tile=0)
     assert standings is not None
     assert standings.without == (3, 1)
-
-
-def test_the_least_distance_to_half_spaces() -> None:
-    rows, least = np.array([[1.0, 0.0], [0.0, 1.0], [1.0, 1.0]]), np.array([1.0, -5.0, 3.0])
-    np.testing.assert_allclose(shortest(rows, least, 10.0), [1.5, 1.5], atol=1e-12)
-    np.testing.assert_array_equal(shortest(rows, -np.ones(3), 1.0), [0, 0])
-    assert shortest(rows, least, 2.0) is None
-    assert shortest(np.array([[1.0], [-1.0]]), np.array([1.0, 1.0]), 1e3) is None
 
 
 def test_a_part_that_sees_nothing_of_the_query_ranks_nothing() -> None:

@@ -11,15 +11,13 @@ import numpy as np
 import pytest
 
 import lpn
-from lpn import descriptors, retrieval
+from lpn import retrieval
 from lpn.cli import main
 from lpn.core import images
 from lpn.core.arrays import Float32Array, UInt8Array
-from lpn.core.demo import DEMO
 from lpn.core.errors import InputError
 from lpn.core.views import View
-from lpn.datasets import Truth, open_dataset
-from lpn.datasets.geo import Positions
+from lpn.datasets import Truth
 from lpn.descriptors.transforms import Change
 from lpn.descriptors.weather import WEATHERS, Weather
 from lpn.explain import sweeps
@@ -182,27 +180,6 @@ def test_a_tile_turned_as_a_drone_of_some_heading_sees_it_has_that_heading(model
     assert found.best.followed.score == pytest.approx(1, abs=1e-4)
 
 
-@pytest.mark.slow
-def test_the_demo_s_headings_are_found_more_often_than_by_chance() -> None:
-    model, dataset = lpn.load(DEMO / "lpn.onnx"), open_dataset(DEMO)
-    queries, gallery = dataset.queries("drone"), dataset.gallery("satellite")
-    known = Positions(DEMO).of(queries)
-    tiles = descriptors.shipped_descriptors(model, gallery, "satellite", DEMO / "descriptors" / "gallery_satellite")
-    assert tiles is not None
-    # Straight down: only those pictures' headings differ from north and south by much.
-    downward = [i for i, place in enumerate(known) if place.tilt == -90][::20]
-    errors = []
-    for i in downward:
-        picture, angles = images.load_picture(queries[i].path), changes_over("rotation", 45)
-        points = tuple(
-            sweep_points(model, picture, "drone", angles, ranked_in(tiles.descriptors, scoring.part_weights(4)))
-        )
-        heading = SweepResult("rotation", points).heading()
-        assert heading is not None
-        errors.append(abs((heading - (known[i].heading or 0.0) + 180) % 360 - 180))
-    assert np.median(errors) <= 45  # 90 by chance
-
-
 def test_the_command_prints_a_table_and_writes_csv(
     data: Path, model_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -222,21 +199,6 @@ def test_the_command_prints_a_table_and_writes_csv(
     assert [row["weather"] for row in rows] == list(WEATHERS)
     said = capsys.readouterr().out
     assert all(f" {row['weather']} " in said and f"{float(row['score']):.3f}" in said for row in rows)
-
-
-@pytest.mark.parametrize(
-    ("more", "said"),
-    [
-        (["--query", "nowhere"], "has no query nowhere; did you mean 0007?"),
-        (["--query", "0009", "--task", "street-to-drone"], "has the tasks drone-to-satellite"),
-        (["--query", "0009", "--step", "-5"], "step is -5"),
-    ],
-)
-def test_the_command_refuses_in_one_sentence(
-    data: Path, model_file: Path, capsys: pytest.CaptureFixture[str], more: list[str], said: str
-) -> None:
-    assert main.main(["explain", str(data), "--model", str(model_file), "--over", "rotation", *more]) == 2
-    assert said in capsys.readouterr().err
 
 
 def test_a_sweep_over_weather_keeps_the_turn_and_begins_in_the_weather_there_is() -> None:

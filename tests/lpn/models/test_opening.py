@@ -23,7 +23,6 @@ from lpn.models import file_contents
 from lpn.models.checkpoints import TorchModel, read_state
 from tools.fixtures import seeded, small_worlds
 from tools.fixtures.small_models import refusal_of
-from tools.fixtures.without_torch import run_without_torch
 
 State = dict[str, Tensor]
 PICTURES = seeded.pictures(1, 1, 64, 64)
@@ -355,24 +354,6 @@ def test_a_file_of_another_kind_is_named_whatever_its_ending(case: str, tmp_path
     for ending in (".pth", ".onnx", ".safetensors", ".bin"):
         (tmp_path / f"net_119{ending}").write_bytes(data)
         assert refusal_of(tmp_path / f"net_119{ending}").startswith(f"net_119{ending} {sentence}")
-
-
-def test_a_file_of_another_kind_is_named_without_torch(tmp_path: Path) -> None:
-    code = """
-import sys, lpn
-for name in sys.argv[1:]:
-    try:
-        lpn.load(name)
-    except lpn.LPNError as error:
-        print(error)
-"""
-    (tmp_path / "pointer.pth").write_bytes(LFS)
-    (tmp_path / "net.pth").write_bytes(saved({"a": torch.zeros(1)}))
-    done = run_without_torch(code, "pointer.pth", "net.pth", folder=tmp_path)
-    assert done.returncode == 0, done.stderr
-    pointer, of_weights = done.stdout.splitlines()
-    assert pointer.startswith("pointer.pth is a Git LFS pointer")
-    assert "needs the package torch" in of_weights
 
 
 def test_a_file_cut_anywhere_and_a_missing_one_get_one_sentence(

@@ -67,15 +67,6 @@ class FakeSession:
         return getattr(self.real, name)
 
 
-def test_without_a_gpu_auto_is_the_cpu(model_file: Path) -> None:
-    model = lpn.load(model_file)
-    assert model.device == "cpu"
-    assert "on " not in model.describe()
-    np.testing.assert_array_equal(
-        model.descriptors(PICTURES, "drone"), lpn.load(model_file, "cpu").descriptors(PICTURES, "drone")
-    )
-
-
 @pytest.mark.parametrize(("wanted", "name"), [("cuda", CUDA), ("tensorrt", TENSORRT), ("gpu", "gpu")])
 def test_a_provider_that_is_not_built_in_is_one_sentence(model_file: Path, wanted: str, name: str) -> None:
     with pytest.raises(InputError, match=f"has no {name}, but {CPU}; install .*onnxruntime-gpu") as caught:

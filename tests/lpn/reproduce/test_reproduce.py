@@ -7,7 +7,6 @@ from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
-from unittest.mock import Mock
 
 import pytest
 import torch
@@ -30,7 +29,7 @@ from lpn.reproduce.measure import features_alone, read_measurements
 from lpn.reproduce.record import RowRecord, TableRecord
 from lpn.reproduce.run import Reproduction
 from lpn.reproduce.sources import TASKS
-from lpn.reproduce.tables import KEYS, SCALES, SHOWN, Scale, find, tables
+from lpn.reproduce.tables import KEYS, SCALES, SHOWN, find, tables
 from lpn.tasks.opening import lazy_task
 from lpn.training.recipe import Recipe
 from lpn.training.recipes import METRIC_LOSSES, RECIPES
@@ -70,18 +69,6 @@ def reproduction(places: Path, out: Path, **options: Any) -> Reproduction:
 def said(made: Reproduction) -> str:
     assert isinstance(made.console.file, io.StringIO)
     return made.console.file.getvalue()
-
-
-@pytest.mark.parametrize("scale", SCALES.values(), ids=SCALES)
-def test_the_note_of_table_i_says_which_rows_are_trained_with_google(scale: Scale) -> None:
-    table = find("table1", scale)
-    google = [row.label for row in table.rows if row.training and scale.recipe(row.training, 0).google]
-    assert google == ["Instance loss (baseline)", "LPN"]
-    told = "LPN and the baseline are trained with google"
-    assert told in report.data_notes(table, (), scale)[0]
-    for has_google in (True, False):
-        source = Mock(has_google=has_google, sizes=lambda _: "sizes")
-        assert (told in " ".join(report.data_notes(table, [source], scale))) is has_google
 
 
 def test_at_the_paper_s_scale_the_recipes_are_the_paper_s() -> None:
@@ -390,26 +377,6 @@ def test_a_command_is_recorded_without_a_machine_s_folders(monkeypatch: pytest.M
     assert here.__wrapped__().command == (
         "lpn reproduce table1 --data world --out=runs --model instance=net.pth --init weights/resnet18.pth"
     )
-
-
-def test_table_2_quotes_eight_methods_as_the_paper_prints_them(places: Path, tmp_path: Path) -> None:
-    quoted = [row for row in find("table2", SCALES["paper"]).rows if row.quoted]
-    assert len(quoted) == 8
-    options = {"data": [str(layouts.cvusa(tmp_path / "cvusa"))], "train": False}
-    made = reproduction(places, tmp_path / "out", models={"panorama-instance": two_views(tmp_path, 1)}, **options)
-    made.run(["table2"])
-    text = (tmp_path / "out" / "table2.md").read_text(encoding="utf-8")
-    assert text.startswith("### Table II: ground to satellite, on CVUSA\n")
-    assert "| CVM-Net (CVPR'18, VGG16) | quoted | 18.80 | quoted | 44.42 | quoted | 57.47 | quoted | 91.54 |" in text
-    assert "| Regmi (ICCV'19, X-Fork) | quoted | 48.75 | quoted | - | quoted | 81.27 | quoted | 95.98 |" in text
-    assert text.count("| quoted | - | quoted | - | quoted | - | quoted |") == 4
-    assert (
-        "| LPN, rings and rows | not run: no --model gives panorama-lpn, and --no-train trains none | 78.48 |" in text
-    )
-    with (tmp_path / "out" / "table2.csv").open(encoding="utf-8") as file:
-        rows = [row for row in csv.DictReader(file) if row["row"].startswith("Regmi")]
-    assert [row["paper"] for row in rows] == ["48.75", "", "81.27", "95.98"]
-    assert {row["mean"] for row in rows} == {""}
 
 
 def test_the_released_protocol_is_a_table_s_own(places: Path, model_file: Path, tmp_path: Path) -> None:

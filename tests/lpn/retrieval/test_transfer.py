@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from unittest.mock import Mock
 
 import cv2
 import numpy as np
@@ -15,7 +14,7 @@ from lpn.core import images
 from lpn.core.errors import InputError
 from lpn.datasets import open_dataset
 from lpn.models.checkpoints import load_torch, save
-from lpn.tasks.changes import averaged, calibrated, turned
+from lpn.tasks.changes import averaged, turned
 from lpn.tasks.measure import measure
 from lpn.tasks.opening import lazy_task
 from tools.fixtures import layouts, released_transfer, small_worlds
@@ -52,8 +51,6 @@ def test_the_released_protocol_is_measured_and_stated(tmp_path: Path) -> None:
         turned(released, 90)
     with pytest.raises(InputError, match="only queries with labels can be averaged"):
         averaged(released)
-    with pytest.raises(InputError, match="leave --centre, another branch, and the released protocol out"):
-        calibrated(released, Mock())
 
 
 def test_a_model_of_one_size_is_refused(tmp_path: Path) -> None:

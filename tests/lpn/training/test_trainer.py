@@ -27,7 +27,7 @@ from lpn.tasks.opening import lazy_task
 from lpn.training import learner
 from lpn.training.model_selection import HeldOut, TestSplit
 from lpn.training.recipe import Recipe
-from lpn.training.recipes import METHODS, RECIPES
+from lpn.training.recipes import RECIPES
 from lpn.training.trainer import Trainer
 from tests.conftest import RealRun
 from tools.fixtures import small_worlds
@@ -351,28 +351,6 @@ def test_class_layers_begin_as_the_text_or_the_released_code_says(places: Path, 
             assert weight.shape[0] == 24
             assert float(weight.detach().std()) == pytest.approx(expected, rel=0.1)
             assert not head.classifier[0].bias.any()
-
-
-@pytest.mark.slow
-def test_a_head_without_a_linear_layer_has_the_channels_of_the_map(places: Path, tmp_path: Path) -> None:
-    recipe = replace(QUICK, epochs=1, n_parts=1, size=96, batch=12, last_layer="layer4", last_stride=2)
-    recipe = replace(recipe, **METHODS["soft-margin"], ema=0.0, linear=False)
-    run, said = trainer(places, tmp_path / "run", recipe)
-    assert lpn.load(run.run()).spec == run.network.spec
-    assert (run.network.spec.embedding, run.network.spec.last_stride) == (512, 2)
-    assert run.network.spec.views == ("satellite", "drone")
-    head = run.network.heads[0]
-    # The identity is not trained, BatchNorm behind it is.
-    assert torch.equal(head.add_block[0].weight, torch.eye(512))
-    assert not torch.equal(head.add_block[1].bias, torch.zeros(512))
-    pictures = torch.randn(2, 3, 96, 96)
-    run.network.eval()
-    with torch.inference_mode():
-        features = run.network.features(pictures, "drone")
-        assert features.shape == (2, 512, 3, 3)
-        expected = head.add_block[1](features.mean((2, 3)))
-        torch.testing.assert_close(run.network(pictures, "drone")[0][:, 0], expected)
-    assert "24 places in satellite, drone: 2 steps of 12 places an epoch, 1 epoch, so 2 updates." in said.getvalue()
 
 
 @pytest.mark.slow

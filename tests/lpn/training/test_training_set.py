@@ -142,11 +142,8 @@ def test_every_row_shows_the_place_of_its_label(gaps: Path, recipe: Recipe) -> N
 
 def test_rows_of_a_place_agree_but_in_the_view_that_it_lacks(gaps: Path) -> None:
     places = training_set(gaps)[0]
-    one, two = (list(Loader(places, BY_PLACE, torch.device("cpu"), workers=n).stream(0, 5)) for n in (1, 4))
     own: set[int] = set()
-    for batch, again in zip(one, two, strict=True):
-        assert all(torch.equal(batch.labels[name], again.labels[name]) for name in SETS)
-        assert all(torch.equal(batch.sets[name], again.sets[name]) for name in SETS)
+    for batch in Loader(places, BY_PLACE, torch.device("cpu"), workers=1).stream(0, 5):
         rows = np.stack([batch.labels[name].numpy() for name in SETS], axis=1)
         for row in rows:
             values, counts = np.unique(row, return_counts=True)

@@ -12,7 +12,6 @@ import pytest
 import torch
 
 import lpn
-from lpn.core.images import load_picture
 from lpn.datasets import open_dataset
 from lpn.models import timm_networks
 from lpn.models.adapters.methods import sues
@@ -29,7 +28,6 @@ from tools.fixtures.published_models import (
     small_denseuav,
     small_fsra,
     small_mccg,
-    small_vector,
 )
 from tools.fixtures.seeded import relative
 
@@ -76,26 +74,6 @@ def test_regions_of_tokens_and_a_street_with_weights_of_its_own(tmp_path: Path) 
 )
 def test_a_branch_of_all_views(state: State, options: str, tmp_path: Path) -> None:
     answer_alike(*exported(state, options, tmp_path, ["model.onnx"]))
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("state", "options"),
-    [
-        (small_fsra(2), ""),
-        (small_mccg(2), "h: 64\nw: 64\n"),
-        (small_vector("camp"), "h: 64\nw: 64\n"),
-    ],
-    ids=["regions", "gates", "vector"],
-)
-def test_in_8_bits_its_evidence_stays_exact(state: State, options: str, data: Path, tmp_path: Path) -> None:
-    model, _ = exported(state, options, tmp_path, ["model.onnx"])
-    (file,), agreement = quantize(tmp_path / "model.onnx", open_dataset(data), tmp_path / "small.onnx", 4)
-    assert 0.98 < min(agreement.cosines.values()) < 0.999999
-    small = lpn.load(file, "cpu")
-    assert (small.precision, small.contract) == ("int8", model.contract)
-    picture = load_picture(open_dataset(data).queries("drone")[0].path)
-    assert account_error(small, small.prepare(picture, "drone")) < 1e-5
 
 
 @pytest.mark.slow
