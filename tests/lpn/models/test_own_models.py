@@ -145,10 +145,15 @@ def test_a_graph_of_parts_alone_has_no_trace(tmp_path: Path) -> None:
 def test_groups_have_files_of_their_own_and_roles_choose_among_them(groups: str, tmp_path: Path) -> None:
     other: View = "satellite" if "satellite" in groups else "street"
     change = {"groups": groups, "views": f"{other} drone", "roles": "role", "source": "1"}
-    second = tmp_path / f"both.{groups.split(', ')[1]}.onnx"
-    graph(tmp_path / "both.onnx", change=change)
-    graph(second, change=change, cells="fixed")
-    model = Engine(tmp_path / "both.onnx")
+    first_view, second_view = groups.split(", ")
+    first, second = tmp_path / "both.onnx", tmp_path / f"both.{second_view}.onnx"
+    graph(first, change=change | {"group": first_view})
+    with pytest.raises(ModelFileError, match=second.name):
+        Engine(first)
+    graph(second, change=change | {"group": second_view}, cells="fixed")
+    with pytest.raises(ModelFileError, match=f"the part of a model for {second_view}; open the file for {first_view}"):
+        Engine(second)
+    model = Engine(first)
     images = model.prepare(picture(), "drone")[None]
     as_query, as_gallery = model.run(images, "drone").parts, model.run(images, other).parts
     assert not np.allclose(as_query, as_gallery)
@@ -157,9 +162,9 @@ def test_groups_have_files_of_their_own_and_roles_choose_among_them(groups: str,
     np.testing.assert_array_equal(forth.run(images, "drone").parts, as_query)
     np.testing.assert_array_equal(back.run(images, "drone").parts, as_gallery)
     np.testing.assert_array_equal(back.run(images, other).parts, as_query)
-    graph(second, change=change | {"mirror": "none"})
+    graph(second, change=change | {"group": second_view, "mirror": "none"})
     with pytest.raises(ModelFileError, match="exported from another model"):
-        Engine(tmp_path / "both.onnx")
+        Engine(first)
 
 
 @pytest.mark.parametrize(

@@ -65,9 +65,6 @@ RELEASED = replace(
 )
 
 
-TIMM = replace(QUICK, backbone="timm:test_vit", n_parts=2)
-
-
 def _run_one_epoch(run: Trainer, monkeypatch: pytest.MonkeyPatch) -> None:
     """Interrupt a run at the beginning of its second epoch."""
     original = Trainer._epoch
@@ -85,8 +82,8 @@ def _run_one_epoch(run: Trainer, monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.parametrize(
     "recipe",
-    [QUICK, pytest.param(RELEASED, marks=pytest.mark.slow), pytest.param(TIMM, marks=pytest.mark.slow)],
-    ids=["small", "released", "timm"],
+    [QUICK, pytest.param(RELEASED, marks=pytest.mark.slow)],
+    ids=["small", "released"],
 )
 def test_a_resumed_run_has_the_losses_of_an_uninterrupted_one(
     places: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, recipe: Recipe

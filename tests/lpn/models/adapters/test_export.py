@@ -89,5 +89,6 @@ def test_both_passes_of_a_baseline_of_sues_are_one_trunk(
     answer_alike(model, again)
     files, agreement = quantize(tmp_path / "model.onnx", open_dataset(data), tmp_path / "small.onnx", 4)
     assert 0.98 < min(agreement.cosines.values()) < 0.999999
+    assert [file.name for file in files] == ["small.onnx", "small.drone.onnx"]
     small, (picture,) = lpn.load(files[0], "cpu"), seeded.pictures(30, 1, 64, 64)
     assert max(account_error(small, picture, view) for view in model.views) < 1e-5
