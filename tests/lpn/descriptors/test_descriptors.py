@@ -28,11 +28,6 @@ from tools.fixtures import small_worlds
 
 
 @pytest.fixture
-def model(model_file: Path) -> Model:
-    return lpn.load(model_file)
-
-
-@pytest.fixture
 def folder(tmp_path: Path) -> Path:
     for i in range(20):
         small_worlds.write(tmp_path / "pictures" / f"{i % 3}" / f"{i:02d}.png", small_worlds.place(i))
@@ -223,7 +218,6 @@ def test_a_store_that_comes_along_is_used_for_its_own_pictures_and_model(
         target.write_bytes(source.read_bytes())
     pictures = [Picture(file, 1, file.stem) for file in copied]
     shipped = descriptors.shipped_descriptors(model, pictures, "drone", tmp_path / "store")
-    assert shipped is not None
     np.testing.assert_array_equal(shipped.descriptors, made)
     assert descriptors.shipped_descriptors(model, pictures, "satellite", tmp_path / "store") is None
     assert descriptors.shipped_descriptors(model, pictures[1:], "drone", tmp_path / "store") is None
@@ -256,7 +250,6 @@ def test_a_smaller_store_says_nearly_the_same(
     assert np.abs(small.float32 - whole.descriptors).max() > 0
     pictures = [Picture(file, 1, file.stem) for file in files]
     shipped = descriptors.shipped_descriptors(model, pictures, "drone", tmp_path / "small")
-    assert shipped is not None
     np.testing.assert_array_equal(shipped.descriptors, small.float32)
     with pytest.raises(StoreError, match=rf"in {precision}, and these would be .* in float32"):
         descriptors.describe(model, files, "drone", tmp_path / "small", root=folder)
@@ -376,7 +369,7 @@ def test_cache_is_keyed_by_every_change_and_box(model: Model, folder: Path, monk
     pictures = [Picture(file, 1, file.stem) for file in descriptors.pictures_below(folder)[:5]]
     boxed = [replace(picture, box=(0.0, 10.0, 50.5, 60.0)) for picture in pictures]
     count = Counting(model, monkeypatch)
-    asked = [(pictures, Change(**given)) for given in CHANGES]  # type: ignore[arg-type]
+    asked = [(pictures, Change(**given)) for given in CHANGES]
     asked.append((boxed, Change()))
     made = [descriptors.cached_descriptors(model, given, "drone", change) for given, change in asked]
     assert count.described == 45

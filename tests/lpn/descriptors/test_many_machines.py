@@ -237,6 +237,6 @@ def test_bad_options_are_refused_in_words(model_file: Path, folder: Path, tmp_pa
     for kind, said, given in cases:
         options = {"model": model_file, "pictures": folder, "view": "drone", "out": tmp_path / "out"} | given
         with pytest.raises(kind, match=said):
-            describe_by_many(**options)  # type: ignore[arg-type]
+            describe_by_many(**options)
     assert not (tmp_path / "out").exists()
     shutil.rmtree(folder)

@@ -52,7 +52,6 @@ def test_the_parts_of_a_margin_sum_to_the_difference_of_scores_and_distances() -
 def test_without_and_alone_are_the_ranks_of_those_weights(seed: int) -> None:
     ranking, labels = random_case(seed)
     found = counterfactual.ranks_without_parts(ranking)
-    assert found is not None
     n = len(ranking.weights)
     for part, standing in enumerate((*found.without, *found.alone)):
         left = np.where(np.arange(n) == part, 0, ranking.weights) if part < n else np.eye(n)[part - n]
@@ -61,10 +60,8 @@ def test_without_and_alone_are_the_ranks_of_those_weights(seed: int) -> None:
             continue
         direct = retrieval.rank(ranking.cosines, scoring.part_weights(n, left), labels, 7)
         truth = direct.positive()
-        assert truth is not None
         assert standing == truth.rank
     now = ranking.positive()
-    assert now is not None
     assert found.now == now.rank
 
 
@@ -76,7 +73,6 @@ def test_the_smallest_change_is_what_a_general_solver_finds() -> None:
         best = _by_scipy(ranking, labels)
         now = ranking.positive()
         if now is not None and now.rank == 1:
-            assert found is not None
             np.testing.assert_array_equal(found, ranking.weights)
             continue
         assert (found is None) == (best is None), seed
@@ -134,7 +130,6 @@ def test_a_chosen_tile_can_be_put_first_and_an_unknown_truth_cannot() -> None:
     assert found is not None
     assert retrieval.rank(ranking.cosines, found).order[0] == 2
     standings = counterfactual.ranks_without_parts(ranking, tile=0)
-    assert standings is not None
     assert standings.without == (3, 1)
 
 
@@ -144,7 +139,6 @@ def test_a_part_that_sees_nothing_of_the_query_ranks_nothing() -> None:
     labels = np.array([0, 1, 2])
     ranking = retrieval.rank(cosines, scoring.part_weights(3), labels, 0, lengths=lengths)
     found = counterfactual.ranks_without_parts(ranking)
-    assert found is not None
     assert found.without[1] is None
     assert (found.alone[0], found.alone[2]) == (None, None)
     assert found.alone[1] == 3

@@ -60,18 +60,15 @@ def test_shares_of_pictures_are_those_of_their_channel_sums(model_file: Path, da
     assert len(shares) == len(pictures) > 16
     for i in (0, len(pictures) - 1):
         features = model.run(model.prepare(pictures[i].load(), "drone")[None], "drone").features
-        assert features is not None
         total = features[0].sum(axis=0)
         assert shares[i] == pytest.approx(total[centre_box(*total.shape)].sum() / total.sum(), rel=1e-5)
         trace = retrieval.describe_picture(model, pictures[i].load(), "drone").trace
-        assert trace is not None
         assert shares[i] == pytest.approx(centre_share(trace.activation), rel=1e-5)
 
 
 def test_maps_of_each_part_are_summed_over_the_parts(data: Path) -> None:
     model, picture = GateModel(), open_dataset(data).gallery("drone")[0]
     trace = retrieval.describe_picture(model, picture.load(), "drone").trace
-    assert trace is not None
     assert list(centre_shares(model, [picture], "drone")) == pytest.approx([centre_share(trace.activation)])
 
 

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-import lpn
 from lpn import retrieval
 from lpn.cli import main
 from lpn.core import images
@@ -26,11 +25,6 @@ from lpn.models.base import Model
 from lpn.retrieval import scoring
 from tools.fixtures import small_worlds
 from tools.fixtures.tasks import match, ranked_in
-
-
-@pytest.fixture(scope="module")
-def model(model_file: Path) -> Model:
-    return lpn.load(model_file)
 
 
 @pytest.fixture(scope="module")
@@ -76,7 +70,7 @@ def test_shifts_and_zooms_go_both_ways_from_the_query_as_it_is() -> None:
 )
 def test_sweeps_that_mean_nothing_are_refused(given: tuple[object, ...], said: str) -> None:
     with pytest.raises(InputError, match=said):
-        changes_over(*given)  # type: ignore[arg-type]
+        changes_over(*given)
 
 
 def test_points_are_what_describing_and_ranking_gives(model: Model, tiles: Float32Array) -> None:
@@ -91,7 +85,6 @@ def test_points_are_what_describing_and_ranking_gives(model: Model, tiles: Float
         direct = model.descriptors(images.normalise(shaped)[None], "drone")[0]
         ranking = retrieval.rank(scoring.part_cosines(direct, tiles), weights, labels, 2)
         truth, top = ranking.positive(), ranking.match(0)
-        assert truth is not None
         assert point.change == change
         for one in (point, listed):
             found = one.followed

@@ -291,7 +291,7 @@ def test_a_reader_finds_what_another_learns_while_it_searches(tmp_path: Path, mo
     tiles, adder = Tiles.draw(9400, kind=kind), _faiss(tmp_path / "index", kind)
     adder.add(tiles.names[:4600], tiles.descriptors[:4600], tiles.positions[:4600])
     reader = _faiss(tmp_path / "index", kind)
-    current, waiting = reader._current, [True]  # type: ignore[attr-defined]
+    current, waiting = reader._current, [True]
 
     def added_meanwhile() -> Any:
         parts = current()

@@ -56,7 +56,6 @@ def test_the_mirror_s_regions_are_its_own_and_are_flipped_back() -> None:
 def test_a_part_without_cells_is_a_lump_and_has_no_area() -> None:
     trace = trace_of(RegionModel())
     areas = PartAreas.of(REGIONS, "drone", (8, 8), trace)
-    assert areas is not None
     assert areas.lumps == [3]
     assert not areas.straight
     assert sorted(np.unique(areas.labels).tolist()) == [0, 1, 2]
@@ -79,7 +78,6 @@ def test_a_part_s_activation_is_of_its_own_map() -> None:
 
 def test_cells_that_parts_weigh_alike_are_no_part_s() -> None:
     areas = PartAreas.of(GATES, "drone", (8, 8), trace_of(GateModel()))
-    assert areas is not None
     assert (areas.labels == -1).all()
     assert areas.inside.all()
     assert PartAreas.of(GATES, "drone", (8, 8), None) is None
@@ -163,7 +161,7 @@ def test_shapes_that_contradict_the_contract_are_refused_with_the_shapes(change:
         Trace.from_pass(model, whole._replace(**change), "drone")
     check_pass(model.contract, whole, model.heads("drone"))
     heads = replace(model.heads("drone"), cells=np.zeros((3, 8, 7), np.float32))
-    model.heads = lambda _: heads  # type: ignore[method-assign]
+    model.heads = lambda _: heads
     with pytest.raises(ModelFileError, match=r"the heads' cells of shape 3 x 8 x 7; .* 4 x 8 x 8"):
         Trace.from_pass(model, whole._replace(cells=None), "drone")
 

@@ -101,7 +101,7 @@ def test_what_does_not_fit_is_one_sentence(tmp_path: Path, model_file: Path) -> 
 
 @pytest.mark.parametrize("newer", [{"ir": 99}, {"opset": 99}])
 def test_a_file_that_is_newer_than_the_runtime_is_named_as_that(newer: dict[str, int], tmp_path: Path) -> None:
-    file = token_file(tmp_path / "newer.onnx", **newer)  # type: ignore[arg-type]
+    file = token_file(tmp_path / "newer.onnx", **newer)
     with pytest.raises(
         ModelFileError, match=r"written for a newer ONNX Runtime than the installed .*99.*; upgrade"
     ) as caught:

@@ -81,6 +81,6 @@ def test_boxes_enclose_the_labels(size: tuple[int, int], kind: PartShape, n: int
 def test_wrong_partitions_are_refused_in_words() -> None:
     for arguments in (("hexagons", 4), ("rings", 0), ("whole", 2), ("rings", 4, "median")):
         with pytest.raises(InputError, match=r"expected|cannot"):
-            Partition(*arguments)  # type: ignore[arg-type]
+            Partition(*arguments)
     with pytest.raises(InputError, match="0 x 4"):
         Partition().weights(0, 4)

@@ -61,7 +61,7 @@ class FakeSession:
         self.computed.append(len(inputs["images"]))
         if len(inputs["images"]) > providers.GPU_BATCH:
             raise RuntimeError("out of memory\nand a stack of C++")
-        return self.real.run(names, inputs)  # type: ignore[no-any-return]
+        return self.real.run(names, inputs)
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self.real, name)

@@ -139,7 +139,6 @@ def test_a_second_branch_is_the_drones_by_its_option_or_its_name(tmp_path: Path)
         torch.save(state, tmp_path / "net_119.pth")
         (tmp_path / "opts.yaml").write_text(f"h: 64\nw: 64\nviews: 2\n{options}\n")
         spec = lpn.load(tmp_path / "net_119.pth", "cpu").spec
-        assert spec is not None
         assert (spec.views, spec.layout, spec.shared) == (("satellite", "drone"), "university", False)
 
 

@@ -145,8 +145,6 @@ def test_a_saved_and_an_exported_model_answer_as_the_network(model_file: Path) -
         parts, features = original.run(images, view)[:2]
         np.testing.assert_array_equal(saved.part_embeddings(images, view), parts)
         found, found_features = exported.run(images, view)[:2]
-        assert features is not None
-        assert found_features is not None
         assert np.abs(found - parts).max() <= 1e-4 * np.abs(parts).max()
         assert np.abs(found_features - features).max() <= 1e-4 * np.abs(features).max()
         np.testing.assert_allclose(exported.descriptors(images, view), original.descriptors(images, view), atol=1e-5)
@@ -166,8 +164,6 @@ def test_an_exported_vgg_keeps_the_last_row_and_column(tmp_path: Path) -> None:
     images = seeded.pictures(5, 2, 48, 136)
     for view in SPEC.views:
         for ours, theirs in zip(original.run(images, view)[:3], exported.run(images, view)[:3], strict=True):
-            assert ours is not None
-            assert theirs is not None
             assert np.abs(theirs - ours).max() <= 1e-4 * np.abs(ours).max()
 
 

@@ -360,7 +360,6 @@ def test_measured_json_says_where_each_figure_comes_from(places: Path, tmp_path:
     reproduction(places, tmp_path).run(["table5"])
     table = read_measurements(tmp_path / "measured.json").tables["table5"]
     row = table.row("1+2+3+4")
-    assert row is not None
     assert row.values == {"seed 0": row.mean}
     for made in (row.trained["seed 0"], row.measured["seed 0"]):
         assert made == here()

@@ -66,11 +66,6 @@ def _own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
 
 
 @pytest.fixture(scope="module")
-def model(model_file: Path) -> Model:
-    return lpn.load(model_file)
-
-
-@pytest.fixture(scope="module")
 def found(model: Model, wide: Path) -> Calibration:
     return calibrate(model, sides(wide), cached_descriptors)
 
@@ -216,13 +211,11 @@ def test_a_task_searches_shows_and_explains_calibrated_pictures(model: Model, wi
     expected = calibrated(lazy_task(model, dataset, TASK), calibration).evaluate()
     assert task.metrics["recall@1"] == pytest.approx(expected.recall["1"])
     moved = task.model
-    assert moved is not None
     analyser = QueryAnalyser(moved, lambda of, index: describe_tile(of, index, moved))
     analysis = analyser.analyse(task, QueryRequest(0, evidence=True), 5)
     np.testing.assert_allclose(analysis.query.descriptor, task.query_descriptors[0], atol=1e-5)
     np.testing.assert_array_equal(analysis.query.picture, task.queries[0].load_zoomed())
     # The contributions of all cells, and the constants with the means in them, still make up the score.
-    assert analysis.pair_evidence is not None
     assert analysis.pair_evidence.evidence.score == pytest.approx(analysis.chosen.score, abs=1e-4)
     assert task.contract.claim == "exact, with the length of the mean's term held"
     own = analyser.analyse(task, QueryRequest(OwnPicture("mine", task.queries[0].load())), 5)
@@ -240,7 +233,6 @@ def test_the_explorer_calibrates_both_models(model_file: Path, one_part_model_fi
     workspace = open_model(wide, model_file, beside=[ModelOptions(model=one_part_model_file)], calibrate=True)
     other = workspace.beside[0].open()
     assert other.wait(60)
-    assert other.value is not None
     assert scored_key(TASK, "calibrated") in workspace.rankings.keys() & other.value.rankings.keys()
 
 
@@ -325,9 +317,9 @@ def test_a_wrong_argument_is_told_in_one_sentence(
     given = {"model": model, "data": wide, "task": TASK, **options}
     for function in (lpn.evaluate, lpn.open_task):
         with pytest.raises(InputError, match=message):
-            function(**given)  # type: ignore[operator]
+            function(**given)
     with pytest.raises(InputError, match="The change is of the type str"):
-        lpn.evaluate(model, wide, TASK, "published")  # type: ignore[arg-type]
+        lpn.evaluate(model, wide, TASK, "published")
 
 
 def test_the_demo_is_ranked_by_the_calibration_that_ships(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -338,7 +330,7 @@ def test_the_demo_is_ranked_by_the_calibration_that_ships(monkeypatch: pytest.Mo
     # The command needs no network: the calibrated descriptors ship, too.
     monkeypatch.setattr(Engine, "run", None)
     for given in ({}, {"csls": 3}):
-        assert lpn.evaluate(DEMO / "lpn.onnx", DEMO, **given).recall["1"] >= 84.7  # type: ignore[arg-type]
+        assert lpn.evaluate(DEMO / "lpn.onnx", DEMO, **given).recall["1"] >= 84.7
     # No calibration of the other model ships: compared models are ranked alike.
     models = [lpn.load(DEMO / name) for name in ("lpn.onnx", "baseline.onnx")]
     assert alike_calibrations(models, open_dataset(DEMO)) == [None, None]
@@ -349,9 +341,8 @@ def test_pictures_of_queries_come_with_a_calibration_or_csls(model: Model, wide:
     tiles, drones = (wide / "test" / name for name in ("gallery_satellite", "query_drone"))
     for options in ({"calibrate": True}, {"csls": 3}, {"queries": drones}):
         with pytest.raises(InputError, match="give their folder as queries with one of both, or leave all three out"):
-            lpn.Gallery.of_folder(tiles, model, **options)  # type: ignore[arg-type]
+            lpn.Gallery.of_folder(tiles, model, **options)
     gallery = lpn.Gallery.of_folder(tiles, model, queries=drones, calibrate=True)
-    assert gallery.calibration is not None
     with pytest.raises(
         InputError, match="is for drone and satellite pictures, and this one is of street; change the view"
     ):

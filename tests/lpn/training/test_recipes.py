@@ -108,7 +108,7 @@ def test_methods_of_the_baseline_train_at_its_rate(recipe: str) -> None:
 )
 def test_a_value_out_of_range_is_refused_in_words(field: str, value: object, expected: str) -> None:
     with pytest.raises(InputError, match=rf"^The recipe has {field} = .*; expected {expected}") as error:
-        replace(RECIPES["small"], **{field: value})  # type: ignore[arg-type]
+        replace(RECIPES["small"], **{field: value})
     assert "\x1b" not in str(error.value)
 
 
@@ -141,7 +141,7 @@ def test_a_value_out_of_range_is_refused_in_words(field: str, value: object, exp
 )
 def test_settings_that_exclude_each_other_are_refused(recipe: str, changes: dict[str, object], said: str) -> None:
     with pytest.raises(InputError, match=rf"The recipe has .*{said}"):
-        replace(RECIPES[recipe], **changes)  # type: ignore[arg-type]
+        replace(RECIPES[recipe], **changes)
 
 
 def test_the_difference_names_each_setting_that_differs_with_both_sources() -> None:

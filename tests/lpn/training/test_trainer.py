@@ -37,7 +37,7 @@ from tools.fixtures.trainings import QUICK, losses, make_resnets_shallow
 def trainer(data: Path, out: Path, recipe: Recipe = QUICK, **options: object) -> tuple[Trainer, io.StringIO]:
     said = io.StringIO()
     options.setdefault("from_scratch", "init" not in options)
-    return Trainer(open_dataset(data), out, recipe, console=Console(file=said, width=200), **options), said  # type: ignore[arg-type]
+    return Trainer(open_dataset(data), out, recipe, console=Console(file=said, width=200), **options), said
 
 
 @pytest.fixture(autouse=True)
@@ -270,7 +270,7 @@ def test_weights_that_are_no_numbers_are_not_saved(places: Path, tmp_path: Path)
         if left[0] == 0:
             run.network.heads[0].add_block[0].bias.data.fill_(float("inf"))
 
-    run.learner.optimizer.step = spoil_at_last  # type: ignore[method-assign, assignment]
+    run.learner.optimizer.step = spoil_at_last
     with pytest.raises(InputError, match="A weight is no longer a number"):
         run.run()
     assert not (tmp_path / "run" / "last.safetensors").exists()
@@ -311,14 +311,14 @@ def test_each_view_is_a_batch_of_its_own_unless_joined(places: Path, tmp_path: P
 def test_a_step_benchmarks_convolutions_and_uses_tf32_in_mixed_precision_only(
     places: Path, tmp_path: Path, precision: str
 ) -> None:
-    run, _ = trainer(places, tmp_path / "run", replace(QUICK, precision=precision))  # type: ignore[arg-type]
+    run, _ = trainer(places, tmp_path / "run", replace(QUICK, precision=precision))
     cudnn, found = torch.backends.cudnn, []
     before = (cudnn.enabled, cudnn.benchmark, cudnn.allow_tf32)
     record = lambda *_: found.append((cudnn.enabled, cudnn.benchmark, cudnn.allow_tf32))  # noqa: E731
     backbone = run.network.branch("drone").model.get_submodule("layer2")
     backbone.register_forward_pre_hook(record)
     backbone.register_full_backward_hook(record)
-    with closing(run.loader.stream(0, 1)) as stream:  # type: ignore[type-var]
+    with closing(run.loader.stream(0, 1)) as stream:
         run.network.train()
         run.learner.step(next(stream), 0, run.steps)
     assert found == [(True, True, precision != "float32")] * 2
@@ -342,7 +342,7 @@ def test_a_run_starts_from_given_weights_or_says_that_it_does_not(
 def test_class_layers_begin_as_the_text_or_the_released_code_says(places: Path, tmp_path: Path) -> None:
     """Kaiming initialisation, fan_out over the places (section IV-B), or N(0, 0.001) (wtyhub/LPN model.py:23-27)."""
     for name, expected in (("kaiming", math.sqrt(2 / 24)), ("normal", 0.001)):
-        run, _ = trainer(places, tmp_path / name, replace(QUICK, class_init=name))  # type: ignore[arg-type]
+        run, _ = trainer(places, tmp_path / name, replace(QUICK, class_init=name))
         for head in run.network.heads:
             weight = head.classifier[0].weight
             assert weight.shape[0] == 24

@@ -124,7 +124,7 @@ def test_every_row_shows_the_place_of_its_label(gaps: Path, recipe: Recipe) -> N
     assert len(rows) == 40 * loader.steps * 4 * len(SETS)
     assert all(label == place for _, label, (place, _) in rows)
     # Each place is seen in every set that it has, or that stands in for it.
-    seen = {name: {loader.places.labels[label] for of, label, _ in rows if of == name} for name in SETS}  # type: ignore[union-attr]
+    seen = {name: {loader.places.labels[label] for of, label, _ in rows if of == name} for name in SETS}
     by_picture = recipe.sampling == "pictures"
     assert seen["satellite"] == set(TRAINED) - {4}
     assert seen["drone"] == set(TRAINED) - {3}
@@ -134,7 +134,7 @@ def test_every_row_shows_the_place_of_its_label(gaps: Path, recipe: Recipe) -> N
         # Within an epoch no picture is drawn twice, over all epochs each is drawn, and sets differ in their order.
         epochs = np.array_split(np.arange(len(rows)), 40)
         assert all(len({rows[i] for i in epoch}) == len(epoch) for epoch in epochs)
-        files = loader.places.files  # type: ignore[union-attr]
+        files = loader.places.files
         assert {file for *_, (_, file) in rows} == {file for places in files.values() for of in places for file in of}
         orders = [[label for of, label, _ in rows if of == name] for name in ("satellite", "drone")]
         assert orders[0] != orders[1]

@@ -163,9 +163,9 @@ def test_the_branches_of_sdpl_follow_the_role() -> None:
     model = PublishedModel(sdpl.build(entries), "0")
     assert (model.contract.roles, model.map_size("drone")) == ("role", (16, 16))
     for query, gallery in (("drone", "satellite"), ("satellite", "drone")):
-        bound = model.for_task(query, gallery)  # type: ignore[arg-type]
+        bound = model.for_task(query, gallery)
         for view, value in ((query, 0.0), (gallery, 1.0)):
-            assert bound.network(view).get_submodule("trunk.bn1").bias[0] == value  # type: ignore[arg-type, index, union-attr]
+            assert bound.network(view).get_submodule("trunk.bn1").bias[0] == value
     with pytest.raises(ModelFileError, match=r"has 2 networks .* says views: 3"):
         sdpl.build(Entries("net_350.pth", state, {"h": 256, "w": 256, "views": 3}))
     wide = Entries("net_350.pth", state, {"h": 320, "w": 320})
