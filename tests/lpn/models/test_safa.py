@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import lpn
-from lpn.core.errors import InputError, ModelFileError
+from lpn.core.errors import InputError
 from lpn.core.images import polar
 from lpn.models.backbones import VGG16, map_size
 from lpn.models.base import normalise
@@ -165,16 +165,6 @@ def test_an_exported_vgg_keeps_the_last_row_and_column(tmp_path: Path) -> None:
     for view in SPEC.views:
         for ours, theirs in zip(original.run(images, view)[:3], exported.run(images, view)[:3], strict=True):
             assert np.abs(theirs - ours).max() <= 1e-4 * np.abs(ours).max()
-
-
-def test_a_file_made_for_another_map_is_refused_in_words(tmp_path: Path) -> None:
-    spec = replace(SPEC, backbone="vgg16", last_layer="layer4", n_parts=1, maps=1, embedding=512, input_size=(48, 64))
-    smaller = network(spec)
-    for branch in (smaller.branch(view) for view in SPEC.views):
-        branch.aware = torch.nn.ModuleList([SpatialAware(1 * 2, 1)])
-    save(smaller, tmp_path / "model.safetensors")
-    with pytest.raises(ModelFileError, match=r"aware.0.weight1 has shape \(1, 2, 1\); expected \(1, 4, 2\)"):
-        lpn.load(tmp_path / "model.safetensors")
 
 
 def test_a_mirrored_picture_is_not_added(model_file: Path) -> None:
