@@ -53,16 +53,16 @@ def test_satellites_have_as_much_black_and_are_turned_as_far(chart: UInt8Array) 
 
 def test_other_views_are_shifted_by_whole_pixels_of_equal_chance(chart: UInt8Array) -> None:
     padded = np.pad(chart, ((PAD, PAD), (PAD, PAD), (0, 0)), mode="edge")
-    mirrored, shifts = 0, list[int]()
+    mirrored, places = 0, list[tuple[int, int]]()
     for other in drawn(chart, "drone"):
         flipped = bool(other[SIZE // 2, 0, 0] > other[SIZE // 2, -1, 0])
         upright = other[:, ::-1] if flipped else other
         left, top = (int(value) - SIZE // 2 + PAD for value in upright[SIZE // 2, SIZE // 2, :2])
         np.testing.assert_array_equal(upright, padded[top : top + SIZE, left : left + SIZE])
         mirrored += flipped
-        shifts += [top, left]
+        places.append((top, left))
     assert mirrored / DRAWS == pytest.approx(0.5, abs=0.1)
-    counts, expected = np.bincount(shifts, minlength=21), 2 * DRAWS / 21
-    assert len(counts) == 21
+    assert {top for top, _ in places} == {left for _, left in places} == set(range(21))
+    counts, expected = np.bincount(np.ravel(places)), 2 * DRAWS / 21
     # The 0.9999 quantile of chi-square with 20 degrees of freedom.
     assert ((counts - expected) ** 2 / expected).sum() < 52.4
