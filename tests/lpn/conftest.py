@@ -9,6 +9,7 @@ import torch
 
 import lpn
 from lpn.datasets import open_dataset
+from lpn.models.base import Model
 from lpn.models.checkpoints import save
 from lpn.models.export import export
 from lpn.models.lpn import LPN
@@ -16,6 +17,11 @@ from lpn.models.spec import ModelSpec
 from lpn.tasks.opening import describe_task
 from lpn.tasks.task import Task
 from tests.conftest import MakeOnce
+
+
+@pytest.fixture(scope="session")
+def model(model_file: Path) -> Model:
+    return lpn.load(model_file)
 
 
 @pytest.fixture(scope="session")

@@ -3,13 +3,11 @@ from __future__ import annotations
 import errno
 import os
 import shutil
-import signal
-import subprocess
-import sys
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -19,8 +17,7 @@ from lpn import descriptors
 from lpn.cli.main import main
 from lpn.core import images
 from lpn.core.arrays import Float32Array
-from lpn.core.errors import DataError, LPNError, PictureError, StoreError
-from lpn.core.files import write_atomic
+from lpn.core.errors import DataError, PictureError, StoreError
 from lpn.core.views import View
 from lpn.datasets import Picture, open_dataset
 from lpn.descriptors.transforms import Change
@@ -28,11 +25,6 @@ from lpn.descriptors.weather import Weather
 from lpn.index import open_index
 from lpn.models.base import Model
 from tools.fixtures import small_worlds
-
-
-@pytest.fixture
-def model(model_file: Path) -> Model:
-    return lpn.load(model_file)
 
 
 @pytest.fixture
@@ -174,20 +166,6 @@ def test_a_kill_while_a_store_is_finished_loses_no_row(
         assert step >= (4 if there else 1)
 
 
-def test_an_error_that_the_system_has_no_name_for_is_told(
-    model: Model, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def short(*_: object) -> None:
-        raise OSError("512 requested and 0 written")  # as NumPy says of a full disk
-
-    monkeypatch.setattr(descriptors.PartialStore, "save", short)
-    with pytest.raises(StoreError, match=r"cannot be written \(512 requested and 0 written\)"):
-        descriptors.describe(model, descriptors.pictures_below(folder), "drone", tmp_path / "store")
-    monkeypatch.setattr(Path, "write_bytes", short)
-    with pytest.raises(LPNError, match=r"cannot be written \(512 requested and 0 written\)"):
-        write_atomic(tmp_path / "file", b"")
-
-
 def test_files_of_other_origin_are_not_touched(model: Model, folder: Path, tmp_path: Path) -> None:
     (tmp_path / "own").mkdir()
     (tmp_path / "own" / "store.json").write_text('{"name": "my web app"}')
@@ -240,7 +218,6 @@ def test_a_store_that_comes_along_is_used_for_its_own_pictures_and_model(
         target.write_bytes(source.read_bytes())
     pictures = [Picture(file, 1, file.stem) for file in copied]
     shipped = descriptors.shipped_descriptors(model, pictures, "drone", tmp_path / "store")
-    assert shipped is not None
     np.testing.assert_array_equal(shipped, made)
     assert descriptors.shipped_descriptors(model, pictures, "satellite", tmp_path / "store") is None
     assert descriptors.shipped_descriptors(model, pictures[1:], "drone", tmp_path / "store") is None
@@ -273,7 +250,6 @@ def test_a_smaller_store_says_nearly_the_same(
     assert np.abs(small.float32 - whole.descriptors).max() > 0
     pictures = [Picture(file, 1, file.stem) for file in files]
     shipped = descriptors.shipped_descriptors(model, pictures, "drone", tmp_path / "small")
-    assert shipped is not None
     np.testing.assert_array_equal(shipped, small.float32)
     with pytest.raises(StoreError, match=rf"in {precision}, and these would be .* in float32"):
         descriptors.describe(model, files, "drone", tmp_path / "small", root=folder)
@@ -393,7 +369,7 @@ def test_cache_is_keyed_by_every_change_and_box(model: Model, folder: Path, monk
     pictures = [Picture(file, 1, file.stem) for file in descriptors.pictures_below(folder)[:5]]
     boxed = [replace(picture, box=(0.0, 10.0, 50.5, 60.0)) for picture in pictures]
     count = Counting(model, monkeypatch)
-    asked = [(pictures, Change(**given)) for given in CHANGES]  # type: ignore[arg-type]
+    asked = [(pictures, Change(**given)) for given in CHANGES]
     asked.append((boxed, Change()))
     made = [descriptors.cached_descriptors(model, given, "drone", change) for given, change in asked]
     assert count.described == 45
@@ -430,38 +406,16 @@ def test_a_damaged_or_cut_part_of_an_unfinished_store_is_described_again(
         shutil.rmtree(out)
 
 
-KILLED = """
-import os, signal, sys, time
-from pathlib import Path
-import lpn
-from lpn import descriptors
-from lpn.models.base import Model
+def test_rows_are_saved_about_once_a_second(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = iter(0.3 * step for step in range(100))
+    monkeypatch.setattr("lpn.descriptors.writer.time", SimpleNamespace(monotonic=lambda: next(clock)))
+    parts: list[int] = []
 
-model, root, out = lpn.load(sys.argv[1]), Path(sys.argv[2]), Path(sys.argv[3])
-described, kind, seen = type(model).descriptors, type(model), []
+    def put(partial: descriptors.PartialStore) -> None:
+        for row in range(12):
+            partial.put([row], np.ones((1, 2, 8), np.float32))
+            parts.append(len(list(tmp_path.glob("part-*"))))
 
-def slowly(self, images, view, mirror=True):
-    seen.extend(images)
-    if len(seen) > 12:
-        time.sleep(0.3)
-        os.kill(os.getpid(), signal.SIGKILL)
-    time.sleep(1.2)
-    return described(self, images, view, mirror)
-
-kind.descriptors = slowly
-descriptors.describe(model, descriptors.pictures_below(root), "drone", out)
-"""
-
-
-@pytest.mark.slow
-def test_a_kill_costs_about_a_second(
-    model: Model, model_file: Path, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Pictures take so long here that what was done before the last batches was saved, unlike after an error."""
-    out = tmp_path / "store"
-    command = [sys.executable, "-c", KILLED, str(model_file), str(folder), str(out)]
-    assert subprocess.run(command, capture_output=True, check=False).returncode == -signal.SIGKILL
-    count = Counting(model, monkeypatch)
-    store = descriptors.describe(model, descriptors.pictures_below(folder), "drone", out)
-    assert 0 < count.described <= 16
-    assert len(store.descriptors) == 20
+    rows = [descriptors.Row(f"{i}.png", 1, 1) for i in range(12)]
+    descriptors.write_store(tmp_path, descriptors.DescriptorKind("model", 2, 8), rows, put)
+    assert parts == [0, 0, 0, 1, 1, 1, 1, 2, 2, 2, 2, 3]

@@ -6,8 +6,6 @@ import csv
 import os
 import shutil
 import signal
-import subprocess
-import sys
 import time
 import warnings
 from collections.abc import Iterator
@@ -175,41 +173,6 @@ def test_a_killed_worker_is_replaced_and_a_faulty_one_is_told(model_file: Path, 
         describe(model_file, folder, tmp_path / "other", worker=Odd)
 
 
-DRIVER = """
-import sys, time
-from pathlib import Path
-from lpn.descriptors.many_machines import DescribeWorker, describe_by_many
-
-class Slow(DescribeWorker):
-    def describe(self, number, rows):
-        time.sleep(1.0)
-        return super().describe(number, rows)
-
-describe_by_many(Path(sys.argv[1]), sys.argv[2], "drone", sys.argv[3], workers=2, size=8, worker=Slow)
-"""
-
-
-@pytest.mark.slow
-def test_a_killed_driver_leaves_what_was_done(model_file: Path, folder: Path, tmp_path: Path) -> None:
-    out = tmp_path / "store"
-    command = [sys.executable, "-c", DRIVER, str(model_file), str(folder), str(out)]
-    driver = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    try:
-        end = time.monotonic() + 600
-        while not list(out.glob("part-*/rows.json")):
-            assert driver.poll() is None, "the driver ended before it was killed"
-            assert time.monotonic() < end
-            time.sleep(0.02)
-    finally:
-        driver.kill()
-        driver.wait()
-    with pytest.raises(StoreError, match="was not finished; give the same lpn describe command"):
-        descriptors.open_store(out)
-    summary = describe(model_file, folder, out)
-    assert 0 < summary.computed < PICTURES
-    assert_equal(descriptors.open_store(out), expected(model_file, folder, tmp_path / "alone"))
-
-
 @pytest.mark.slow
 def test_addresses_roles_and_commands(
     model_file: Path, folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -274,6 +237,6 @@ def test_bad_options_are_refused_in_words(model_file: Path, folder: Path, tmp_pa
     for kind, said, given in cases:
         options = {"model": model_file, "pictures": folder, "view": "drone", "out": tmp_path / "out"} | given
         with pytest.raises(kind, match=said):
-            describe_by_many(**options)  # type: ignore[arg-type]
+            describe_by_many(**options)
     assert not (tmp_path / "out").exists()
     shutil.rmtree(folder)

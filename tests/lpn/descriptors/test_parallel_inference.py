@@ -94,7 +94,7 @@ def test_no_more_is_in_hand_than_the_threads_have(model_file: Path, pictures: Fl
     next(walk)
     threading.Event().wait(0.5)
     assert len(prepared) <= 5 * model.batch
-    walk.close()  # type: ignore[attr-defined]
+    walk.close()
     before = len(prepared)
     threading.Event().wait(0.2)
     assert len(prepared) == before

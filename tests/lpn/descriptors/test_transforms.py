@@ -83,7 +83,7 @@ def test_turning_comes_before_zooming_and_nothing_changes_nothing() -> None:
 )
 def test_changes_that_mean_nothing_are_refused(values: dict[str, float], said: str) -> None:
     with pytest.raises(InputError, match=said):
-        Change(**values)  # type: ignore[arg-type]
+        Change(**values)
 
 
 def test_a_box_is_rounded_cut_at_the_borders_and_must_hold_something() -> None:

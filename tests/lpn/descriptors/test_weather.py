@@ -54,7 +54,7 @@ def test_dark_and_overexposed_pictures_change_their_brightness_as_stated() -> No
         """In YUV, the last of the six spaces."""
         drawn = iter((5, multiply_first))
         rng = SimpleNamespace(integers=lambda _: next(drawn), uniform=lambda *_: summand)
-        return weather.brightness(picture, rng, factor, (summand, summand))  # type: ignore[arg-type]
+        return weather.brightness(picture, rng, factor, (summand, summand))
 
     for multiply_first, level in ((True, 2), (False, 18)):
         assert (brightened(half, 0.2, -20, multiply_first) == level).all()
@@ -88,4 +88,4 @@ def test_large_pictures_are_shrunk_to_where_flakes_have_their_size() -> None:
 )
 def test_weathers_that_mean_nothing_are_refused(values: tuple[str, float, int], message: str) -> None:
     with pytest.raises(InputError, match=message):
-        Weather(*values)  # type: ignore[arg-type]
+        Weather(*values)

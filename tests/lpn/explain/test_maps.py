@@ -11,7 +11,6 @@ import lpn
 from lpn import load, retrieval
 from lpn.core import images
 from lpn.core.arrays import Float32Array
-from lpn.core.demo import DEMO
 from lpn.datasets import open_dataset
 from lpn.explain import occlusion
 from lpn.library.matching_turn import relative_turn
@@ -20,7 +19,6 @@ from lpn.models.trace import Trace
 from lpn.reproduce.measure import centre_box, centre_share, centre_shares
 from lpn.retrieval import scoring
 from tools.fixtures import small_worlds
-from tools.fixtures.faithfulness import centre_first, curve, curves
 from tools.fixtures.small_contracts import GateModel
 
 
@@ -46,38 +44,6 @@ def test_a_square_s_loss_is_what_its_blurring_costs(model_file: Path) -> None:
     np.testing.assert_allclose(losses[:, 1, 2], cosines[0] - cosines[1], atol=1e-5)
 
 
-def test_covering_can_be_stopped_and_shows_what_it_has(model_file: Path) -> None:
-    model = load(model_file)
-    other = model.descriptors(images.prepare(small_worlds.place(1), model.input_size)[None], "satellite")[0]
-    done, losses = next(occlusion.occlude(model, small_worlds.place(2), "drone", other))
-    assert done == 8
-    assert np.isnan(losses).sum() == 4 * (64 - 8)
-
-
-def test_curves_begin_and_end_at_the_whole_and_the_blurred_picture(model_file: Path) -> None:
-    model, weights = load(model_file), scoring.part_weights(4)
-    picture = small_worlds.place(2)
-    other = retrieval.describe_picture(model, small_worlds.place(1), "satellite").descriptor
-    order = centre_first((4, 4))
-    assert set(order[:4]) == {5, 6, 9, 10}
-    out, back = (curve(model, picture, "drone", other, weights, order, (4, 4), 4, insert) for insert in (False, True))
-    whole = (
-        scoring.part_cosines(retrieval.describe_picture(model, picture, "drone").descriptor, other[None])[0] @ weights
-    )
-    assert out[0] == pytest.approx(whole, abs=1e-5)
-    assert (out[0], out[-1]) == pytest.approx((back[-1], back[0]), abs=1e-6)
-
-
-@pytest.mark.slow
-def test_on_the_demo_evidence_finds_what_matters() -> None:
-    found = {key: float(scores.mean()) for key, scores in curves(DEMO, load(DEMO / "lpn.onnx"), 6, 4).items()}
-    for other in ("random", "centre first"):
-        assert found["deletion", "evidence"] < found["deletion", other] - 0.02
-    assert found["insertion", "evidence"] > found["insertion", "random"] + 0.05
-    gaps = {name: found["insertion", name] - found["deletion", name] for name in ("evidence", "random", "centre first")}
-    assert gaps["evidence"] > gaps["centre first"] > gaps["random"]
-
-
 def test_activation_in_the_centre_is_a_share_of_the_map() -> None:
     assert centre_box(16, 16).sum() == 64
     assert np.array_equal(centre_box(16, 16), Partition("rings", 4).labels(16, 16) < 2)
@@ -94,18 +60,15 @@ def test_shares_of_pictures_are_those_of_their_channel_sums(model_file: Path, da
     assert len(shares) == len(pictures) > 16
     for i in (0, len(pictures) - 1):
         features = model.run(model.prepare(pictures[i].load(), "drone")[None], "drone").features
-        assert features is not None
         total = features[0].sum(axis=0)
         assert shares[i] == pytest.approx(total[centre_box(*total.shape)].sum() / total.sum(), rel=1e-5)
         trace = retrieval.describe_picture(model, pictures[i].load(), "drone").trace
-        assert trace is not None
         assert shares[i] == pytest.approx(centre_share(trace.activation), rel=1e-5)
 
 
 def test_maps_of_each_part_are_summed_over_the_parts(data: Path) -> None:
     model, picture = GateModel(), open_dataset(data).gallery("drone")[0]
     trace = retrieval.describe_picture(model, picture.load(), "drone").trace
-    assert trace is not None
     assert list(centre_shares(model, [picture], "drone")) == pytest.approx([centre_share(trace.activation)])
 
 

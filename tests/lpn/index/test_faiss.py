@@ -160,20 +160,6 @@ def test_few_tiles_are_missed_by_default_and_more_with_less_effort(
         assert recall(1, 16) < floor - 0.1
 
 
-def test_an_index_made_anew_in_the_same_place_is_searched_by_its_own_codes(tmp_path: Path, tiles: Tiles) -> None:
-    def make(rows: slice) -> FaissIndex:
-        index = FaissIndex.create(tmp_path / "index", KIND)
-        index.add(tiles.names[rows], tiles.descriptors[rows], tiles.positions[rows])
-        return index
-
-    with make(slice(5000)) as reader:
-        assert reader.search(tiles.descriptors[3], None, 1).ids == [tiles.names[3]]
-        shutil.rmtree(tmp_path / "index")
-        make(slice(5000, 10_000)).close()
-        for row in (5003, 7777, 9990):
-            assert reader.search(tiles.descriptors[row], None, 1).ids == [tiles.names[row]]
-
-
 def test_a_full_disk_leaves_neither_half_codes_nor_a_part(
     tmp_path: Path, tiles: Tiles, monkeypatch: pytest.MonkeyPatch
 ) -> None:

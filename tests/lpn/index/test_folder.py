@@ -167,11 +167,8 @@ def test_some_rows_are_read_from_their_parts_alone(tmp_path: Path, monkeypatch: 
     assert store.some(rows[:0]).shape == (0, *expected.shape[1:])
 
 
-@pytest.mark.parametrize("engine", ["exact", "faiss"])
-def test_descriptors_never_replace_an_index(engine: str, tmp_path: Path) -> None:
-    if engine == "faiss":
-        pytest.importorskip("faiss")
-    with create_index(tmp_path / "index", KIND, engine) as index:
+def test_descriptors_never_replace_an_index(tmp_path: Path) -> None:
+    with create_index(tmp_path / "index", KIND) as index:
         Tiles.draw(20).add_to(index)
     before = files_below(tmp_path / "index")
     with pytest.raises(StoreError, match="is an index, which descriptors would replace; choose another folder"):

@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import lpn
 from lpn import descriptors
 from lpn.core.errors import InputError
 from lpn.core.progress import listening
@@ -24,11 +23,6 @@ from lpn.tasks.task import Task
 from tools.fixtures import layouts, small_worlds
 
 PLACES = 30
-
-
-@pytest.fixture(scope="module")
-def model(model_file: Path) -> Model:
-    return lpn.load(model_file)
 
 
 @pytest.fixture(scope="module")
@@ -53,10 +47,8 @@ def _index(where: Path, whole: Task, engine: str = "exact", positions: bool = Tr
     Args:
         added: number of tiles that are added at once.
     """
-    assert whole.model is not None
     index = create_index(where, DescriptorKind(whole.model.fingerprint, 4, 512), engine)
     names = [tile.path.relative_to(whole.root / "test" / "gallery_satellite").as_posix() for tile in whole.gallery]
-    assert whole.geometry is not None
     degrees = np.array([(place.latitude, place.longitude) for place in whole.geometry.tiles])
     for start in range(0, len(names), added):
         some = slice(start, start + added)
@@ -70,7 +62,7 @@ def _task(index: Index, root: Path, model: Model) -> Task:
         return index_task(model, "model.onnx", index, dataset_queries(model, open_dataset(root), index))
 
 
-def _names(task: Task, tiles: np.ndarray) -> list[str]:  # type: ignore[type-arg]
+def _names(task: Task, tiles: np.ndarray) -> list[str]:
     """Return the paths of tiles, "" for -1."""
     return ["" if i < 0 else task.gallery[i].path.as_posix() for i in tiles.tolist()]
 
@@ -118,15 +110,11 @@ def test_an_index_answers_as_the_gallery_of_its_data_set_does(task: Task, whole:
         for weights in (None, (0.0, 1.0, 0.5, 0.0)):
             request = QueryRequest(query, weights=weights)
             found, wanted = by_index.analyse(task, request, 10), in_memory.analyse(whole, request, 10)
-            assert found.positive is not None
-            assert wanted.positive is not None
             for one, other in zip((*found.matches, found.positive), (*wanted.matches, wanted.positive), strict=True):
                 assert (one.rank, one.true) == (other.rank, other.true)
                 assert task.gallery[one.index].path == whole.gallery[other.index].path
                 np.testing.assert_allclose(one.contributions, other.contributions, atol=1e-6)
                 assert one.contributions.sum() == pytest.approx(one.distance2, abs=1e-5)
-            assert found.errors_m is not None
-            assert wanted.errors_m is not None
             assert found.errors_m[found.chosen.index] == pytest.approx(wanted.errors_m[wanted.chosen.index], abs=0.01)
 
 
@@ -149,7 +137,6 @@ def test_the_true_tiles_that_a_data_set_lists_are_those_of_the_index(
 ) -> None:
     data = make(tmp_path / "data")
     listed = describe_task(model, "model.onnx", open_dataset(data))
-    assert listed.truth is not None
     assert columns or any(one.among is not None for one in listed.truth)
     index = create_index(tmp_path / "index", DescriptorKind(model.fingerprint, 4, 512))
     names = [tile.path.relative_to(data).as_posix() for tile in listed.gallery]
@@ -171,7 +158,6 @@ def test_of_a_large_index_the_tiles_are_ranked_that_its_engine_proposes(
     monkeypatch.setattr(index_tasks, "PROPOSED", 2)
     index, said = _index(tmp_path / "index", whole, engine), []
     queries = dataset_queries(model, open_dataset(whole.root), index)
-    assert queries.places is not None
     some = {"places": queries.places[:10], "pictures": queries.pictures[:10], "descriptors": queries.descriptors[:10]}
     queries = replace(queries, **some)
     with listening(lambda _, *count: said.append(count)):
@@ -228,13 +214,11 @@ def test_tiles_without_pictures_are_placeholders_with_exact_contributions(
 def test_tiles_without_a_position_are_left_off_a_map_that_holds_all_others(
     tmp_path: Path, whole: Task, model: Model
 ) -> None:
-    assert whole.geometry is not None
     index = _index(tmp_path / "index", whole)
     lost = [tile.path.relative_to(whole.root / "test" / "gallery_satellite").as_posix() for tile in whole.gallery[::3]]
     index.add(lost, index.read(lost)[0])
     task = _task(index, whole.root, model)
     assert not task.no_map
-    assert task.geometry is not None
     known = np.flatnonzero(~np.isnan(task.geometry.ground).any(axis=1))
     assert len(known) == PLACES - len(lost)
     assert task.geometry.places.tolist() == known.tolist()

@@ -132,18 +132,6 @@ def test_a_built_index_finds_most_tiles_and_a_flat_one_all(
     assert _recall(index, tiles, 3000, None) >= (1 if structure == "flat" else 0.5)
 
 
-@pytest.mark.parametrize("structure", STRUCTURES)
-def test_tiles_of_a_built_index_are_replaced(built: dict[str, tuple[Index, Tiles]], structure: str) -> None:
-    index, tiles = built[structure]
-    other = Tiles.draw(6000, seed=5)
-    some = slice(1000, 1700)
-    tiles.descriptors[some], tiles.positions[some] = other.descriptors[some], other.positions[some]
-    index.add(tiles.names[some], tiles.descriptors[some], tiles.positions[some])
-    assert index.count() == 6000
-    assert index.search(tiles.descriptors[1000], None, 1).ids == [tiles.names[1000]]
-    assert _recall(index, tiles, 50, None, 1) >= (1 if structure == "flat" else 0.9)
-
-
 def test_who_may_not_is_told_at_once(server: MilvusServer) -> None:
     create_index(f"{server.url}/forbidden", KIND).close()
     server.client().create_user("bob", "Password1")

@@ -20,7 +20,6 @@ from tools.fixtures import layouts, small_worlds
 def test_positions_of_a_data_set_are_those_that_it_tells_itself(make: Callable[[Path], Path], tmp_path: Path) -> None:
     dataset = open_dataset(make(tmp_path / "data"))
     gallery, known = dataset.gallery("satellite"), dataset.positions()
-    assert known is not None
     expected = [(place.latitude, place.longitude) for place in known.of(gallery)]
     assert np.ptp(expected, axis=0).max() > 0
     described = os.path.commonpath([tile.path.parent.parent for tile in gallery])

@@ -166,16 +166,3 @@ def test_inference_leaves_cudnn_on_and_its_tf32_off(monkeypatch: pytest.MonkeyPa
     model.descriptors(seeded.pictures(1, model.batch, 64, 64), "drone", mirror=False)
     assert found == [(True, False, False)] * 2  # each thread would time the algorithms for a full batch of its own
     assert _cudnn() == before
-
-
-def test_descriptors_bring_only_parts_back_from_the_device(monkeypatch: pytest.MonkeyPatch) -> None:
-    model, pictures = TorchModel(small_worlds.make_network()), seeded.pictures(1, 3, 64, 64)
-    expected = model.run(pictures, "drone")
-    copied: list[tuple[int, ...]] = []
-    cpu = Tensor.cpu
-    monkeypatch.setattr(Tensor, "cpu", lambda self: copied.append(tuple(self.shape)) or cpu(self))
-    np.testing.assert_array_equal(model.part_embeddings(pictures, "drone"), expected.parts)
-    assert copied == [expected.parts.shape]
-    copied.clear()
-    model.run(pictures, "drone")
-    assert copied == [expected.parts.shape, expected.features.shape]

@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import os
-import shutil
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +8,7 @@ import pytest
 import torch
 
 import lpn
-from lpn.core.errors import InputError, ModelFileError
+from lpn.core.errors import InputError
 from lpn.core.images import normalise
 from lpn.models.checkpoints import TorchModel, WeightType, load_torch, save
 from lpn.models.export import difference, export
@@ -18,7 +17,6 @@ from lpn.models.onnx_engine import Engine
 from lpn.models.spec import ModelSpec
 from lpn.retrieval import describe_picture
 from tools.fixtures import seeded, small_worlds
-from tools.fixtures.trainings import make_resnets_shallow
 
 
 def close(found: np.ndarray, expected: np.ndarray) -> None:
@@ -29,10 +27,6 @@ def close(found: np.ndarray, expected: np.ndarray) -> None:
 @pytest.mark.parametrize(
     "spec",
     [
-        pytest.param(
-            ModelSpec("resnet18", views=("satellite", "street", "drone"), n_parts=1, input_size=(64, 96)),
-            marks=pytest.mark.slow,
-        ),
         ModelSpec(
             "resnet18", "layer3", views=("satellite", "drone"), n_parts=4, activation="leaky_relu", input_size=(64, 64)
         ),
@@ -43,7 +37,7 @@ def close(found: np.ndarray, expected: np.ndarray) -> None:
             marks=pytest.mark.slow,
         ),
     ],
-    ids=["street apart", "leaky", "cvusa"],
+    ids=["leaky", "cvusa"],
 )
 def test_engine_equals_torch(spec: ModelSpec, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     torch.manual_seed(3)
@@ -132,34 +126,6 @@ def test_wrong_input_is_refused_in_words(model_file: Path, tmp_path: Path) -> No
     with pytest.raises(InputError, match=r"\.onnx"):
         export(model_file.with_suffix(".safetensors"), tmp_path / "model.bin")
     assert engine.part_embeddings(good[:0], "drone").shape == (0, 4, 512)
-
-
-def _two_files(folder: Path, seed: int = 0) -> list[Path]:
-    torch.manual_seed(seed)
-    spec = ModelSpec("resnet18", "layer3", views=("satellite", "street"), shared=False, n_parts=2, input_size=(64, 64))
-    folder.mkdir()
-    save(LPN(spec), folder / "model.safetensors")
-    return export(folder / "model.safetensors", folder / "model.onnx")
-
-
-@pytest.mark.slow
-def test_files_of_one_model_belong_together(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    make_resnets_shallow(monkeypatch)
-    first, second = _two_files(tmp_path / "a")
-    pictures = seeded.pictures(0, 1, 64, 64)
-    expected = Engine(first).descriptors(pictures, "street")
-    with pytest.raises(ModelFileError, match="for street"):
-        Engine(second)
-    renamed = tmp_path / "renamed.onnx"
-    first.rename(renamed)
-    with pytest.raises(ModelFileError, match=r"renamed\.street\.onnx"):
-        Engine(renamed)
-    second.rename(tmp_path / "renamed.street.onnx")
-    engine = Engine(renamed)
-    np.testing.assert_array_equal(engine.descriptors(pictures, "street"), expected)
-    shutil.copy(_two_files(tmp_path / "b", seed=1)[1], tmp_path / "renamed.street.onnx")
-    with pytest.raises(ModelFileError, match="another model"):
-        Engine(renamed)
 
 
 @pytest.mark.parametrize("kind", ["float64", "bfloat16", "gradient", "reversed", "tensor"])

@@ -14,8 +14,8 @@ import lpn
 from lpn.core.errors import InputError, ModelFileError
 from lpn.models.export import export
 from lpn.models.onnx_engine import open_session
-from lpn.models.partition import Partition
 from lpn.models.trace import Trace
+from tests.lpn.models.adapters.test_token_pooling import POOLINGS, pooled
 from tools.fixtures import seeded
 
 PATCH, CHANNELS, SIZE = 8, 6, (32, 24)
@@ -55,28 +55,18 @@ def tokens_of(pictures: np.ndarray, front: int = 1) -> np.ndarray:
 def test_tokens_are_pooled_and_the_account_adds_up(front: int, tmp_path: Path) -> None:
     file, pictures = token_file(tmp_path / "tokens.onnx", front=front), seeded.pictures(50, 2, *SIZE)
     tokens = tokens_of(pictures, front)
-    cells, first = tokens[:, front:], tokens[:, 0]
-    rings = Partition("rings", 3).weights(*GRID).reshape(3, -1)
-    expected = {
-        "mean": cells.mean(1, keepdims=True),
-        "gem": (np.maximum(cells, 1e-6) ** 3).mean(1, keepdims=True) ** (1 / 3),
-        "cls": first[:, None],
-        "cls+mean": np.concatenate([first, cells.mean(1)], 1)[:, None],
-        "rings:3": np.einsum("nx,bxc->bnc", rings, cells),
-    }
-    for pooling, parts in expected.items():
-        model = lpn.load(file, pooling=pooling)
+    for pooling in POOLINGS:
+        model, parts = lpn.load(file, pooling=pooling), pooled(pooling, tokens[:, front:], tokens[:, 0], GRID)
         for one in (model, model.for_parallel_inference()):
             assert np.abs(one.part_embeddings(pictures, "drone") - parts).max() < 2e-6
         if pooling == "cls":
             assert (model.contract.claim, model.map_size("drone")) == ("one vector", (1, 1))
             continue
-        assert model.contract.level == ("exact" if pooling in ("mean", "rings:3") else "exact, with held")
+        assert model.contract.level == ("exact" if pooling in ("mean", "rings:2") else "exact, with held")
         trace = Trace.from_pass(model, model.run(pictures[:1], "drone"), "drone")
         assert trace.size == model.map_size("drone") == GRID
         assert trace.errors().max() < 1e-5
-    fingerprints = {lpn.load(file, pooling=pooling).fingerprint for pooling in expected}
-    assert len(fingerprints) == len(expected)
+    assert len({lpn.load(file, pooling=pooling).fingerprint for pooling in POOLINGS}) == len(POOLINGS)
 
 
 @pytest.mark.parametrize(
@@ -111,7 +101,7 @@ def test_what_does_not_fit_is_one_sentence(tmp_path: Path, model_file: Path) -> 
 
 @pytest.mark.parametrize("newer", [{"ir": 99}, {"opset": 99}])
 def test_a_file_that_is_newer_than_the_runtime_is_named_as_that(newer: dict[str, int], tmp_path: Path) -> None:
-    file = token_file(tmp_path / "newer.onnx", **newer)  # type: ignore[arg-type]
+    file = token_file(tmp_path / "newer.onnx", **newer)
     with pytest.raises(
         ModelFileError, match=r"written for a newer ONNX Runtime than the installed .*99.*; upgrade"
     ) as caught:

@@ -23,7 +23,6 @@ from lpn.models import file_contents
 from lpn.models.checkpoints import TorchModel, read_state
 from tools.fixtures import seeded, small_worlds
 from tools.fixtures.small_models import refusal_of
-from tools.fixtures.without_torch import run_without_torch
 
 State = dict[str, Tensor]
 PICTURES = seeded.pictures(1, 1, 64, 64)
@@ -214,32 +213,23 @@ LOOPED: dict[str, Any] = {}
 LOOPED["model"] = LOOPED
 # Files without a model's state dict, and the beginning of the sentence about each.
 EMPTY: dict[str, tuple[Callable[[State], object], str]] = {
-    "an optimizer": (
-        lambda _: {"state": {}, "param_groups": [{"lr": 0.1}]},
-        "net.pth holds state, param_groups; expected",
-    ),
-    "two": (
-        lambda _: {"generator": {"a": torch.ones(2)}, "critic": {"a": torch.ones(2)}},
-        "net.pth holds generator, critic; expected one",
-    ),
+    "an optimizer": (lambda _: {"state": {}, "param_groups": [{"lr": 0.1}]}, "net.pth holds state, param_groups; exp"),
+    "two": (lambda state: {"generator": state, "critic": state}, "net.pth holds generator, critic; expected one"),
     "nothing": (lambda _: {}, "net.pth holds nothing; expected"),
     "a tensor": (lambda _: torch.zeros(3), "net.pth holds a Tensor; expected one state_dict of named tensors"),
     "numbers as names": (lambda state: dict(enumerate(state.values())), "net.pth holds 0, 1, 2, 3, and "),
     "itself": (lambda _: LOOPED, "net.pth holds model; expected"),
     "sparse": (lambda _: {KERNELS: torch.zeros(3).to_sparse()}, NO_PLAIN),
     "complex": (lambda state: {**state, KERNELS: state[KERNELS].to(torch.complex64)}, NO_PLAIN),
-    "quantised": (
-        lambda state: {**state, KERNELS: torch.quantize_per_tensor(state[KERNELS], 0.1, 0, torch.qint8)},
-        NO_PLAIN,
-    ),
+    "quantised": (lambda state: {KERNELS: torch.quantize_per_tensor(state[KERNELS], 0.1, 0, torch.qint8)}, NO_PLAIN),
     "kernels of 8 bits": (lambda state: {**state, KERNELS: (state[KERNELS] * 100).to(torch.int8)}, NO_PLAIN),
     "diverged": (
-        lambda state: {**state, KERNELS: torch.full_like(state[KERNELS], np.nan)},
-        f"In net.pth, {KERNELS} holds values that are not finite; take an earlier checkpoint.",
+        lambda state: {**state, KERNELS: state[KERNELS] * np.nan},
+        f"In net.pth, {KERNELS} holds values that ",
     ),
     "another method": (
-        lambda _: {"temp": torch.ones(1), "xvlm.vision_encoder.norm.weight": torch.ones(4)},
-        "net.pth is not a checkpoint of a known model: it holds temp, xvlm.vision_encoder.norm.weight. Name its method with",
+        lambda _: {"temp": torch.ones(1), "vision.norm": torch.ones(4)},
+        "net.pth is not a checkpoint of a known model: it holds temp, vision.norm. Name its method with",
     ),
 }
 
@@ -302,35 +292,27 @@ ALONE = "is truncated or no PyTorch file of tensors alone, so it was not opened;
 # A file's name, its bytes, and a part of the sentence.
 BYTES: dict[str, tuple[str, Callable[[State], bytes], str]] = {
     "zipped": ("net.pth.zip", zipped, "is not a PyTorch file: it begins with 'PK\\x03\\x04"),
-    "a folder more": (
-        "net.pth",
-        lambda state: saved(state).replace(b"archive/", b"arch/ve/"),
-        "unpack it if it is an archive",
-    ),
+    "a folder more": ("net.pth", lambda state: saved(state).replace(b"archive/", b"arch/ve/"), "unpack it if it is an"),
     "protocol 4": ("net.pth", lambda state: saved(state, pickle_protocol=4), ALONE),
     "a pickle that calls": ("net.pth", lambda _: pickle.dumps(_Calls(os.system, "touch ran")), ALONE),
     "TorchScript": ("net.pth", script, ALONE),
     "arrays": ("model.pkl", lambda state: pickle.dumps({key: of.numpy() for key, of in state.items()}), ALONE),
     "one part": ("a-00002.safetensors", second_half, "The backbone in a-00002.safetensors is not one of"),
     "without a tensor": (
-        "model.safetensors",
+        "a.safetensors",
         lambda _: save_tensors({}, {"key": "value"}),
-        "model.safetensors holds no tensors; expected a state_dict of named tensors.",
+        "a.safetensors holds no tensors;",
     ),
     "half of a safetensors": (
-        "model.safetensors",
+        "a.safetensors",
         lambda state: safetensors_of(state)[:-1000],
-        "model.safetensors is damaged, truncated, or no .safetensors file; copy it again from where it came",
+        "is damaged, truncated, or no",
     ),
-    "begin of a safetensors": (
-        "model.safetensors",
-        lambda _: b"\x10\0\0",
-        "is not a .safetensors file: it begins with '\\x10\\x00\\x00'; download",
-    ),
+    "begin of a safetensors": ("a.safetensors", lambda _: b"\x10\0\0", "it begins with '\\x10\\x00\\x00'; download"),
     "complex safetensors": (
-        "model.safetensors",
+        "a.safetensors",
         lambda state: safetensors_of({KERNELS: state[KERNELS].to(torch.complex64)}),
-        f"In model.safetensors, {KERNELS} is complex; give the weights",
+        f"In a.safetensors, {KERNELS} is complex; give the weights",
     ),
     "hole": ("net.pth", hole, "is damaged: an entry does not match its checksum; copy it again"),
     "a text": ("net.onnx", lambda _: b"hello", "net.onnx is not an ONNX model or is truncated"),
@@ -355,24 +337,6 @@ def test_a_file_of_another_kind_is_named_whatever_its_ending(case: str, tmp_path
     for ending in (".pth", ".onnx", ".safetensors", ".bin"):
         (tmp_path / f"net_119{ending}").write_bytes(data)
         assert refusal_of(tmp_path / f"net_119{ending}").startswith(f"net_119{ending} {sentence}")
-
-
-def test_a_file_of_another_kind_is_named_without_torch(tmp_path: Path) -> None:
-    code = """
-import sys, lpn
-for name in sys.argv[1:]:
-    try:
-        lpn.load(name)
-    except lpn.LPNError as error:
-        print(error)
-"""
-    (tmp_path / "pointer.pth").write_bytes(LFS)
-    (tmp_path / "net.pth").write_bytes(saved({"a": torch.zeros(1)}))
-    done = run_without_torch(code, "pointer.pth", "net.pth", folder=tmp_path)
-    assert done.returncode == 0, done.stderr
-    pointer, of_weights = done.stdout.splitlines()
-    assert pointer.startswith("pointer.pth is a Git LFS pointer")
-    assert "needs the package torch" in of_weights
 
 
 def test_a_file_cut_anywhere_and_a_missing_one_get_one_sentence(

@@ -19,6 +19,7 @@ import lpn
 from lpn import explain, retrieval
 from lpn.core.arrays import UInt8Array
 from lpn.core.errors import InputError, ModelFileError
+from lpn.core.views import View
 from lpn.models.base import Model
 from lpn.models.contract_metadata import FORMAT, from_metadata, to_metadata
 from lpn.models.onnx_engine import Engine
@@ -140,36 +141,30 @@ def test_a_graph_of_parts_alone_has_no_trace(tmp_path: Path) -> None:
     np.testing.assert_array_equal(described.descriptor, expected.descriptor)
 
 
-def test_groups_have_files_of_their_own_and_roles_choose_among_them(tmp_path: Path) -> None:
-    change = {"groups": "satellite, drone", "roles": "role", "source": "1"}
-    graph(tmp_path / "both.onnx", change=change)
-    graph(tmp_path / "both.drone.onnx", change=change, cells="fixed")
-    model = Engine(tmp_path / "both.onnx")
+@pytest.mark.parametrize("groups", ["satellite, drone", "street, drone", "drone, street"])
+def test_groups_have_files_of_their_own_and_roles_choose_among_them(groups: str, tmp_path: Path) -> None:
+    other: View = "satellite" if "satellite" in groups else "street"
+    change = {"groups": groups, "views": f"{other} drone", "roles": "role", "source": "1"}
+    first_view, second_view = groups.split(", ")
+    first, second = tmp_path / "both.onnx", tmp_path / f"both.{second_view}.onnx"
+    graph(first, change=change | {"group": first_view})
+    with pytest.raises(ModelFileError, match=second.name):
+        Engine(first)
+    graph(second, change=change | {"group": second_view}, cells="fixed")
+    with pytest.raises(ModelFileError, match=f"the part of a model for {second_view}; open the file for {first_view}"):
+        Engine(second)
+    model = Engine(first)
     images = model.prepare(picture(), "drone")[None]
-    as_gallery, as_query = model.run(images, "satellite").parts, model.run(images, "drone").parts
-    assert not np.allclose(as_gallery, as_query)
-    back = model.for_task("satellite", "drone")
-    np.testing.assert_array_equal(back.run(images, "drone").parts, as_gallery)
-    np.testing.assert_array_equal(back.run(images, "satellite").parts, as_query)
-    graph(tmp_path / "both.drone.onnx", change=change | {"mirror": "none"})
-    with pytest.raises(ModelFileError, match="exported from another model"):
-        Engine(tmp_path / "both.onnx")
-
-
-@pytest.mark.parametrize("groups", ["street, drone", "drone, street"])
-def test_roles_choose_between_graphs_without_a_satellite(groups: str, tmp_path: Path) -> None:
-    change = {"groups": groups, "views": "street drone", "roles": "role", "source": "1"}
-    graph(tmp_path / "both.onnx", change=change)
-    graph(tmp_path / f"both.{groups.split(', ')[1]}.onnx", change=change, cells="fixed")
-    model = Engine(tmp_path / "both.onnx")
-    images = model.prepare(picture(), "drone")[None]
-    drone, street = (model.run(images, view).parts for view in ("drone", "street"))
-    assert not np.allclose(drone, street)
-    forth, back = model.for_task("drone", "street"), model.for_task("street", "drone")
+    as_query, as_gallery = model.run(images, "drone").parts, model.run(images, other).parts
+    assert not np.allclose(as_query, as_gallery)
+    forth, back = model.for_task("drone", other), model.for_task(other, "drone")
     assert forth.fingerprint == model.fingerprint != back.fingerprint
-    np.testing.assert_array_equal(forth.run(images, "drone").parts, drone)
-    np.testing.assert_array_equal(back.run(images, "drone").parts, street)
-    np.testing.assert_array_equal(back.run(images, "street").parts, drone)
+    np.testing.assert_array_equal(forth.run(images, "drone").parts, as_query)
+    np.testing.assert_array_equal(back.run(images, "drone").parts, as_gallery)
+    np.testing.assert_array_equal(back.run(images, other).parts, as_query)
+    graph(second, change=change | {"group": second_view, "mirror": "none"})
+    with pytest.raises(ModelFileError, match="exported from another model"):
+        Engine(first)
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,6 @@ from pathlib import Path
 import numpy as np
 import onnx
 import pytest
-import torch
 
 import lpn
 from lpn.cli import main
@@ -51,18 +50,6 @@ def test_every_convolution_computes_in_8_bits_and_descriptors_stay(
     picture = load_picture(open_dataset(data).queries("drone")[0].path)
     described = [describe_picture(model, picture, "drone").descriptor for model in (before, after)]
     assert 0 < np.abs(described[0] - described[1]).max() < 0.1
-
-
-@pytest.mark.slow
-def test_views_with_weights_of_their_own_are_calibrated_by_their_own_pictures(data: Path, tmp_path: Path) -> None:
-    torch.manual_seed(2)
-    spec = ModelSpec("resnet18", "layer3", views=("satellite", "drone"), n_parts=2, shared=False, input_size=(64, 64))
-    save(LPN(spec), tmp_path / "apart.safetensors")
-    export(tmp_path / "apart.safetensors", tmp_path / "apart.onnx")
-    files, agreement = quantize(tmp_path / "apart.onnx", open_dataset(data), tmp_path / "small.onnx", 6)
-    assert [file.name for file in files] == ["small.onnx", "small.drone.onnx"]
-    assert min(agreement.cosines.values()) > 0.98
-    assert lpn.load(files[0]).precision == "int8"
 
 
 def test_calibration_pictures_are_spread_over_all_views(data: Path) -> None:

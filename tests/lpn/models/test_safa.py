@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import lpn
-from lpn.core.errors import InputError, ModelFileError
+from lpn.core.errors import InputError
 from lpn.core.images import polar
 from lpn.models.backbones import VGG16, map_size
 from lpn.models.base import normalise
@@ -145,8 +145,6 @@ def test_a_saved_and_an_exported_model_answer_as_the_network(model_file: Path) -
         parts, features = original.run(images, view)[:2]
         np.testing.assert_array_equal(saved.part_embeddings(images, view), parts)
         found, found_features = exported.run(images, view)[:2]
-        assert features is not None
-        assert found_features is not None
         assert np.abs(found - parts).max() <= 1e-4 * np.abs(parts).max()
         assert np.abs(found_features - features).max() <= 1e-4 * np.abs(features).max()
         np.testing.assert_allclose(exported.descriptors(images, view), original.descriptors(images, view), atol=1e-5)
@@ -166,19 +164,7 @@ def test_an_exported_vgg_keeps_the_last_row_and_column(tmp_path: Path) -> None:
     images = seeded.pictures(5, 2, 48, 136)
     for view in SPEC.views:
         for ours, theirs in zip(original.run(images, view)[:3], exported.run(images, view)[:3], strict=True):
-            assert ours is not None
-            assert theirs is not None
             assert np.abs(theirs - ours).max() <= 1e-4 * np.abs(ours).max()
-
-
-def test_a_file_made_for_another_map_is_refused_in_words(tmp_path: Path) -> None:
-    spec = replace(SPEC, backbone="vgg16", last_layer="layer4", n_parts=1, maps=1, embedding=512, input_size=(48, 64))
-    smaller = network(spec)
-    for branch in (smaller.branch(view) for view in SPEC.views):
-        branch.aware = torch.nn.ModuleList([SpatialAware(1 * 2, 1)])
-    save(smaller, tmp_path / "model.safetensors")
-    with pytest.raises(ModelFileError, match=r"aware.0.weight1 has shape \(1, 2, 1\); expected \(1, 4, 2\)"):
-        lpn.load(tmp_path / "model.safetensors")
 
 
 def test_a_mirrored_picture_is_not_added(model_file: Path) -> None:

@@ -54,11 +54,11 @@ def test_the_figures_on_the_demo_are_those_of_its_shipped_descriptors(card: Mode
     for one in card.figures:
         if one.data != "the demo":  # the calibrated figures need further descriptors
             continue
-        task: TaskName = one.task  # type: ignore[assignment]
+        task: TaskName = one.task
         views = views_of(task)
         sides = dataset.queries(views[0]), dataset.gallery(views[1])
         query, gallery = (
-            shipped_or_cached(model, pictures, view, DEMO, role)  # type: ignore[arg-type]
+            shipped_or_cached(model, pictures, view, DEMO, role)
             for pictures, view, role in zip(sides, views, ("query", "gallery"), strict=True)
         )
         labels = [[picture.label for picture in side] for side in sides]

@@ -42,7 +42,7 @@ def test_tokens_of_a_vision_transformer_lie_on_the_grid_of_their_patches() -> No
     made, pictures = network(), seeded.pictures(5, 2, 64, 96)
     own = backbone(made)
     assert (own.channels, own.prefix) == (64, 1)
-    tokens = own.network.forward_features(torch.from_numpy(pictures))  # type: ignore[operator]
+    tokens = own.network.forward_features(torch.from_numpy(pictures))
     found = made.features(torch.from_numpy(pictures), "drone").numpy()
     assert found.shape == (2, 64, 4, 6)
     # The class token comes first, then the patches row by row.

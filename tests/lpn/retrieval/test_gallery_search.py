@@ -50,12 +50,10 @@ def test_ranking_finds_truth_gaps_and_positions() -> None:
     assert distances == sorted(distances)
     for match, following in pairwise(top):
         assert match.gap == pytest.approx(following.distance2 - match.distance2, abs=1e-6)
-        assert match.shown_gap is not None
         shown = f"{float(f'{match.distance2:.3f}') + match.shown_gap:.3f}"
         assert shown == f"{following.distance2:.3f}", "the figures beside each other add up"
     assert top[-1].gap is None
     truth = ranking.positive()
-    assert truth is not None
     assert truth.rank == min(m.rank for m in top if m.true)
     assert labels[truth.index] == 7
     assert ranking.find(truth.index).rank == truth.rank
@@ -91,5 +89,4 @@ def test_junk_is_not_ranked() -> None:
         assert not ranking.holds(2)
         assert ranking.holds(5)
         found = ranking.positive()
-        assert found is not None
         assert found.index in truth.good

@@ -70,15 +70,6 @@ def test_equal_and_almost_equal_scores_are_ranked_as_in_double_precision(
     same(metrics.retrieve(queries, None, tiles, None, truth), plainly(queries, tiles, truth))
 
 
-def test_labels_are_ranked_as_lists_are() -> None:
-    rng = np.random.default_rng(0)
-    queries, tiles = alike(rng, 40, 50, 64)
-    asked, labels = rng.integers(-1, 12, 40), rng.integers(-1, 10, 50)
-    junk = np.flatnonzero(labels == -1)
-    truth = [Truth(np.flatnonzero((labels == one) & (labels != -1)), junk) for one in asked]
-    same(metrics.retrieve(queries, asked, tiles, labels), plainly(queries, tiles, truth))
-
-
 @pytest.mark.parametrize(
     ("precision", "size"),
     [(np.float16, 1e-3), (np.float16, 1e4), *((np.float32, 10.0**k) for k in (-45, -36, -22, 12, 25, 37))]

@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 from pathlib import Path
-from unittest.mock import Mock
 
 import cv2
 import numpy as np
 import pytest
 from PIL import Image
 
-import lpn
 from lpn.core import images
 from lpn.core.errors import InputError
 from lpn.datasets import open_dataset
+from lpn.models.base import Model
 from lpn.models.checkpoints import load_torch, save
-from lpn.tasks.changes import averaged, calibrated, turned
+from lpn.tasks.changes import averaged, turned
 from lpn.tasks.measure import measure
 from lpn.tasks.opening import lazy_task
 from tools.fixtures import layouts, released_transfer, small_worlds
@@ -52,15 +51,12 @@ def test_the_released_protocol_is_measured_and_stated(tmp_path: Path) -> None:
         turned(released, 90)
     with pytest.raises(InputError, match="only queries with labels can be averaged"):
         averaged(released)
-    with pytest.raises(InputError, match="leave --centre, another branch, and the released protocol out"):
-        calibrated(released, Mock())
 
 
-def test_a_model_of_one_size_is_refused(tmp_path: Path) -> None:
+def test_a_model_of_one_size_is_refused(model: Model, tmp_path: Path) -> None:
     root = layouts.oxford(tmp_path / "oxford")
-    model = small_worlds.make_model(tmp_path)
     with pytest.raises(InputError, match=r"give one, or leave --protocol out"):
-        measure(lazy_task(lpn.load(model), open_dataset(root), "street-to-street", branch="satellite", released=True))
+        measure(lazy_task(model, open_dataset(root), "street-to-street", branch="satellite", released=True))
 
 
 def test_pictures_are_read_without_their_orientation_and_turned_to_the_nearest_pixel(tmp_path: Path) -> None:
@@ -81,9 +77,8 @@ def test_pictures_are_read_without_their_orientation_and_turned_to_the_nearest_p
     assert np.abs(cv2.blur(turned, (5, 5)).astype(int) - cv2.blur(images.rotate(picture, 45), (5, 5))).mean() < 12
 
 
-def test_turned_queries_have_descriptors_of_their_own_in_the_released_protocol(tmp_path: Path) -> None:
+def test_turned_queries_have_descriptors_of_their_own_in_the_released_protocol(model: Model, tmp_path: Path) -> None:
     dataset = open_dataset(small_worlds.make_dataset(tmp_path / "places", train=0, test=4))
-    model = lpn.load(small_worlds.make_model(tmp_path))
     said = [
         measure(turned(lazy_task(model, dataset, "satellite-to-drone", released=released), 45)).sentence
         for released in (False, True)

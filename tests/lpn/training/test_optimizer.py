@@ -51,7 +51,7 @@ def test_a_factor_of_the_loss_scales_the_step_and_not_the_loss_that_is_told() ->
         torch.manual_seed(0)
         network = LPN(spec)
         changes = {"weight_decay": 0.0, "warmup_epochs": 1, "warmup_start": start, "precision": "float32"}
-        learner = Learner(network, replace(RECIPES["cvusa-released"], **changes), torch.device("cpu"))  # type: ignore[arg-type]
+        learner = Learner(network, replace(RECIPES["cvusa-released"], **changes), torch.device("cpu"))
         network.train()
         weight = network.heads[0].classifier[0].weight
         before = weight.detach().clone()

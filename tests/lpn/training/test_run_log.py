@@ -8,7 +8,7 @@ import pytest
 from lpn.core.errors import InputError
 from lpn.training.model_selection import EpochMetrics, best_epoch
 from lpn.training.recipes import RECIPES
-from lpn.training.run_folder import begin, epoch_line, read_run, save_log
+from lpn.training.run_folder import begin, read_run, save_log
 
 
 def row(epoch: int, loss: float, **more: float) -> EpochMetrics:
@@ -24,14 +24,6 @@ def test_the_log_has_each_epoch_once_and_columns_that_come_later(tmp_path: Path)
         rows = list(csv.DictReader(file))
     assert [line["loss"] for line in rows] == ["4.0", "3.0"]
     assert [line["recall@1 drone-to-satellite"] for line in rows] == ["", "25.0"]
-
-
-def test_an_epoch_is_one_line_with_its_terms_and_what_was_tested() -> None:
-    tested = {"recall@1 drone-to-satellite": 25.0}
-    terms = {"loss instance": 3.5, "loss infonce": 0.5}
-    line = "Epoch 1/30  loss 4.000{}  rate 1.0e-03  8.0 images/s  R@1 drone-to-satellite 25.00"
-    assert epoch_line([row(1, 4.0, **terms, **tested)], 30) == line.format("  instance 3.500  infonce 0.500")
-    assert epoch_line([row(1, 4.0, **{"loss instance": 4.0}, **tested)], 30) == line.format("")
 
 
 def test_run_json_is_read_again_and_a_damaged_one_refused(tmp_path: Path) -> None:

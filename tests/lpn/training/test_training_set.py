@@ -124,7 +124,7 @@ def test_every_row_shows_the_place_of_its_label(gaps: Path, recipe: Recipe) -> N
     assert len(rows) == 40 * loader.steps * 4 * len(SETS)
     assert all(label == place for _, label, (place, _) in rows)
     # Each place is seen in every set that it has, or that stands in for it.
-    seen = {name: {loader.places.labels[label] for of, label, _ in rows if of == name} for name in SETS}  # type: ignore[union-attr]
+    seen = {name: {loader.places.labels[label] for of, label, _ in rows if of == name} for name in SETS}
     by_picture = recipe.sampling == "pictures"
     assert seen["satellite"] == set(TRAINED) - {4}
     assert seen["drone"] == set(TRAINED) - {3}
@@ -134,7 +134,7 @@ def test_every_row_shows_the_place_of_its_label(gaps: Path, recipe: Recipe) -> N
         # Within an epoch no picture is drawn twice, over all epochs each is drawn, and sets differ in their order.
         epochs = np.array_split(np.arange(len(rows)), 40)
         assert all(len({rows[i] for i in epoch}) == len(epoch) for epoch in epochs)
-        files = loader.places.files  # type: ignore[union-attr]
+        files = loader.places.files
         assert {file for *_, (_, file) in rows} == {file for places in files.values() for of in places for file in of}
         orders = [[label for of, label, _ in rows if of == name] for name in ("satellite", "drone")]
         assert orders[0] != orders[1]
@@ -142,11 +142,8 @@ def test_every_row_shows_the_place_of_its_label(gaps: Path, recipe: Recipe) -> N
 
 def test_rows_of_a_place_agree_but_in_the_view_that_it_lacks(gaps: Path) -> None:
     places = training_set(gaps)[0]
-    one, two = (list(Loader(places, BY_PLACE, torch.device("cpu"), workers=n).stream(0, 5)) for n in (1, 4))
     own: set[int] = set()
-    for batch, again in zip(one, two, strict=True):
-        assert all(torch.equal(batch.labels[name], again.labels[name]) for name in SETS)
-        assert all(torch.equal(batch.sets[name], again.sets[name]) for name in SETS)
+    for batch in Loader(places, BY_PLACE, torch.device("cpu"), workers=1).stream(0, 5):
         rows = np.stack([batch.labels[name].numpy() for name in SETS], axis=1)
         for row in rows:
             values, counts = np.unique(row, return_counts=True)

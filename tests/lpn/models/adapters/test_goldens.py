@@ -2,155 +2,52 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
-from typing import cast
 
 import numpy as np
 import pytest
-import torch
-from torch import Tensor
 
-import lpn
 from lpn.core import images
-from lpn.models.adapters.methods.mccg import Mccg
-from lpn.models.adapters.methods.sdpl import Sdpl
-from lpn.models.adapters.network import MeanVector
-from lpn.models.adapters.published import PublishedModel
 from lpn.models.base import normalise
 from lpn.models.trace import Trace
 from tools.fixtures import published_models, seeded
-from tools.fixtures.published_models import Golden, relative_by_part
-from tools.fixtures.seeded import relative
+from tools.fixtures.published_models import opened, relative_by_part
 
-TOLERANCE = 2e-5
-CLOSURE = 1e-5
-
-
-class Case:
-    """A golden, the model that was loaded from its checkpoint, and the trunk's outputs of the last forward pass."""
-
-    def __init__(self, name: str, folder: Path, prefix: str = "") -> None:
-        self.golden: Golden = published_models.golden(name)
-        torch.save({prefix + key: value for key, value in self.golden.state.items()}, folder / "net_119.pth")
-        height, width = self.golden.size
-        (folder / "opts.yaml").write_text(f"h: {height}\nw: {width}\n")
-        self.model = cast(PublishedModel, lpn.load(folder / "net_119.pth", "cpu"))
-        self.trunk = Tensor()
-        trunk = self.model.network("drone").trunk
-        getattr(trunk, "tokens", trunk).register_forward_hook(self._keep)
-
-    def _keep(self, _module: torch.nn.Module, _inputs: object, output: Tensor) -> None:
-        self.trunk = output
-
-    def check(self, count: int) -> list[Trace]:
-        """Compare raw parts of picture and mirror, and descriptors of the first pictures; return their traces."""
-        golden, model = self.golden, self.model
-        traces, raw, mirror = [], [], []
-        for picture in golden.pictures[:count]:
-            outputs = model.run(model.with_mirror(picture), "drone")
-            raw.append(outputs.parts[0])
-            mirror.append(outputs.parts[-1])
-            traces.append(Trace.from_pass(model, outputs, "drone"))
-            assert traces[-1].errors().max() < CLOSURE
-        assert relative_by_part(np.stack(raw), golden.parts("raw", model.n_parts)[:count]) < TOLERANCE
-        if "raw_mirror" in golden.arrays:
-            assert relative_by_part(np.stack(mirror), golden.parts("raw_mirror", model.n_parts)[:count]) < TOLERANCE
-        found = normalise(np.stack([trace.embedding for trace in traces]))
-        assert relative_by_part(found, golden.parts("descriptor", model.n_parts)[:count]) < TOLERANCE
-        return traces
-
-    def trunk_agrees(self, name: str, step: int, axis: int) -> None:
-        """Compare every `step`-th channel of what the trunk gave for the first picture."""
-        found = self.trunk[:1].movedim(axis, 0)[::step].movedim(0, axis)
-        assert relative(found.numpy(), self.golden.arrays[name][:1]) < TOLERANCE
+# The title of each published model, and how its pictures are resized, which its golden pictures are not.
+MODELS = {
+    "sample4geo_tiny_256": ("Sample4Geo ConvNeXt-T, 256 x 256", "linear"),
+    "denseuav_vits_224": ("DenseUAV ViT-S, n = 1, 224 x 224", "bicubic"),
+    "fsra_vits_b3": ("FSRA ViT-S, n = 4, 256 x 256", "bicubic"),
+    "mccg_tiny": ("MCCG ConvNeXt-T, n = 3, 256 x 256", "bicubic"),
+    "sdpl_resnet50_512": ("SDPL ResNet-50, n = 10, 512 x 512", "bicubic"),
+    "sample4geo_base_384": ("Sample4Geo ConvNeXt-B, 384 x 384", "linear"),
+    "dac_base_384": ("DAC ConvNeXt-B, 384 x 384", "linear"),
+    "game4loc_vitb_384": ("Game4Loc vit_base_patch16_rope_reg1_gap_256, 384 x 384", "linear"),
+}
+QUICK = ("sample4geo_tiny_256", "denseuav_vits_224")
 
 
-@pytest.fixture
-def folder(tmp_path: Path) -> Iterator[Path]:
-    """A folder that is emptied at once, as pytest keeps the last three."""
-    yield tmp_path
-    for file in tmp_path.iterdir():
-        file.unlink()
-
-
-@pytest.mark.slow
-def test_fsra(folder: Path) -> None:
-    case = Case("fsra_vits_b3", folder)
-    assert case.model.contract.claim == "exact, with the regions of each picture held"
-    (trace,) = case.check(1)
-    regions = np.stack([case.golden.arrays["regions"][0], case.golden.arrays["regions_mirror"][0][:, ::-1]])
-    np.testing.assert_array_equal(trace.cells[:, :3].argmax(1), regions)
-    assert not trace.cells[:, 3].any()
-    case.trunk_agrees("tokens", 32, 2)
-    heat = case.trunk[:1, 1:].mean(2).unflatten(1, (16, 16)).numpy()
-    assert relative(heat, case.golden.arrays["heat"][:1]) < TOLERANCE
-
-
-@pytest.mark.slow
-def test_mccg(folder: Path) -> None:
-    case = Case("mccg_tiny", folder)
-    assert case.model.describe() == "MCCG ConvNeXt-T, n = 3, 256 x 256"
-    case.check(1)
-    case.trunk_agrees("features", 16, 1)
-    network, features = cast(Mccg, case.model.network("drone")), case.trunk[:1]
-    by_columns, by_rows = (gated / features for gated in network.gated(features))
-    assert relative(by_columns.mean(2)[:, ::16].numpy(), case.golden.arrays["gate_cw"]) < TOLERANCE
-    assert relative(by_rows.mean(3)[:, ::16].transpose(1, 2).numpy(), case.golden.arrays["gate_hc"]) < TOLERANCE
-    whole = network.norm(features.mean((2, 3)))
-    assert relative(whole[:, ::4].numpy(), case.golden.arrays["global_feature"][:1]) < TOLERANCE
-
-
-def test_sample4geo(folder: Path) -> None:
-    case = Case("sample4geo_tiny_256", folder, prefix="module.")
-    contract = case.model.contract
-    assert (contract.resize, contract.mirror, contract.mean) == ("linear", "none", images.MEAN)
-    case.check(1)
-    case.trunk_agrees("features", 32, 1)
-
-
-def test_denseuav(folder: Path) -> None:
-    case = Case("denseuav_vits_224", folder)
-    assert case.model.contract.level == "exact"
-    case.check(1)
-    case.trunk_agrees("tokens", 16, 2)
-
-
-@pytest.mark.slow
-def test_sdpl(folder: Path) -> None:
-    case = Case("sdpl_resnet50_512", folder)
-    (trace,) = case.check(1)
-    assert trace.features.nbytes + trace.cells.nbytes < 50e6
-    found = case.trunk[:1, :64:16].numpy()
-    assert relative(found, case.golden.arrays["features_first64"]) < TOLERANCE
-    network = cast(Sdpl, case.model.network("drone"))
-    weights = network.shift_weights(case.trunk)
-    assert relative(weights[:1].numpy(), case.golden.arrays["shift_weights"]) < TOLERANCE
-    assert relative(weights[1:].numpy(), case.golden.arrays["shift_weights_mirror"]) < TOLERANCE
-    pooled = network.pool(case.trunk[:1], weights[:1]).transpose(1, 2)[:, ::16]
-    assert relative(pooled.numpy(), case.golden.arrays["pooled"]) < TOLERANCE
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["sample4geo_base_384", "dac_base_384"])
-def test_convnext_base(name: str, folder: Path) -> None:
-    case = Case(name, folder)
-    assert "ConvNeXt-B, 384 x 384" in case.model.describe()
-    case.check(1)
-    case.trunk_agrees("features", 32, 1)
-
-
-@pytest.mark.slow
-def test_game4loc(folder: Path) -> None:
-    case = Case("game4loc_vitb_384", folder)
-    assert case.model.contract.mean == case.model.contract.std == (0.5, 0.5, 0.5)
-    case.check(1)
-    tokens = case.trunk.flatten(2).transpose(1, 2)[:, :, :64:16].numpy()
-    # The register token comes first in the released code, and is no cell.
-    assert relative(tokens, case.golden.arrays["tokens_first64"][:, 1:]) < TOLERANCE
-    pooled = case.trunk.mean((2, 3)).numpy()
-    assert relative(pooled, case.golden.arrays["pooled"]) < TOLERANCE
-    assert isinstance(case.model.network("drone"), MeanVector)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[] if name in QUICK else [pytest.mark.slow]) for name in MODELS]
+)
+def test_a_model_answers_as_its_released_code_and_its_account_adds_up(name: str, tmp_path: Path) -> None:
+    golden = published_models.golden(name)
+    height, width = golden.size
+    model = opened(golden.state, tmp_path, f"h: {height}\nw: {width}\n")
+    (tmp_path / "net_119.pth").unlink()  # of several hundred megabytes
+    assert (model.describe(), model.contract.resize) == MODELS[name]
+    assert model.contract.mean == ((0.5,) * 3 if name.startswith("game4loc") else images.MEAN)
+    outputs = model.run(model.with_mirror(golden.pictures[0]), "drone")
+    trace = Trace.from_pass(model, outputs, "drone")
+    assert trace.errors().max() < 1e-5
+    found = {"raw": outputs.parts[:1], "raw_mirror": outputs.parts[-1:], "descriptor": normalise(trace.embedding[None])}
+    for kind, parts in found.items():
+        if kind in golden.arrays:
+            assert relative_by_part(parts, golden.parts(kind, model.n_parts)[:1]) < 2e-5
+    if "regions" in golden.arrays:
+        regions = np.stack([golden.arrays["regions"][0], golden.arrays["regions_mirror"][0][:, ::-1]])
+        np.testing.assert_array_equal(trace.cells[:, :3].argmax(1), regions)
+        assert not trace.cells[:, 3].any()
 
 
 @pytest.mark.parametrize("case", range(4))

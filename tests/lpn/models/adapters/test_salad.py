@@ -7,8 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-import torch.nn.functional as F
-from torch import Tensor
 
 import lpn
 from lpn.core import images
@@ -22,6 +20,9 @@ WIDTH, HEADS, PATCH, SIDE = 32, 2, 4, 4
 HIDDEN, CLUSTERS, NUMBERS, TOKEN, OUT = 24, 5, 6, 7, 16
 SIZE = (6 * PATCH, 4 * PATCH)
 OPTIONS = f"h: {SIZE[0]}\nw: {SIZE[1]}\nheads: {HEADS}\n"
+# The vectors of length 1, (2, D), of `seeded.pictures(40, 2, *SIZE)` and (41, ...), made in double precision by plain torch from
+# the equations of DINOv2's and SALAD's own code; commits 05d1c693 and 9a316620 have that code.
+VECTORS = seeded.arrays("published/salad")
 METHODS = {"SALAD": ("backbone.model.", "aggregator."), "MegaLoc": ("backbone.", "aggregator.agg.")}
 
 
@@ -81,44 +82,13 @@ def checkpoint(method: str) -> State:
     return vit | seeded.entries(shapes) | {f"{own}dust_bin": torch.tensor(0.7)}
 
 
-def reference(method: str, seed: int) -> Tensor:
-    """The vectors of length 1, (2, D), of `seeded.pictures(seed, 2, *SIZE)`."""
-    state, own = {key: value.double() for key, value in checkpoint(method).items()}, METHODS[method][1]
-    # Made by plain torch in double precision from the equations of DINOv2's own code, with its resampling of positions; commit
-    # 05d1c693 has that code (tools/fixtures/small_vits.py).
-    answers = seeded.arrays("published/salad")
-    cells, token = (torch.from_numpy(answers[f"salad.{seed}.{kind}"]).double() for kind in ("cells", "first"))
-
-    def layers(name: str, second: str, values: Tensor) -> Tensor:
-        for number in ("0", second):
-            values = F.relu(values) if number == second else values
-            weight = state[f"{own}{name}.{number}.weight"].flatten(1)
-            values = values @ weight.T + state[f"{own}{name}.{number}.bias"]
-        return values
-
-    values, scores = layers("cluster_features", "3", cells), layers("score", "3", cells)
-    count = cells.shape[1]
-    kernel = torch.exp(torch.cat([scores, state[f"{own}dust_bin"].expand(len(cells), count, 1)], 2))
-    mass = torch.tensor([1.0] * CLUSTERS + [count - CLUSTERS], dtype=torch.float64) / (count + CLUSTERS)
-    of_cells = torch.ones(len(cells), count, dtype=torch.float64)
-    for _ in range(3):
-        of_clusters = mass / torch.einsum("bnm,bn->bm", kernel, of_cells)
-        of_cells = 1 / (count + CLUSTERS) / torch.einsum("bnm,bm->bn", kernel, of_clusters)
-    plan = (kernel * of_cells[:, :, None] * of_clusters[:, None] * (count + CLUSTERS))[:, :, :CLUSTERS]
-    clusters = F.normalize(torch.einsum("bnm,bnl->blm", plan, values), dim=1).flatten(1)
-    vector = F.normalize(torch.cat([F.normalize(layers("token_features", "2", token), dim=1), clusters], 1), dim=1)
-    if method == "MegaLoc":
-        vector = F.normalize(vector @ state["aggregator.linear.weight"].T + state["aggregator.linear.bias"], dim=1)
-    return vector
-
-
 @pytest.mark.parametrize("method", METHODS)
 def test_the_vector_is_that_of_the_equations_and_its_account_adds_up(method: str, tmp_path: Path) -> None:
     model, pictures = opened(checkpoint(method), tmp_path, OPTIONS), seeded.pictures(40, 2, *SIZE)
     contract = model.contract
     assert (contract.method, contract.mirror, contract.resize) == (method, "none", "bilinear")
     assert contract.claim == "exact, with the clusters' shares of each cell, and the lengths of the clusters held"
-    assert relative(model.descriptors(pictures, "drone")[:, 0], reference(method, 40)) < 2e-5
+    assert relative(model.descriptors(pictures, "drone")[:, 0], VECTORS[f"{method}.40"]) < 2e-5
     assert max(account_error(model, picture) for picture in pictures) < 1e-5
 
 
@@ -129,7 +99,7 @@ def test_an_export_gives_the_same_vector_and_account(method: str, tmp_path: Path
     export(tmp_path / "net_119.pth", tmp_path / "model.onnx")
     exported, pictures = lpn.load(tmp_path / "model.onnx"), seeded.pictures(41, 2, *SIZE)
     assert exported.contract.resize == "bilinear"
-    assert relative(exported.descriptors(pictures, "drone")[:, 0], reference(method, 41)) < 2e-5
+    assert relative(exported.descriptors(pictures, "drone")[:, 0], VECTORS[f"{method}.41"]) < 2e-5
     assert account_error(exported, pictures[0]) < 1e-5
 
 

@@ -32,7 +32,6 @@ def pooled(pooling: str, cells: AnyArray, first: AnyArray | None, grid: tuple[in
     elif pooling.startswith("rings"):
         parts = np.einsum("nx,bxc->bnc", Partition("rings", 2).weights(*grid).reshape(2, -1), cells)
     elif pooling.startswith("cls"):
-        assert first is not None
         parts = first[:, None] if pooling == "cls" else np.concatenate([first[:, None], parts], 2)
     return parts
 
@@ -81,7 +80,7 @@ def test_a_network_of_timm_answers_as_timms(name: str, side: int, claim: str, tm
     network.load_state_dict(torch.load(tmp_path / "weights.pth"))
     pictures = seeded.pictures(41, 2, side, side)
     with torch.inference_mode():
-        values = network.eval().forward_features(torch.from_numpy(pictures))  # type: ignore[operator]
+        values = network.eval().forward_features(torch.from_numpy(pictures))
         own = network(torch.from_numpy(pictures))
     prefix = getattr(network, "num_prefix_tokens", 0)
     cells = (values[:, prefix:] if values.ndim == 3 else values.flatten(2).transpose(1, 2)).numpy()
