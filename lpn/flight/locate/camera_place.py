@@ -32,7 +32,7 @@ def frame_tilt(frame: Frame) -> float:
 
 
 def frame_tilt_error(frame: Frame) -> float:
-    """Return the default 1-sigma error of a frame's tilt in degrees; an aircraft banks between the photo and its record."""
+    """Return the 1-sigma error of a frame's tilt in degrees; an aircraft banks between the photo and its record."""
     return _AIRCRAFT_TILT_ERROR if frame.heading_source == "aircraft" else _TILT_ERROR
 
 
