@@ -240,7 +240,7 @@ class PoseMatches:
         """Return pixels minus projections, (2 M,), and the Jacobian by turn and shift, (2 M, 6)."""
         intrinsics = camera.intrinsics(self.size)
         projected, jacobian = cv2.projectPoints(self.centred, camera.turn, camera.shift, intrinsics, np.zeros(4))
-        return (self.pixels - projected.reshape(-1, 2)).ravel(), jacobian[:, :6]
+        return (self.pixels - projected.reshape(-1, 2)).ravel(), np.asarray(jacobian[:, :6], np.float64)
 
     def _residuals(self, camera: _Camera) -> Float64Array:
         """Return the pixels from each match to its projection, (M,); infinite behind the camera."""
