@@ -22,7 +22,6 @@ from lpn.core.progress import Listener, listening
 from lpn.core.views import View
 from lpn.flight.files.base import Frame
 from lpn.flight.files.cut import cut_size, cut_square
-from lpn.flight.locate.continuity import NEW_HEADING, other_turn
 from lpn.flight.locate.ground import MapFeatures
 from lpn.flight.locate.located import LocatedFrame, StageRecord
 from lpn.flight.locate.map_evidence import ENOUGH, MapEvidence
@@ -43,6 +42,7 @@ from lpn.flight.locate.retrieval import (
     windows_of,
 )
 from lpn.flight.locate.sequence import ForwardFilter, MotionModel, SequencePoint, emissions, score_units
+from lpn.flight.locate.turns import NEW_HEADING, other_turn
 from lpn.flight.locate.verdict import map_misfit
 from lpn.flight.maps import Map
 from lpn.models.base import Model, normalise, whitened

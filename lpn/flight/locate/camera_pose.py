@@ -19,26 +19,19 @@ from lpn.core.arrays import BoolArray, Float64Array
 from lpn.core.homography import apply_homography, inverse
 from lpn.core.numbers import wrap_degrees
 from lpn.flight.files import Frame
-from lpn.flight.files.cameras import angles_of_view, fov_of_sensor, rotation
+from lpn.flight.files.cameras import angles_of_view, rotation
 from lpn.flight.locate.camera_place import frame_tilt_error
 from lpn.flight.locate.levelled import PhotoView
 from lpn.flight.locate.matchers import Complex
 from lpn.flight.locate.registration import Registration, is_turned_over
 from lpn.flight.maps import Map
 
-# Fields of view in degrees that are tried for an unknown one, and the default.
-_FOVS = (35.0, 50.0, 62.0, 72.0, 82.0, 95.0)
-DEFAULT_FOV = 72.0
-# A focal length counts as solved if its 1-sigma error is at most this share of it.
-_FOCAL_ERROR = 0.05
 # Fewest matches of a pose, fewest cells of a grid over the photo that hold some, and cells on a side of the grid.
 _LEAST_MATCHES, _LEAST_CELLS, _GRID = 12, 6, 5
 # The density of matches that agree must be this many times the density just beyond the threshold.
 _OVER_CHANCE = 2.0
 # Largest 1-sigma error of a pose as a share of its height above ground.
 _WORST = 0.25
-# The 1-sigma error of an assumed focal length, and so of the height, as a share.
-_ASSUMED_ERROR = 0.15
 # The flat model ignores relief, which moves groups of matches alike. On the rendered flight, over houses and trees, the errors
 # are _RELIEF times the prediction by the inliers' scatter. Heights are off by _RELIEF_METRES, as they also refer to roofs.
 _RELIEF, _RELIEF_METRES = 8.0, 6.0
@@ -66,7 +59,6 @@ class CameraPose(msgspec.Struct, frozen=True):
         height: metres above the elevation below the camera, which may be a roof; None if unknown.
         heading, pitch, roll: degrees, as in `lpn.flight.files.Frame`.
         fov: horizontal field of view in degrees.
-        fov_source: "told" by the photo, "solved" with the pose, or "assumed" if neither is possible.
         flat: whether the ground counts as flat, because the map has no elevation.
         inliers: number of matches that agree with it.
         covariance: of east, north, altitude in metres, and heading, pitch, roll in degrees, 36 numbers by rows.
@@ -80,7 +72,6 @@ class CameraPose(msgspec.Struct, frozen=True):
     pitch: float
     roll: float
     fov: float
-    fov_source: str
     flat: bool
     inliers: int
     covariance: list[float]
@@ -110,19 +101,14 @@ class CameraPose(msgspec.Struct, frozen=True):
 
     @property
     def sentence(self) -> str:
-        """A line about the pose, with its errors and assumptions."""
+        """A line about the pose, with its errors."""
         sigmas = self.sigmas
         above = "above flat ground" if self.flat else "above the datum"
         ground = "" if self.flat or self.height is None else f", {self.height:.1f} m above ground"
-        sentence = (
+        return (
             f"The camera was {self.altitude:.1f} m {above}{ground} (± {sigmas[2]:.1f}), heading {self.heading:.1f}° "
             f"(± {sigmas[3]:.1f}), pitch {self.pitch:.1f}° (± {sigmas[4]:.1f}), roll {self.roll:.1f}° (± {sigmas[5]:.1f})."
         )
-        if self.fov_source == "solved":
-            sentence += f" Its field of view is {self.fov:.1f}°, solved with the pose."
-        if self.fov_source == "assumed":
-            sentence += f" Neither the photo nor the scene tells its field of view; {self.fov:.0f}° is assumed."
-        return sentence
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,65 +144,8 @@ class PoseMatches:
         """The points about the middle, (M, 3)."""
         return self.points - self.middle
 
-    def solved(self, fov: float | None) -> tuple[_Camera, str] | None:
-        """Return the best camera, and whether its field of view is "told", "solved", or "assumed"; None without one."""
-        tried = [camera for angle in (_FOVS if fov is None else (fov,)) if (camera := self._first(angle)) is not None]
-        if not tried:
-            return None
-        best = min(tried, key=lambda one: float(np.minimum((self._residuals(one) / self.threshold) ** 2, 1).sum()))
-        if fov is not None:
-            return best, "told"
-        free = self._refined(best, True)
-        error = self._focal_error(free, self.agreeing(free))
-        if error <= _FOCAL_ERROR and _FOVS[0] - 15 < self.fov(free) < _FOVS[-1] + 15:
-            return free, "solved"
-        assumed = self._first(DEFAULT_FOV)
-        return None if assumed is None else (assumed, "assumed")
-
-    def fov(self, camera: _Camera) -> float:
-        """Return the horizontal field of view of a camera in degrees."""
-        return fov_of_sensor(self.size[0], camera.focal)
-
-    def agreeing(self, camera: _Camera, thresholds: float = 1.0) -> BoolArray:
-        """Tell which matches agree with a camera, (M,)."""
-        return np.asarray(self._residuals(camera) < thresholds * self.threshold)
-
-    def cells(self, which: BoolArray | slice = np.s_[:]) -> int:
-        """Count the cells of a grid over the photo that hold at least one of these matches."""
-        cells = np.floor((self.pixels[which] + 0.5) / self.size * _GRID).astype(np.int64).clip(0, _GRID - 1)
-        return len(np.unique(cells[:, 0] * _GRID + cells[:, 1]))
-
-    def explained_by(self, camera: _Camera, parameters: int, clearly: bool) -> bool:
-        """Tell by GRIC whether a pose explains the matches as well as the plane's model, or, if `clearly`, better."""
-        flat = np.linalg.norm(apply_homography(inverse(self.plane), self.points[:, :2]) - self.pixels, axis=1)
-        cells = self.cells()
-        share, worth = min(cells / len(flat), 1.0), math.log(4 * cells)
-
-        def gric(values: Float64Array, count: int) -> float:
-            return share * float(np.minimum((values / (self.threshold / 3)) ** 2, _CUT).sum()) + count * worth
-
-        margin = -worth if clearly else worth
-        return gric(self._residuals(camera), parameters) <= gric(flat, self.plane_parameters) + margin
-
-    def covariance(self, camera: _Camera, inliers: BoolArray, free: bool) -> Float64Array:
-        """Return the covariance of place and angles, (6, 6), see `CameraPose`; NaN if the matches do not determine them."""
-        inner = self._inner_covariance(camera, inliers, free)[:6, :6]
-
-        def outer(values: Float64Array) -> Float64Array:
-            moved = _Camera(values[:3], values[3:], camera.focal)
-            return np.array([*moved.place, *angles_of_view(moved.matrix)])
-
-        at = np.concatenate([camera.turn, camera.shift])
-        start = outer(at)
-        slopes = np.empty((6, 6))
-        for i, step in enumerate([1e-5] * 3 + [1e-3] * 3):
-            change = outer(at + step * np.eye(6)[i]) - start
-            change[3] = wrap_degrees(change[3])
-            slopes[:, i] = change / step
-        return np.asarray(slopes @ inner @ slopes.T)
-
-    def _first(self, fov: float) -> _Camera | None:
-        """Return a camera of a field of view by random samples of the matches, refined; None without one."""
+    def solved(self, fov: float) -> _Camera | None:
+        """Return the camera of a field of view in degrees by random samples of the matches, refined; None without one."""
         parameters = cv2.UsacParams()
         parameters.threshold = self.threshold
         parameters.confidence = 0.999
@@ -234,14 +163,58 @@ class PoseMatches:
         if not found or not (np.isfinite(turn).all() and np.isfinite(shift).all()):
             return None
         turn, shift = (np.asarray(values, np.float64).ravel() for values in (turn, shift))
-        return self._refined(_Camera(turn, shift, start.focal), False)
+        return self._refined(_Camera(turn, shift, start.focal))
 
-    def _refined(self, camera: _Camera, free: bool) -> _Camera:
-        """Fit a camera to its inliers by Levenberg's method, with the focal length if it is free."""
+    def agreeing(self, camera: _Camera, thresholds: float = 1.0) -> BoolArray:
+        """Tell which matches agree with a camera, (M,)."""
+        return np.asarray(self._residuals(camera) < thresholds * self.threshold)
+
+    def cells(self, which: BoolArray | slice = np.s_[:]) -> int:
+        """Count the cells of a grid over the photo that hold at least one of these matches."""
+        cells = np.floor((self.pixels[which] + 0.5) / self.size * _GRID).astype(np.int64).clip(0, _GRID - 1)
+        return len(np.unique(cells[:, 0] * _GRID + cells[:, 1]))
+
+    def explained_by(self, camera: _Camera, clearly: bool) -> bool:
+        """Tell by GRIC whether a pose explains the matches as well as the plane's model, or, if `clearly`, better."""
+        flat = np.linalg.norm(apply_homography(inverse(self.plane), self.points[:, :2]) - self.pixels, axis=1)
+        cells = self.cells()
+        share, worth = min(cells / len(flat), 1.0), math.log(4 * cells)
+
+        def gric(values: Float64Array, count: int) -> float:
+            return share * float(np.minimum((values / (self.threshold / 3)) ** 2, _CUT).sum()) + count * worth
+
+        margin = -worth if clearly else worth
+        return gric(self._residuals(camera), 6) <= gric(flat, self.plane_parameters) + margin
+
+    def covariance(self, camera: _Camera, inliers: BoolArray) -> Float64Array:
+        """Return the covariance of place and angles, (6, 6), see `CameraPose`; NaN if the matches do not determine them."""
+        off, jacobian = (values[np.repeat(inliers, 2)] for values in self._linearised(camera))
+        variance = max(float(off @ off) / max(len(off) - 6, 1), (_FINEST / 2) ** 2)
+        count = int(inliers.sum())
+        try:
+            inner = np.linalg.inv(jacobian.T @ jacobian / variance * (min(self.cells(inliers), count) / max(count, 1)))
+        except np.linalg.LinAlgError:
+            return np.full((6, 6), np.nan)
+
+        def outer(values: Float64Array) -> Float64Array:
+            moved = _Camera(values[:3], values[3:], camera.focal)
+            return np.array([*moved.place, *angles_of_view(moved.matrix)])
+
+        at = np.concatenate([camera.turn, camera.shift])
+        start = outer(at)
+        slopes = np.empty((6, 6))
+        for i, step in enumerate([1e-5] * 3 + [1e-3] * 3):
+            change = outer(at + step * np.eye(6)[i]) - start
+            change[3] = wrap_degrees(change[3])
+            slopes[:, i] = change / step
+        return np.asarray(slopes @ inner @ slopes.T)
+
+    def _refined(self, camera: _Camera) -> _Camera:
+        """Fit a camera to its inliers by Levenberg's method."""
         damping = 1e-3
 
         def judged(candidate: _Camera) -> tuple[float, Float64Array, Float64Array]:
-            off, jacobian = self._linearised(candidate, free)
+            off, jacobian = self._linearised(candidate)
             squares = (off.reshape(-1, 2) ** 2).sum(axis=1) / self.threshold**2
             # Geman and McClure's cost has no step at the threshold.
             weighted = jacobian * np.repeat(1 / (1 + squares) ** 2, 2)[:, None]
@@ -250,8 +223,7 @@ class PoseMatches:
         cost, normal, slope = judged(camera)
         for _ in range(_ITERATIONS):
             step = np.linalg.lstsq(normal + damping * np.diag(np.diag(normal)), slope, rcond=None)[0]
-            focal = camera.focal * math.exp(float(np.clip(step[6], -0.3, 0.3))) if free else camera.focal
-            moved = _Camera(camera.turn + step[:3], camera.shift + step[3:6], focal)
+            moved = _Camera(camera.turn + step[:3], camera.shift + step[3:], camera.focal)
             tried = judged(moved)
             if np.isfinite(tried[0]) and tried[0] < cost:
                 done = cost - tried[0] < 1e-7 * cost
@@ -264,34 +236,16 @@ class PoseMatches:
                     break
         return camera
 
-    def _linearised(self, camera: _Camera, free: bool) -> tuple[Float64Array, Float64Array]:
-        """Return pixels minus projections, (2 M,), and the Jacobian by turn, shift, and the focal length's logarithm."""
+    def _linearised(self, camera: _Camera) -> tuple[Float64Array, Float64Array]:
+        """Return pixels minus projections, (2 M,), and the Jacobian by turn and shift, (2 M, 6)."""
         intrinsics = camera.intrinsics(self.size)
         projected, jacobian = cv2.projectPoints(self.centred, camera.turn, camera.shift, intrinsics, np.zeros(4))
-        off = (self.pixels - projected.reshape(-1, 2)).ravel()
-        of_focal = (jacobian[:, 6:7] + jacobian[:, 7:8]) * camera.focal
-        return off, np.hstack([jacobian[:, :6], of_focal] if free else [jacobian[:, :6]])
+        return (self.pixels - projected.reshape(-1, 2)).ravel(), np.asarray(jacobian[:, :6], np.float64)
 
     def _residuals(self, camera: _Camera) -> Float64Array:
         """Return the pixels from each match to its projection, (M,); infinite behind the camera."""
         off = np.linalg.norm(camera.project(self.centred, self.size) - self.pixels, axis=1)
         return np.where(np.isnan(off), np.inf, off)
-
-    def _inner_covariance(self, camera: _Camera, inliers: BoolArray, free: bool) -> Float64Array:
-        """Return the covariance of turn, shift, and the focal length's logarithm; NaN if the matches do not determine them."""
-        off, jacobian = (values[np.repeat(inliers, 2)] for values in self._linearised(camera, free))
-        variance = max(float(off @ off) / max(len(off) - jacobian.shape[1], 1), (_FINEST / 2) ** 2)
-        count = int(inliers.sum())
-        try:
-            return np.linalg.inv(jacobian.T @ jacobian / variance * (min(self.cells(inliers), count) / max(count, 1)))
-        except np.linalg.LinAlgError:
-            return np.full((jacobian.shape[1],) * 2, np.nan)
-
-    def _focal_error(self, camera: _Camera, inliers: BoolArray) -> float:
-        if inliers.sum() < _LEAST_MATCHES:
-            return math.inf
-        variance = float(self._inner_covariance(camera, inliers, True)[6, 6])
-        return math.sqrt(max(variance, 0.0)) if math.isfinite(variance) else math.inf
 
 
 @dataclass(frozen=True, eq=False)
@@ -334,6 +288,8 @@ def photo_pose(basemap: Map, frame: Frame, view: PhotoView, registration: Regist
     ground, plane, metres = registration.ground, registration.homography, registration.width
     if ground is None or plane is None or metres is None:
         return ""
+    if frame.fov is None:
+        return "Nothing tells the photo's field of view, so there is no pose of the camera."
     heights = None if basemap.elevation is None else basemap.heights
     noise = _MATCH_ERROR * max(1.0, ground.resolution * view.size[0] / metres)
     # If neither heights nor the photo tell the tilt, noise and relief may pass for a tilt.
@@ -382,7 +338,7 @@ def _contradiction(frame: Frame, solved: CameraPose, turned: bool) -> str:
 
 def solve_pose(
     matches: PoseMatches,
-    fov: float | None,
+    fov: float,
     heights: Callable[[Float64Array], Float64Array] | None,
     rematch: Callable[[Callable[[Float64Array], Float64Array]], PoseMatches] | None = None,
     proven: bool = False,
@@ -390,8 +346,8 @@ def solve_pose(
     """Solve the pose of a camera from matches of its photo with the map.
 
     Perspective-n-point by USAC with MAGSAC's score (Barath et al., CVPR 2020) is followed by Levenberg's least squares on the
-    inliers. An unknown focal length is one more parameter. The covariance is (J^T J)^-1 times the inliers' variance. Neighbours
-    err alike, so each cell of a grid over the photo counts as one match.
+    inliers. The covariance is (J^T J)^-1 times the inliers' variance. Neighbours err alike, so each cell of a grid over the photo
+    counts as one match.
 
     The pose is compared with the plane's model by GRIC (Torr, "Geometric motion segmentation and model selection", 1998). GRIC
     is the sum of squared residuals over their variance, each at most 4, plus log(4 n) for each parameter, with n such cells. The
@@ -399,7 +355,7 @@ def solve_pose(
 
     Args:
         matches: of the registration.
-        fov: horizontal field of view in degrees; None if unknown.
+        fov: horizontal field of view in degrees.
         heights: returns the ground's heights in metres at places (K, 2), NaN where unknown; None if the ground counts as flat.
         rematch: matches again near predicted pixels; its argument maps points (N, 3) to pixels (N, 2).
         proven: True if the pose must be better than the plane by log(4 n).
@@ -412,13 +368,12 @@ def solve_pose(
     flat = heights is None
     middle = np.array([*matches.points[:, :2].mean(axis=0), np.median(matches.points[:, 2])])
     matches = replace(matches, middle=middle)
-    solved = matches.solved(fov)
-    if solved is None:
+    camera = matches.solved(fov)
+    if camera is None:
         return "The matches agree on no pose of the camera."
-    camera, source = solved
     inliers = matches.agreeing(camera)
     # Matches of a second round favour the pose that predicted them, so matches of the first round are compared.
-    if not matches.explained_by(camera, 6 + (source == "solved"), proven):
+    if not matches.explained_by(camera, proven):
         return (
             "On flat ground the matches do not show how far the camera was tilted, so there is no pose."
             if proven
@@ -429,9 +384,9 @@ def solve_pose(
         size = matches.size
         again = replace(rematch(lambda points: predicted.project(points - middle, size)), middle=middle)
         if len(again.points) >= len(matches.points) // 2:
-            better = again.solved(matches.fov(camera) if fov is None else fov)
-            if better is not None and (agreeing := again.agreeing(better[0])).sum() >= inliers.sum():
-                matches, camera, inliers = again, better[0], agreeing
+            better = again.solved(fov)
+            if better is not None and (agreeing := again.agreeing(better)).sum() >= inliers.sum():
+                matches, camera, inliers = again, better, agreeing
     count, cells = int(inliers.sum()), matches.cells(inliers)
     # The ring from one to two thresholds has three times the area inside one threshold.
     ring = int(matches.agreeing(camera, 2.0).sum()) - count
@@ -445,14 +400,12 @@ def solve_pose(
     above = place[2] - middle[2]
     if above <= 0 or (height is not None and height <= 0):
         return "The pose that the matches agree on lies below the ground."
-    covariance = matches.covariance(camera, inliers, source == "solved")
+    covariance = matches.covariance(camera, inliers)
     if flat:
         covariance *= _RELIEF**2
         covariance[2, 2] += _RELIEF_METRES**2
     if not np.isfinite(covariance).all() or np.sqrt(np.diag(covariance)[:3]).max() > _WORST * above:
         return "The matches do not tell the pose: its error would be more than a quarter of the height."
-    if source == "assumed":
-        covariance[2, 2] += (_ASSUMED_ERROR * above) ** 2
     east, north, altitude = place.tolist()
     angles, values = angles_of_view(camera.matrix), covariance.ravel().tolist()
-    return CameraPose(east, north, altitude, height, *angles, matches.fov(camera), source, flat, count, values)
+    return CameraPose(east, north, altitude, height, *angles, fov, flat, count, values)

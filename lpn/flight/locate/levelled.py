@@ -108,7 +108,7 @@ class PhotoView:
         return seen
 
 
-def level(photo: UInt8Array, frame: Frame, assumed: bool = False) -> PhotoView:
+def level(photo: UInt8Array, frame: Frame) -> PhotoView:
     """Level a photo by its tilt, if pitch and field of view are known and the tilt is between 15 and 65 degrees.
 
     A pixel's ray is turned by the frame's pitch and roll, and meets a plane below the camera. Ground whose rays go down by less
@@ -116,11 +116,11 @@ def level(photo: UInt8Array, frame: Frame, assumed: bool = False) -> PhotoView:
 
     Args:
         photo: (H, W, 3) uint8.
-        assumed: whether the pitch is a guess about the camera; if not, the pitch of an aircraft levels nothing.
+        frame: with its pitch; that of an aircraft levels nothing.
     """
     height, width = photo.shape[:2]
     plain = PhotoView.plain(photo)
-    if frame.pitch is None or frame.fov is None or (frame.heading_source == "aircraft" and not assumed):
+    if frame.pitch is None or frame.fov is None or frame.heading_source == "aircraft":
         return plain
     turn = rotation(0.0, frame.pitch, frame.roll or 0.0)
     if not math.cos(math.radians(_MOST_TILT)) <= turn[2, 2] <= math.cos(math.radians(_LEAST_TILT)):

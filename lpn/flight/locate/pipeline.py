@@ -13,7 +13,6 @@ from lpn.core.errors import DataError, InputError
 from lpn.core.numbers import error_figure
 from lpn.flight.files import Flight
 from lpn.flight.locate.audit import audit_tags, corrected_tags
-from lpn.flight.locate.continuity import refuse_contradicted
 from lpn.flight.locate.corrections import Correction
 from lpn.flight.locate.located import LocatedFlight, LocatedFrame, tag_positions
 from lpn.flight.locate.map_evidence import MapEvidence, judge_map
@@ -24,6 +23,7 @@ from lpn.flight.locate.registration import is_turned_over
 from lpn.flight.locate.retrieval import retrieve
 from lpn.flight.locate.shipped import ShippedAnswers
 from lpn.flight.locate.tags import enter_corrections, tags_on_map
+from lpn.flight.locate.turns import refuse_turned
 from lpn.flight.maps import Map
 from lpn.models.base import Model
 
@@ -126,7 +126,7 @@ def registered(
         nonlocal published
         if on_partial is not None and done < total and time.monotonic() - published >= _PARTIAL_INTERVAL:
             copies = [replace(frame, stages=dict(frame.stages)) for frame in frames]
-            refuse_contradicted(copies[:done])
+            refuse_turned(copies[:done])
             on_partial(replace(located, frames=copies))
             published = time.monotonic()
 

@@ -24,19 +24,15 @@ from lpn.core.numbers import SIGMA, error_figure
 from lpn.core.progress import CountProgress, report_progress
 from lpn.flight.files import Flight, Frame, ground_width
 from lpn.flight.locate.agreement import MatchedDetails, map_agreement
-from lpn.flight.locate.camera_place import camera_place, scattered_radii
-from lpn.flight.locate.camera_pose import DEFAULT_FOV, CameraPose, photo_pose
-from lpn.flight.locate.continuity import refuse_contradicted
+from lpn.flight.locate.camera_place import camera_place
+from lpn.flight.locate.camera_pose import photo_pose
 from lpn.flight.locate.ground import MAX_BLOCKS, MapFeatures
 from lpn.flight.locate.levelled import PhotoView, level
 from lpn.flight.locate.located import LocatedFrame, StageRecord
 from lpn.flight.locate.matchers import Ground, Matcher, open_matchers
 from lpn.flight.locate.options import LocateOptions
 from lpn.flight.locate.registration import (
-    APART,
     FREE_FACTOR,
-    MIN_RATIO,
-    MIN_SUPPORT,
     Expectation,
     PhotoPlace,
     Registration,
@@ -45,13 +41,14 @@ from lpn.flight.locate.registration import (
     register,
 )
 from lpn.flight.locate.retrieval import MapRetrieval, frame_identity, heading_is_certain
+from lpn.flight.locate.turns import refuse_turned
 from lpn.flight.locate.words import Reason
 from lpn.flight.maps import Map
 from lpn.models.base import Model
 
 FORMAT = "lpn-locate/7"
 # Version of poses and matched details in cached answers.
-_POSES = 6
+_POSES = 7
 # Ratio of one tried ground width to the next, where none is known.
 _WIDTHS = 1.9
 # Frames whose registered widths correct the next width, and frames whose widths replace it if no height is known.
@@ -61,12 +58,8 @@ _LATEST = 3
 AROUND = 0.75
 # Share of a photo's ground outside of the searched ground above which the search is repeated about the result.
 _BEYOND = 0.05
-# Pitches in degrees for levelling a photo of unknown pitch that is not placed unlevelled.
-_TRIED_PITCHES = (-60.0, -42.0)
 # A flight of fewer photos gives little evidence, so each photo is first searched as a single photo.
 FEWEST = 5
-# Multiple of the usual support for a photo levelled by a guess: each try is a chance to agree with a wrong place.
-_TRIED_SUPPORT = 2.0
 # The models of a registration in words, as the object of "the matches agree on".
 _AGREED = {"similarity": "one place, turn, and scale", "homography": "one place, turn, scale, and tilt"}
 
@@ -122,7 +115,6 @@ def register_frames(
     few = len(frames) < FEWEST and all(located.by_hand is None for located in frames)
     prior = FlightPrior()
     trail = _digest(key)
-    answers: list[StageRecord] = []
     map_error, place_error = basemap.total_error(options.map_error), basemap.place_error(options.map_error)
     for i, located in enumerate(frames):
         # An answer depends on earlier frames, whose widths it uses.
@@ -137,17 +129,11 @@ def register_frames(
                 # With the tag, fewer details may suffice.
                 answer = register_frame(basemap, features, located, options, prior, side)
             append_record(file, trail, answer)
-        answers.append(answer)
         located.stages["registration"] = with_map_error(answer, map_error, place_error)
         prior.add(located.frame, answer)
         report_progress("Registering frames", i + 1, len(frames))
         on_frame(i + 1, len(frames))
-    notes = refuse_contradicted(frames)
-    radii, told = scattered_radii(frames, answers)
-    for i, radius in radii.items():
-        smaller = msgspec.structs.replace(answers[i], radius=radius)
-        frames[i].stages["registration"] = with_map_error(smaller, map_error, place_error)
-    return notes + told
+    return refuse_turned(frames)
 
 
 def read_records(file: Path) -> dict[str, StageRecord]:
@@ -229,10 +215,9 @@ class PhotoSearch:
         photo: RGB (H, W, 3), undistorted, see `Frame.undistorted`.
         prior: facts from earlier frames.
         side: metres of the windows that the frame's places come from; None if they come from no windows.
-        quick: whether to try only the width by height and field of view, if known, and only the photo's own tilt.
+        quick: whether to try only the width by height and field of view, if known.
         on_progress: called before each try of a matcher and a width; an exception in it ends the search.
-        anywhere: whether the photo may be of a place off the map. All matchers together then need more support, and only
-            the photo's own tilt is tried.
+        anywhere: whether the photo may be of a place off the map. All matchers together then need more support.
     """
 
     basemap: Map
@@ -252,27 +237,15 @@ def register_photo(search: PhotoSearch) -> StageRecord:
     basemap, frame, options = search.basemap, search.located.frame, search.options
     if options.prior is not None and search.located.tag is None and search.side is None:
         return StageRecord("refused", "", code="no tag")
-    found = _searched(search, frame, search.quick)
-    if found.best.refusal is not None and found.best.refusal.code == "too large":
-        return StageRecord("refused", "", code="too large", numbers=found.best.refusal.numbers)
-    best, solved = _posed(search, found)
-    # On flat ground most photos from straight above are placed well without a pose.
-    unsolved = not best.accepted or (basemap.elevation is not None and isinstance(solved, str))
-    # More tries are more chances for a false answer, so a photo that may be of another place gets none.
-    if unsolved and not search.quick and not search.anywhere and frame.pitch is None:
-        near = best if best.accepted else None
-        tilts = (replace(frame, pitch=pitch, roll=0.0, fov=frame.fov or DEFAULT_FOV) for pitch in _TRIED_PITCHES)
-        clearest = _clearest(found, [_searched(search, tilted, True, near) for tilted in tilts])
-        if clearest is not found:
-            found = clearest
-            best, solved = _posed(search, found)
-    return _record(search, found, best, solved)
-
-
-def _record(search: PhotoSearch, found: _Found, best: Registration, solved: CameraPose | str) -> StageRecord:
-    """Return the answer of a search with the place of the camera if that is known, else of the picture's middle."""
-    basemap, frame, view, parts = search.basemap, search.located.frame, found.view, [""]
+    view = level(search.photo, frame)
+    best, reach, widths = _searched(search, view)
     code, numbers = best.refusal or Reason("")
+    if code == "too large":
+        return StageRecord("refused", "", code=code, numbers=numbers)
+    if best.homography is not None and view.is_levelled:
+        best = best.laid(best.homography @ view.matrix, view.size, frame.heading)
+    solved = photo_pose(basemap, frame, view, best) if best.accepted else ""
+    parts = [""]
     below = None if best.homography is None else camera_place(frame, view.size, best)
     place, radius = below or (best.centre, best.radius)
     camera, heading = below is not None, best.heading
@@ -285,16 +258,14 @@ def _record(search: PhotoSearch, found: _Found, best: Registration, solved: Came
         parts = ["Its place rests on the tilt in the photo's file, which is surer than that of this pose."]
     agreement = None
     if best.accepted and best.homography is not None:
-        told = [f"{best.inliers} details matched by {best.matcher} agree on {_AGREED[best.model]}."]
-        if frame.pitch is None and found.pitch is not None:
-            told.append(f"Its file tells no tilt; it fits after it was levelled by {90 + found.pitch:.0f} degrees.")
-        parts = [*told, best.turn_sentence, solved if isinstance(solved, str) else solved.sentence, *parts]
+        told = f"{best.inliers} details matched by {best.matcher} agree on {_AGREED[best.model]}."
+        parts = [told, best.turn_sentence, solved if isinstance(solved, str) else solved.sentence, *parts]
         with suppress(DataError):  # the map may be damaged away from the photo's middle
             agreement = map_agreement(basemap, search.photo, best.homography, view.size)
     if search.side is None and search.options.prior is not None:
-        parts.append(f"The search used the GPS tag: it saw the map in a square of {2 * found.reach:.0f} m about it.")
-    if not best.accepted and found.widths:
-        least, most = min(found.widths) / FREE_FACTOR, max(found.widths) * FREE_FACTOR
+        parts.append(f"The search used the GPS tag: it saw the map in a square of {2 * reach:.0f} m about it.")
+    if not best.accepted and widths:
+        least, most = min(widths) / FREE_FACTOR, max(widths) * FREE_FACTOR
         parts.append(f"Nothing tells how much ground it shows, so {least:.0f} to {most:.0f} m across were tried.")
     finding = " ".join(filter(None, parts))
     if place is None or best.homography is None:
@@ -321,71 +292,30 @@ def _record(search: PhotoSearch, found: _Found, best: Registration, solved: Came
     )
 
 
-@dataclass(frozen=True, eq=False)
-class _Found:
-    """The best registration of a photo at one tilt.
+def _searched(search: PhotoSearch, view: PhotoView) -> tuple[Registration, float, list[float]]:
+    """Search the map for a picture.
 
-    Attributes:
-        best: of `view`'s picture.
-        view: the registered picture.
-        pitch: of the search in degrees; None if none was known or tried.
-        reach: half the side of the searched squares in metres.
-        widths: tried ground widths in metres, if none was known.
+    Returns:
+        Its best registration, half the side of the searched squares in metres, and the tried ground widths in metres if none was
+        known.
     """
-
-    best: Registration
-    view: PhotoView
-    pitch: float | None
-    reach: float
-    widths: Sequence[float] = ()
-
-
-def _posed(search: PhotoSearch, found: _Found) -> tuple[Registration, CameraPose | str]:
-    """Return the registration of the photo itself, and its camera's pose or the reason for none."""
-    best, view, frame = found.best, found.view, search.located.frame
-    if best.homography is not None and view.is_levelled:
-        best = best.laid(best.homography @ view.matrix, view.size, frame.heading)
-    return best, photo_pose(search.basemap, frame, view, best) if best.accepted else ""
-
-
-def _clearest(plain: _Found, tilted: Sequence[_Found]) -> _Found:
-    """Return the tilted search with clearly more support than `plain`, and than other tilts at other places, else `plain`."""
-    clearest = max(tilted, key=lambda search: search.best.support)
-    best = clearest.best
-    if not best.accepted or best.support < _TRIED_SUPPORT * MIN_SUPPORT:
-        return plain
-    assert best.centre is not None
-    assert best.width is not None
-    for other in (plain.best, *(search.best for search in tilted)):
-        elsewhere = other.centre is not None and np.linalg.norm(other.centre - best.centre) > APART * best.width
-        counts = elsewhere or (other is plain.best and other.accepted)
-        if counts and best.support < MIN_RATIO * other.support:
-            return plain
-    return clearest
-
-
-def _searched(search: PhotoSearch, frame: Frame, quick: bool, near: Registration | None = None) -> _Found:
-    """Search the map for a photo at the tilt of `frame`; `near` limits the search to an answer's place, heading, and width."""
+    frame = search.located.frame
     centres = search.located.searched_places(search.options.prior is not None)
-    view = level(search.photo, frame, assumed=frame is not search.located.frame)
     known_width = ground_width(frame)
     if known_width is not None and search.prior.ratios:
         known_width *= float(np.median(search.prior.ratios))
     expected = Expectation(0.0, frame.heading, heading_is_certain(frame), _guess(search.located, search.prior.heading))
-    if near is not None and near.centre is not None and near.width is not None:
-        centres, known_width, expected = near.centre[None], near.width, Expectation(0.0, near.heading)
     tried = list(tried_widths(search.basemap, known_width, search.prior.widths))
     free = [] if known_width is not None else [width for width, _ in tried]
-    if quick and known_width is not None:
+    if search.quick and known_width is not None:
         tried = tried[:1]
     widths = [replace(expected, width=width * view.wider, tried=not known) for width, known in tried]
-    found = _tried(search, view, widths, centres)
-    if search.side is not None and centres is not None and _reaches_out(found[0], view, centres, found[1]):
+    best, reach = _tried(search, view, widths, centres)
+    if search.side is not None and centres is not None and _reaches_out(best, view, centres, reach):
         # A wrong place at the border of the searched ground has no rival if the true place lies beyond.
-        assert found[0].centre is not None
-        found = _tried(search, view, widths, found[0].centre[None])
-    best, reach = found
-    return _Found(best, view, frame.pitch, reach, free)
+        assert best.centre is not None
+        best, reach = _tried(search, view, widths, best.centre[None])
+    return best, reach, free
 
 
 def _tried(

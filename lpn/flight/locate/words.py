@@ -9,7 +9,7 @@ from lpn.core.numbers import SIGMA
 
 Code = Literal[
     "", "unread", "no tag", "too large", "no detail", "no match", "support", "rival", "anywhere", "turned far", "cells",
-    "off the map", "wide", "unsure", "beyond", "unproven", "few", "turned", "jump", "unreachable",
+    "off the map", "wide", "unsure", "beyond", "unproven", "few", "turned", "unreachable",
 ]  # fmt: skip
 
 # The summary of a verdict by the stage whose position counts, and the evidence against this position.
@@ -53,8 +53,6 @@ _WORDS: Mapping[Code, str] = {
     "place, and nothing confirms it.",
     "turned": f"The photo fits the map here, but turned by {{degrees:.1f}}° from where its heading and those of the other frames "
     f"have it: {_EQUAL}",
-    "jump": "The photo fits the map here, but the drone flies up to {speed:.0f} m/s and would have had to be faster to get here "
-    f"and back: {_EQUAL}",
     "unreachable": "The photo fits the map here, but the drone hardly can have flown here since the last registered frame: "
     f"{_EQUAL}",
 }

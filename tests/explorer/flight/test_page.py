@@ -164,7 +164,7 @@ def test_accuracy_has_three_rows_with_their_sources(flight: LocatedFlight, monke
 
 def test_the_drone_has_a_place_and_a_tilt(flight: LocatedFlight) -> None:
     covariance = np.diag([1.0, 1.0, 4.0, 1.0, 4.0, 4.0]).ravel().tolist()
-    pose = CameraPose(1.0, 2.0, 40.0, 40.0, 180.0, -93.0, 4.0, 70.0, "told", True, 40, covariance)
+    pose = CameraPose(1.0, 2.0, 40.0, 40.0, 180.0, -93.0, 4.0, 70.0, True, 40, covariance)
 
     def drone(**changes: Any) -> str:
         return text.drone(flight, with_answer(flight, 0, pose=pose, **changes).frames[0])
@@ -247,7 +247,7 @@ def test_an_own_photo_has_a_card_of_the_same_kind(seen: FlightSnapshot, flight: 
 
 
 def test_the_scene_has_the_cameras_the_way_and_the_ground_of_the_chosen_photo(flight: LocatedFlight) -> None:
-    pose = CameraPose(-20.0, 1.0, 40.0, 30.0, 0.0, -90.0, 0.0, 60.0, "told", True, 40, [0.0] * 36)
+    pose = CameraPose(-20.0, 1.0, 40.0, 30.0, 0.0, -90.0, 0.0, 60.0, True, 40, [0.0] * 36)
     workspace: Any = SimpleNamespace(flight=with_answer(flight, 0, pose=pose))
     (way, _), (chosen, _) = lines.scene_lines(workspace, 0)
     np.testing.assert_allclose(way[:, :, :2], [[(-20.0, 1.0), (45.0, 0.0)]])

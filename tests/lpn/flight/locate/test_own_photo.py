@@ -46,6 +46,8 @@ def test_a_photo_of_which_nothing_is_known_is_placed_by_its_details(town: Map, f
     assert own.whole_map
     assert np.hypot(own.answer.x - 20.0, own.answer.y + 30.0) < 1.0  # type: ignore[operator]
     assert own.answer.heading == pytest.approx(130.0, abs=1.0)
+    assert own.answer.pose is None
+    assert "Nothing tells the photo's field of view" in own.answer.finding
     assert own.answer.radius is not None
     assert own.answer.radius >= 1.0, "the map's own error is part of it"
     assert progress[0] == (0, 4)

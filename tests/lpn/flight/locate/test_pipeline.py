@@ -414,7 +414,8 @@ def test_beyond_15_degrees_of_tilt_the_pose_tells_the_camera_and_without_it_the_
 ) -> None:
     frame = _tilted(tmp_path, -73.0, 0.0, -73.0)
     answer = locate(town, Flight("monday", (frame,)), None, SIFT).frames[0].stages["registration"]
-    assert answer.by_pose
+    assert answer.pose is not None
+    assert (answer.x, answer.y) == (answer.pose.east, answer.pose.north)
     assert answer.distance(np.zeros(2)) < 1.0
     assert "above flat ground" in answer.sentence
     monkeypatch.setattr(registered_stage, "photo_pose", lambda *_: "There is none.")

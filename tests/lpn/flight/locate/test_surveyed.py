@@ -167,7 +167,7 @@ def test_errors_are_answer_minus_survey_and_refused_photos_do_not_count(tmp_path
 
 def test_a_camera_is_compared_with_the_pose_and_the_ground_with_the_middle() -> None:
     pose = CameraPose(
-        7.0, 1.0, 50.0, 50.0, 0.0, -80.0, 0.0, 70.0, "told", True, 90, np.diag([9.0, 9, 9, 1, 1, 1]).ravel().tolist()
+        7.0, 1.0, 50.0, 50.0, 0.0, -80.0, 0.0, 70.0, True, 90, np.diag([9.0, 9, 9, 1, 1, 1]).ravel().tolist()
     )
     laid = accepted(4.0, 1.0, 5.0, camera=True, homography=LAID, middle_radius=0.5)
     located = flight(
