@@ -109,7 +109,7 @@ def quantize(
     lowest = min(agreement.cosines, key=lambda view: agreement.cosines[view])
     if not agreement.cosines[lowest] >= least_cosine:
         raise InputError(
-            f"In 8 bits {model.name} describes {lowest} pictures otherwise: their mean cosine with the float32 descriptors is "
+            f"In 8 bits {model.name} changes its {lowest} descriptors: their mean cosine with the float32 descriptors is "
             f"{agreement.cosines[lowest]:.4f}, below {least_cosine:g}, so nothing was written; keep the float32 model, made "
             "smaller by lpn export --storage int8, or lower --least-cosine."
         )

@@ -95,7 +95,7 @@ def _fit(telemetry: Telemetry, times: Float64Array, places: Float64Array, basis:
     if away > _NEAR:
         parts.append(
             f"but its positions are {away:.0f} m from the photos' own in the median, so one of the clocks or positions is "
-            "wrong; --clock-offset tells the offset"
+            "wrong; give the offset with --clock-offset"
         )
     return ClockFit(offset, basis, ", ".join(parts))
 

@@ -155,8 +155,8 @@ def scattered_radii(
         smaller = np.hypot(spreads, heights * math.tan(math.radians(degrees)))
         radii |= zip(numbers.astype(int).tolist(), smaller.tolist(), strict=True)
         notes.append(
-            f"Neighbouring places of the camera scatter as an error of {scatter:.1f} degrees in the tilts would have it. With "
-            f"{COMMON * told:.2g} degrees for an error that photos have in common, which scatter does not show, radii count with "
+            f"Neighbouring places of the camera scatter by an error of {scatter:.1f} degrees in the tilts. An error that "
+            f"photos have in common does not scatter; {COMMON * told:.2g} degrees are assumed for it. So radii count with "
             f"{degrees:.1f} in place of {told:g} degrees."
         )
     return radii, notes

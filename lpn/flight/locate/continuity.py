@@ -135,8 +135,9 @@ def jumps(times: Float64Array, places: Float64Array, radii: Float64Array, speeds
 
     A step between two positions is possible if its length is at most the distance flown at these speeds plus twice the joint
     1-sigma radius. Times in whole seconds may be wrong by one. The best track maximises the frames on it minus 6 for each
-    impossible step; the shorter of two equal tracks wins. A step may leave out up to 5 frames. They are jumps if this step is
-    possible, but the ways to them and back are both impossible, or the whole way over them is. Time and memory are linear in N.
+    impossible step; the shorter of two equal tracks wins. A step may leave out up to 5 frames. These frames are jumps if the
+    step is possible, and either the ways to them and back are both impossible, or the whole way over them is. Time and memory
+    are linear in N.
 
     Args:
         times, places: see `top_speeds`, which returns `speeds`.

@@ -61,7 +61,7 @@ _LATEST = 3
 AROUND = 0.75
 # Share of a photo's ground outside of the searched ground above which the search is repeated about the result.
 _BEYOND = 0.05
-# Pitches in degrees for levelling a photo of unknown pitch that is not placed unlevelled.
+# Pitches in degrees for levelling a photo of unknown pitch, if it finds no place without levelling.
 _TRIED_PITCHES = (-60.0, -42.0)
 # A flight of fewer photos gives little evidence, so each photo is first searched as a single photo.
 FEWEST = 5

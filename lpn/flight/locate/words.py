@@ -51,8 +51,8 @@ _WORDS: Mapping[Code, str] = {
     "others, or registrations that agree with the sequence more often than by chance.",
     "few": "Only {photos:.0f} of {all:.0f} photos fit this map (different views: {views:.0f}), as by chance on a map of another "
     "place, and nothing confirms it.",
-    "turned": f"The photo fits the map here, but turned by {{degrees:.1f}}° from where its heading and those of the other frames "
-    f"have it: {_EQUAL}",
+    "turned": "The photo fits the map here, but its turn differs by {degrees:.1f}° from the turn by its heading and the other "
+    f"frames: {_EQUAL}",
     "jump": "The photo fits the map here, but the drone flies up to {speed:.0f} m/s and would have had to be faster to get here "
     f"and back: {_EQUAL}",
     "unreachable": "The photo fits the map here, but the drone hardly can have flown here since the last registered frame: "

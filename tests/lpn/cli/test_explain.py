@@ -141,4 +141,4 @@ def test_a_query_of_a_source_is_explained_by_its_name_beside_its_top_match(
     assert main.main(["explain", "--query", str(own)]) == 2
     assert "Nothing says which tile to compare with; give it as --match." in capsys.readouterr().err
     assert main.main(["explain", "--query", str(query.path), "--match", str(query.path), "--csls", "3"]) == 2
-    assert "--csls is of a source, and none is given; name it: lpn explain SOURCE." in capsys.readouterr().err
+    assert "--csls needs a source; name it: lpn explain SOURCE." in capsys.readouterr().err

@@ -22,7 +22,7 @@ def save_story(tab: Tab, story: Story) -> None:
         InputError: when the story has no step, or a step shows something that no longer exists.
     """
     if not story.steps:
-        raise InputError("The story has no step yet; S keeps what is shown as one.")
+        raise InputError("The story has no step yet; press S to keep this page as the first step.")
     base, context = tab.base, tab.background
     shown = [_state(base, step.shows, number) for number, step in enumerate(story.steps, 1)]
 

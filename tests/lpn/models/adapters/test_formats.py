@@ -225,12 +225,12 @@ def narrow_denseuav() -> State:
         (
             small_denseuav() | {"head.head.netvlad.centroids": torch.ones(4, 64)},
             "",
-            r"not read \(found head\.head\.netvlad\.centroids\)",
+            r"unsupported head \(found head\.head\.netvlad\.centroids\)",
         ),
         (
             small_denseuav() | {"backbone.backbone.dist_token": torch.ones(1, 1, 64)},
             "backbone: DeitT-224",
-            r"backbone that its entries do not tell \(found backbone\.backbone\.cls_token\); write its network's name",
+            r"an unknown backbone \(found backbone\.backbone\.cls_token\); write its network's name",
         ),
         (small_denseuav(), "head_pool: median", "head_pool: median; expected one of avg, global"),
     ],
