@@ -94,7 +94,7 @@ def quantize(
     check_writable(out)
     engine = Engine(model)
     groups = list(engine.contract.groups)
-    # If branches have roles, each of them describes all views.
+    # With one branch for queries and one for the gallery, each describes all views.
     calibrated = [engine.views if engine.contract.roles == "role" else group for group in groups]
     chosen = [calibration_pictures(dataset, views, pictures) for views in calibrated]
     check_whole([picture.path for some in chosen for _, picture in some], f"pictures of {dataset.root.name}")

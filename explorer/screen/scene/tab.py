@@ -50,7 +50,7 @@ class TabScene:
         self._worker.wake()
 
     def take(self, result: ScreenResult, state: ScreenState) -> None:
-        """Take a result, in a state's view and theme, for `draw`."""
+        """Store a result, and the state with its view and theme, for `draw`."""
         self._shown = result, state
 
     def draw(self) -> None:

@@ -36,7 +36,7 @@ class FlightCommand:
     """File of the camera's lens, YAML or JSON of OpenCV, ROS, or ODM, whose distortion is taken out before photos are
     matched; by default the one in DJI's photos."""
     clock_offset: float | None = None
-    """Seconds to add to the photos' times for a log's times; by default estimated, if they differ by a time zone."""
+    """Seconds to add to the photos' times to get the log's; by default estimated, if they differ by a time zone."""
 
     def run(self) -> None:
         from lpn.core.errors import InputError

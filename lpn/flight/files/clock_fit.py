@@ -33,7 +33,7 @@ class ClockFit(NamedTuple):
     """The fit of the photos' clock to the clock of a log.
 
     Attributes:
-        offset: seconds to add to a photo's time for the log's time; None if it is unknown.
+        offset: seconds to add to a photo's time to get the log's time; None if it is unknown.
         basis: the photos' clock: "UTC", or "their clock".
         sentence: the end of a note about the fit, or about the reason for none.
     """

@@ -71,7 +71,7 @@ class FlightOptions:
         fov: horizontal field of view in degrees, for frames whose files have none.
         pitch: in degrees, for frames whose files have none; -90 is straight down.
         camera: file of the camera's lens, for all frames, see `lpn.flight.files.lenses.read_camera`.
-        clock_offset: seconds to add to the photos' times for a log's time; None estimates it.
+        clock_offset: seconds to add to the photos' times to get a log's time; None estimates it.
     """
 
     every: float = 1.0

@@ -196,9 +196,10 @@ def judge_map(frames: Sequence[LocatedFrame], evidence: MapEvidence) -> list[str
 
 
 def _log_ratio(trials: Iterable[tuple[float, bool]]) -> float:
-    """Return the log ratio of trials (chance to agree, 0 < chance <= 1; agreement) on the right map and on another.
+    """Return the log ratio of the trials' probability on the right map and on another map.
 
-    On the right map an unknown share agrees for sure, and the others by chance; all shares are equally likely.
+    A trial is its chance to agree, 0 < chance <= 1, and whether it agrees. On the right map an unknown share agrees for sure,
+    and the others by chance; all shares are equally likely.
     """
     logs = np.zeros(len(_SHARES))
     for chance, agrees in trials:

@@ -81,7 +81,7 @@ class MapPlace(msgspec.Struct, frozen=True, omit_defaults=True):
             known = False
         if not known:
             raise InputError(
-                f"The map's pictures are said to be of {self.photographed!r}; expected a day such as 2014-10-19, or "
+                f"The time of the map's pictures is {self.photographed!r}; expected a day such as 2014-10-19, or "
                 f"{listed(SEASONS, 'or')}."
             )
 

@@ -50,7 +50,7 @@ def _state(base: Workspace, shows: str, number: int) -> tuple[Workspace, ScreenS
         raise InputError(f"Step {number} shows a place that is not open yet; open that step, then save the story.")
     state, problems = fields.from_values(given, workspace)
     if problems:
-        raise InputError(f"Step {number} cannot be shown: {problems[0]} Remove the step, or keep it again.")
+        raise InputError(f"Step {number} cannot be shown: {problems[0]} Remove the step, or add it again.")
     of_model = workspace.models[int(state.model)].workspace
     if of_model is None:
         raise InputError(f"Step {number} shows a model that is not open yet; open that step, then save the story.")
