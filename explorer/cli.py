@@ -62,12 +62,12 @@ class ModelsBeside:
     beside: tuple[Path, ...] = ()
     """Other trained models to choose in the page's head, such as those with other parts or input sizes."""
     beside_kind: Advanced[Annotated[tuple[Kind | Literal["auto"], ...], tyro.conf.arg(metavar="KIND")]] = ()
-    """Method of each model of --beside, in their order, as --kind is that of --model; auto for those that tell theirs."""
+    """Methods of the models of --beside, in the same order; auto for a model that names its method. See --kind."""
     beside_pooling: Advanced[tuple[str, ...]] = ()
-    """Pooling of each model of --beside, in their order, as --pooling is that of --model; auto for models with parts."""
+    """Poolings of the models of --beside, in the same order; auto for a model with parts. See --pooling."""
 
     def models_beside(self, provider: ProviderName) -> list[ModelOptions]:
-        """Return these models; InputError unless there is a kind or a pooling for each, or none at all."""
+        """Return these models; InputError if some but not all of them have a kind, or a pooling."""
         given = {"--beside-kind": self.beside_kind, "--beside-pooling": self.beside_pooling}
         for option, values in given.items():
             if values and not self.beside:
@@ -122,7 +122,7 @@ class Explore(ModelsBeside, ServeOptions, SourceOptions):
     query: str | None = None
     """Name of the query to open with, as the picker shows it; by default the first."""
     beside_weather: Advanced[tuple[WeatherName, ...]] = ()
-    """Weathers in which to compare the model with itself, such as fog rain, where models of --beside are compared."""
+    """Weathers, such as fog rain, in which to compare the model with itself, beside the models of --beside."""
     register: Advanced[bool] = True
     """Lay each photo of a flight over the map; this goes on in the background, and its answers are kept."""
     map_error: MapError = None
@@ -229,7 +229,7 @@ class Explore(ModelsBeside, ServeOptions, SourceOptions):
         of_source += [] if self.map_error is None else ["--map-error"]
         of_source += [] if self.register else ["--no-register"]
         if of_source:
-            raise InputError(f"{of_source[0]} is of a source, and none is given; name it: lpn explore SOURCE.")
+            raise InputError(f"{of_source[0]} needs a source; name it: lpn explore SOURCE.")
         open_data = self.opens_data()
         if not self._is_demo:
             return Workspaces(open_data)

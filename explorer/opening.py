@@ -144,7 +144,7 @@ def _open_one(
     model_name: str,
     scoring: tuple[str | None, bool | None, int],
 ) -> Workspace:
-    """Open one model on a data set, see `open_model`; `scoring` is its `task`, `calibrate`, and `csls`."""
+    """Open one model on a data set, see `open_model`; `scoring` has its arguments `task`, `calibrate`, and `csls`."""
     data_name = printable(data.resolve().name)
     with _status(f"Opening {model_name} and {data_name}"):
         opened = model if isinstance(model, Model) else model.load()

@@ -50,7 +50,7 @@ log = logging.getLogger(__name__)
 TILES = 48
 # Bytes of the cached tiles. A model with a map for each part, such as SDPL, takes up to 42 MB a tile, so few fit.
 TILE_BYTES = 400_000_000
-# Described queries in the cache, counted for each angle of their curves, and their bytes.
+# Number of described queries in the cache, of which each angle counts as one, and their bytes.
 QUERIES, QUERY_BYTES = 1000, 150_000_000
 # Side of a thumbnail in pixels.
 _THUMBNAIL = 64
@@ -190,7 +190,7 @@ class Workspace:
         return self.rankings.get(scored_key(name, cast("Scoring", scoring)), self.rankings[self.tasks[name].key])
 
     def shared_task(self, task: Task, others: Iterable[Workspace]) -> Task:
-        """Return a task under its scoring if all others have it, else as it was opened, so that models are compared alike."""
+        """Return a task under its scoring if all other workspaces have it ranked so, else as this workspace opened it."""
         alike = all(task.key in other.rankings for other in others if task.name in other.tasks)
         return task if alike else self.tasks[task.name]
 

@@ -259,7 +259,7 @@ def _opened_data(data: object) -> Dataset:
     if isinstance(data, str | Path):
         return open_dataset(Path(data))
     raise InputError(
-        f"The data set is of the type {type(data).__name__}; expected its folder, or what lpn.open_dataset opens."
+        f"The data set is of the type {type(data).__name__}; expected its folder, or the result of lpn.open_dataset."
     )
 
 

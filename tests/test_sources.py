@@ -275,7 +275,7 @@ def test_seventeen_commands_at_most_show_fifteen_options_each_and_take_all(capsy
         ("doctor --kind dac", "--kind needs --model; give both, or leave it out."),
         ("locate --map FILE --flight FLIGHT --kind dac", "--kind needs --model; give both, or leave it out."),
         ("compare FOLDER --pooling mean", "--pooling needs --model; give both, or leave it out."),
-        ("explore --map a.tif --model m.onnx", "--map is of a source, and none is given; name it: lpn explore SOURCE."),
+        ("explore --map a.tif --model m.onnx", "--map needs a source; name it: lpn explore SOURCE."),
         ("explore DEMO --no-register", "demo is a data set, and --no-register fits a flight; leave it out."),
         ("explore FLIGHT --map a.tif --model m.onnx", "There is no file a.tif"),
         (

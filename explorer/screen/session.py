@@ -176,7 +176,7 @@ class ScreenSession:
             self._show(changed, problems)
 
     def _with_photo_of_list(self, before: ScreenState, state: ScreenState) -> ScreenState:
-        """Show the worst missed query when the missed ones are listed; close a page over the rings for another photo."""
+        """Show the worst missed query when the missed ones are listed; close a panel over the rings if the photo changes."""
         if state.filter == "missed" != before.filter and not state.own:
             self._unlisted = state if self._access.ranking(state).result is None else None
             state = self._at_missed(state)

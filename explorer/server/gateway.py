@@ -75,7 +75,7 @@ _SERVER_START = "the way it starts its server"
 _LONG = Refusal(
     414,
     "The address is too long",
-    f"An address has up to {MAX_ADDRESS:,} characters. Open the page without what follows its ?.",
+    f"An address has up to {MAX_ADDRESS:,} characters. Leave out the part after the question mark.",
 )
 _MALFORMED = Refusal(400, "Malformed request", "The request is not for an address of this server.")
 _CHANGED = "The proxy does not pass websockets on"

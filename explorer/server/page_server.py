@@ -69,7 +69,7 @@ def open_server(
     # Otherwise any page could open a public tunnel to this machine.
     server.request_share_url = _refuse_share  # type: ignore[method-assign]
     server.scene.world_axes.visible = False
-    # Pictures and lines need no light. Otherwise the page hides its stage until it has decoded a map of light.
+    # Pictures and lines need no light. A page with an environment map hides its stage until the map is decoded.
     server.scene.configure_environment_map(None)
     server.scene.configure_default_lights(cast_shadow=False)
     return server, gateway

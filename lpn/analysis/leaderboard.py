@@ -121,8 +121,8 @@ class Leaderboard:
         ]
         head = ("model", "method", "account", "input", "numbers", "MB", "ms a picture", "ms of processor")
         after = (
-            f"Times are medians of {_TIMED} forward passes of one picture on the machine that made this page; that of the "
-            "processor is the sum over its threads, and hardly changes where other programs compute, too."
+            f"Times are medians of {_TIMED} forward passes of one picture on the machine that made this page. The "
+            "processor's times are sums over its threads, and other programs hardly change them."
         )
         tables = [TextTable(head, facts, after=after, align="lllr"), *(one for of in self.tables for one in of.printed)]
         for title, of_tasks in (("Each part alone", self.parts), ("Turned queries, degrees", self.turns)):

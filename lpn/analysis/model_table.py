@@ -148,8 +148,8 @@ class ModelTable:
             )
         if grouped and pairs:
             sentences.append(
-                "For groups, p holds for these runs on other places, and the seeds' p, of Welch's t-test over runs, for other "
-                "runs on these places: a difference of two methods should hold in both."
+                "For groups, p applies to these runs on other places. The seeds' p, of Welch's t-test over runs, applies to "
+                "other runs on these places. A difference of two methods should hold in both."
             )
         return " ".join(sentences)
 

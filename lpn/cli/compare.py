@@ -58,17 +58,17 @@ class CompareCommand:
     model: tuple[Path, ...] = ()
     """Models (.onnx, .safetensors, .pth, or a name of lpn models); by default city-lpn, which ships."""
     kind: Advanced[Annotated[tuple[Kind | Literal["auto"], ...], tyro.conf.arg(metavar="KIND")]] = ()
-    """Method of each model in their order: auto, or, for a published .pth that its entries do not identify, such as dac;
-    by default auto for all (docs/models.md)."""
+    """Methods of the models in their order: auto, or a method such as dac for a published .pth without entries that
+    identify it; by default auto for all (docs/models.md)."""
     pooling: Advanced[tuple[str, ...]] = ()
     """Pooling of the tokens of each model in their order, such as rings:4, or auto for a model that has parts of its own; by
     default auto for all (docs/models.md)."""
     provider: ProviderOption = "auto"
     data: Path | None = None
-    """Data set that the queries of indexes are of, or that a .mat was computed on, by default the first source; folder that the
-    paths of --paths are relative to."""
+    """Data set of an index's queries or of a .mat's pictures, by default the first source; folder that the paths of --paths
+    are relative to."""
     map: Path | None = None
-    """Map under a flight, or whose windows indexes hold: a folder of lpn map, or a georeferenced picture."""
+    """Map under a flight, or of an index's windows: a folder of lpn map, or a georeferenced picture."""
     task: Annotated[TaskName | None, tyro.conf.arg(metavar="TASK")] = None
     """Views of query and gallery; by default the first task of the data set."""
     calibrate: CalibrateOption = None

@@ -50,7 +50,7 @@ class DescribeCommand(ModelOptions):
 
     def resume_hint(self) -> str:
         """Return how to resume after a stop."""
-        return f"What {self.out} has by now is kept; the same command goes on."
+        return f"The descriptors in {self.out} are kept; the same command goes on."
 
     def _by_one(self) -> int:
         from lpn import descriptors

@@ -36,7 +36,7 @@ class EvaluateCommand(SourceOptions):
     scale: Advanced[float] = 1.0
     """Zoom factor of each query about its centre; below 1 with a black border."""
     weather: WeatherName | Literal["all"] = "normal"
-    """Weather of University-WX in drone or street pictures, whichever side they are; all measures the ten of them in both
+    """Weather of University-WX in drone or street pictures, on either side; all measures the ten of them in both
     directions and prints the leaderboard's table."""
     parts: str | None = None
     """Parts to use, numbered from 1 and separated by commas, such as 1,2 (Table V); by default all parts."""

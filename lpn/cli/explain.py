@@ -140,7 +140,7 @@ class ExplainCommand(SourceOptions):
         from lpn.retrieval import scoring
 
         if of_source := self.of_source():
-            raise InputError(f"{of_source[0]} is of a source, and none is given; name it: lpn explain SOURCE.")
+            raise InputError(f"{of_source[0]} needs a source; name it: lpn explain SOURCE.")
         if self.match is None:
             raise InputError("Nothing says which tile to compare with; give it as --match.")
         views = (self.view_query, self.view_match)

@@ -40,9 +40,9 @@ class FailuresCommand(SourceOptions):
     beside: Path | None = None
     """Second trained model on the same queries; adds the columns rank A (of --model) and rank B, also for --where and --sort."""
     beside_kind: Advanced[Kind | None] = None
-    """Method of --beside, as --kind is that of --model."""
+    """Method of the model of --beside; see --kind."""
     beside_pooling: Advanced[str | None] = None
-    """Pooling of --beside, as --pooling is that of --model."""
+    """Pooling of the model of --beside; see --pooling."""
 
     def run(self) -> None:
         from lpn.datasets import metadata

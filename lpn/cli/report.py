@@ -40,8 +40,8 @@ class ReportCommand(SourceOptions):
     rotate: float = 0.0
     """Degrees counter-clockwise by which each query is rotated first."""
     register: bool = True
-    """Lay each photo of a flight over the map, as lpn locate does, so that GPS tags that it contradicts judge nothing;
-    --no-register leaves that out, and trusts all tags."""
+    """Lay each photo of a flight over the map, as lpn locate does, so that contradicted GPS tags do not count as truth;
+    --no-register trusts all tags."""
 
     def run(self) -> None:
         from lpn import report
@@ -76,10 +76,10 @@ def _chosen(task: Task, options: ReportCommand) -> tuple[list[int], str]:
     among = f" of those with {options.where}" if options.where else ""
     if options.where and options.failures is None:
         if not len(rows):
-            raise InputError(f"No query is one with {options.where}; change --where.")
+            raise InputError(f"No query fits {options.where}; change --where.")
         if len(rows) > MOST:
             raise InputError(
-                f"{len(rows)} queries are ones with {options.where}; a report holds {MOST}, so narrow it, or take the worst "
+                f"{len(rows)} queries fit {options.where}; a report holds {MOST}, so narrow it, or take the worst "
                 "with --failures 20."
             )
         return rows.tolist(), f"all with {options.where}, lowest margin first"

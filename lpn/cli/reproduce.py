@@ -54,8 +54,8 @@ class ReproduceCommand:
     seeds: tuple[int, ...] = (0,)
     """Random seeds: one training for each, and the mean is reported."""
     protocol: Literal["ours", "released"] | None = None
-    """Turned queries and the transfer to landmarks as their authors released them (released, the default with --recipe released)
-    or ours."""
+    """Protocol of turned queries and of the transfer to landmarks: released (as by their authors, the default with --recipe
+    released) or ours."""
     train: bool = True
     """Train missing models; otherwise their rows are left out."""
     queries: tuple[str, ...] = ()

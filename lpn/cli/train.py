@@ -29,8 +29,8 @@ class TrainCommand:
     map: Path | None = None
     """Map to train on alone, in place of --data: a folder of lpn map, or a georeferenced picture."""
     window_sizes: Advanced[tuple[float, float] | None] = None
-    """Smallest and largest side in metres of the windows of --map, about those that photos of the flight show; by default half to
-    twice what the network's input shows at the map's resolution."""
+    """Smallest and largest side in metres of the windows of --map, about as large as the ground on the flight's photos; by
+    default half to twice the ground of the network's input at the map's resolution."""
     recipe: str = recipes.DEFAULT
     """Recipe: as the paper states (paper, cvusa-paper), as the released code does (released, cvusa-released, cvact-released,
     safa-released, and metric-released), for some hundred places (small), the same for all headings (world), or for a map alone

@@ -106,8 +106,8 @@ def decode_picture(
         ) from error
     if sixteen and (255 - int(picture.min()) if white_is_0 else int(picture.max())) <= _BLACK:
         raise PictureError(
-            f"{name} has numbers of 16 bits and uses the lowest 12 at most, of which nothing would be seen, as only the upper 8 "
-            "are read; save it with 8 bits."
+            f"{name} has numbers of 16 bits and uses the lowest 12 at most; it would be black, as only the upper 8 are read, so "
+            "save it with 8 bits."
         )
     return picture
 

@@ -242,7 +242,7 @@ class Dataset:
         if self._left_out and all(name.startswith("test/gallery") for name in self._listed):
             first = printable(next(iter(self._left_out)))
             raise DataError(
-                f"{root.name} has no picture that can be used, for want of {first}; expected {self.expected}."
+                f"{root.name} has no picture that can be used, and the first file left out is {first}; expected {self.expected}."
             )
         warn_left_out(root.name, self.left_out, "files of its lists cannot be used", "they are left out")
 

@@ -101,7 +101,7 @@ def describe_by_many(
     size: int = _PICTURES,
     worker: type[DescribeWorker] | None = None,
 ) -> Summary:
-    """Describe all pictures below a folder or prefix that a store lacks, and add them to it; it reports its progress.
+    """Add descriptors of all pictures below a folder or prefix to a store, except those that it has; report the progress.
 
     Args:
         model: an exported model, `.onnx`; only this machine needs the file.

@@ -105,8 +105,8 @@ def _check_view(model: Model, view: View, pictures: Sequence[tuple[str, UInt8Arr
         worst = max(worst, (float(errors[part]), names[part], printable(name)))
         if contract.level == "exact" and (differing := _differing(trace, first)):
             message = (
-                f"The {differing} of {printable(name)} are not those of {printable(pictures[0][0])}, but the contract says "
-                "'exact', that nothing is chosen for each picture; name in held what is."
+                f"The {differing} of {printable(name)} differ from those of {printable(pictures[0][0])}, but by the contract "
+                "('exact') they are equal for all pictures; name the differing quantity in held."
             )
             return ModelFinding(view, False, None, message)
     if not contract.has_cells:

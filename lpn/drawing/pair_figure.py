@@ -21,10 +21,8 @@ from lpn.models.contract import Contract
 WIDTH = 1200
 _MARGIN, _ROW, _LEFT, _RIGHT = 24, 46, 420, WIDTH - 190
 _COLOURS = {"cells for": FOR, "cells against": AGAINST, "constant": UNKNOWN_COLOUR}
-_ACCOUNT = ": it accounts for the score; it does not say what the score would be were a cell not there."
-OCCLUSION_NOTE = (
-    "Approximate: what the score loses where a square of the photo is blurred, measured; the bars are exact."
-)
+_ACCOUNT = ": it accounts for the score; it does not say what the score would be without a cell."
+OCCLUSION_NOTE = "Approximate: the measured loss of score where a square of the photo is blurred; the bars are exact."
 
 
 def draw(

@@ -81,8 +81,8 @@ class Gallery:
         pictures = _listed(folder)
         if (queries is not None) != bool(calibrate or csls):
             raise InputError(
-                "calibrate and csls take pictures such as will be searched for, and nothing else does; give their folder as "
-                "queries with one of both, or leave all three out."
+                "calibrate and csls need a folder of typical query pictures, and nothing else uses it; give it as queries, "
+                "together with one of both, or leave all three out."
             )
         if queries is None:
             bound = opened.in_role(view, "gallery" if opened.contract.roles == "role" else None)

@@ -72,8 +72,8 @@ class PooledEngine(Engine):
             raise InputError(f"{path.name} has no class token for the pooling {pooling}; take mean, gem, or rings:N.")
         if not pictures:
             log.warning(
-                "%s does not say how pictures are normalised; ImageNet's mean and standard deviation are taken. A "
-                "preprocessor_config.json beside it says others.",
+                "%s does not say how pictures are normalised; ImageNet's mean and standard deviation are taken. For "
+                "others, put a preprocessor_config.json beside it.",
                 printable(path.name),
             )
         normalisation = stated_normalisation(pictures, (MEAN, STD))

@@ -94,7 +94,7 @@ def quantize(
     check_writable(out)
     engine = Engine(model)
     groups = list(engine.contract.groups)
-    # If branches have roles, each of them describes all views.
+    # With one branch for queries and one for the gallery, each describes all views.
     calibrated = [engine.views if engine.contract.roles == "role" else group for group in groups]
     chosen = [calibration_pictures(dataset, views, pictures) for views in calibrated]
     check_whole([picture.path for some in chosen for _, picture in some], f"pictures of {dataset.root.name}")
@@ -109,7 +109,7 @@ def quantize(
     lowest = min(agreement.cosines, key=lambda view: agreement.cosines[view])
     if not agreement.cosines[lowest] >= least_cosine:
         raise InputError(
-            f"In 8 bits {model.name} describes {lowest} pictures otherwise: their mean cosine with the float32 descriptors is "
+            f"In 8 bits {model.name} changes its {lowest} descriptors: their mean cosine with the float32 descriptors is "
             f"{agreement.cosines[lowest]:.4f}, below {least_cosine:g}, so nothing was written; keep the float32 model, made "
             "smaller by lpn export --storage int8, or lower --least-cosine."
         )

@@ -106,7 +106,7 @@ def normalisation(name: str) -> tuple[Triple, Triple]:
     own = name.rpartition("/")[2]
     try:
         configuration = timm.get_pretrained_cfg(own, allow_unregistered=False)
-    except RuntimeError:  # of a tag that timm lacks
+    except RuntimeError:  # timm lacks the tag in the name
         configuration = None
     if configuration is None:
         raise _unknown(own)

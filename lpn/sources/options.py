@@ -144,10 +144,10 @@ class SourceOptions(ModelOptions):
     """Data set in any layout of docs/data.md; pytorch_result.mat of the published test code; arrays of query descriptors (.npy,
     .npz, .mat); index of tiles, a folder or milvus://host:port/collection; or flight, a folder of lpn flight or of photos."""
     data: Path | None = None
-    """Data set that a .mat was computed on, or that the queries of an index are of; folder that the paths of --paths, or tiles'
-    names beside --pictures, are relative to."""
+    """Data set of a .mat's pictures, or of an index's queries; folder that the paths of --paths, or tiles' names beside
+    --pictures, are relative to."""
     map: Path | None = None
-    """Map under a flight, or whose windows an index holds: a folder of lpn map, or a georeferenced picture."""
+    """Map under a flight, or of an index's windows: a folder of lpn map, or a georeferenced picture."""
     task: Annotated[TaskName | None, tyro.conf.arg(metavar="TASK")] = None
     """Views of query and gallery, by default the first task of the data set that the model supports."""
     calibrate: CalibrateOption = None
@@ -156,13 +156,13 @@ class SourceOptions(ModelOptions):
     """Of arrays: descriptors of the gallery, in such a file as those of the queries."""
     paths: Advanced[Path | None] = None
     """Of arrays: list of the pictures, a .csv with file, side, label, latitude, longitude (docs/data.md); without it rows are
-    numbered, and nobody knows what is right."""
+    numbered, and the truth is unknown."""
     order: Advanced[Literal["parts-first", "parts-last"]] = "parts-first"
     """Of arrays: order of the axes, parts-first for (N, n, D), parts-last for (N, D, n)."""
     n_parts: Advanced[int | None] = None
     """Number of parts of a .mat, or of two-dimensional arrays; 1 by default."""
     pictures: Advanced[Path | None] = None
-    """Of an index: folder of plain pictures to search for, whose places nobody knows, in place of --data."""
+    """Of an index: folder of plain pictures of unknown places to search for, in place of --data."""
     index: Advanced[str | None] = None
     """Of a flight: index of the map's windows by this model, in place of windows that are described."""
 

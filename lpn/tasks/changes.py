@@ -96,8 +96,8 @@ def calibrated(task: Task, calibration: Calibration | None) -> Task:
         return task
     if task.model is None or task.change or not set(task.views) <= set(task.contract.views):
         raise InputError(
-            "A calibration centres each view, takes its own branch, and is ours; leave --centre, another branch, and the "
-            "released protocol out, and change pictures afterwards."
+            "A calibration centres each view, and needs the view's own branch and our protocol; leave out --centre, another "
+            "branch, and the released protocol, and change pictures after it."
         )
     model, plain, views = task.model, task.describe, task.views
 

@@ -391,7 +391,7 @@ def _groups(task: Task) -> Iterator[tuple[str, Int64Array, Int64Array]]:
         ]
         if task.truth is not None and len(rows[1]) < len(task.gallery):
             raise InputError(
-                f"The gallery of {name} is a part of that in which true matches are listed; leave its group out."
+                f"True matches are listed for the whole gallery, and {name} has only a part of it; leave this group out."
             )
         if len(rows[0]) and len(rows[1]):
             yield name, rows[0], rows[1]

@@ -72,8 +72,8 @@ def lazy_task(
     for view in views:
         if branch is None and view not in model.views:
             raise InputError(
-                f"This model has no {view!r} view; it has {', '.join(model.views)}. Of landmarks, lpn reproduce table6 "
-                "describes both sides with one of these, and lpn.tasks.opening.lazy_task(branch=...) does so of any data set."
+                f"This model has no {view!r} view; it has {', '.join(model.views)}. To describe both sides with one "
+                "of these, use lpn reproduce table6 for landmarks, or lpn.tasks.opening.lazy_task(branch=...) for any data set."
             )
         model.check_view(branch or view)
     query_labels, gallery_labels = labels_of(queries), labels_of(gallery)
@@ -232,7 +232,7 @@ def alike_calibrations(
 def no_calibration(model: Model, dataset: Dataset) -> str:
     """Return the reason why a model cannot be calibrated on a data set's pictures, as a sentence; empty if it can."""
     if model.contract.roles == "role":
-        return f"{model.contract.method} describes a view otherwise as query than as gallery, which one calibration does not fit."
+        return f"{model.contract.method} has different branches for queries and gallery, so no calibration fits both."
     counts = {view: len({p.path for some in lists for p in some}) for view, lists in _lists(model, dataset).items()}
     if len(counts) < 2:
         return f"A calibration takes pictures of two views, and all are of {' and '.join(counts)}."

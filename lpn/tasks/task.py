@@ -246,7 +246,7 @@ class Task:
         """
         if self.truth is None and queries:
             raise InputError(
-                f"The true matches of {self.data_name} are told by labels, so no query can be left ungraded; leave it out."
+                f"The true matches of {self.data_name} are defined by labels, so no query can be left ungraded; leave it out."
             )
         if self.truth is None or not any(self.truth[query].known for query in queries):
             return self

@@ -44,7 +44,9 @@ class TestSplit:
         check_test_split(dataset, tasks)
         self.dataset, self.tasks, self._zoom = dataset, tasks, zoom
         self.column = f"recall@1 {tasks[0]}"
-        self.description = f"R@1 of {tasks[0]} on the test split, which flatters it there (--validate does not)"
+        self.description = (
+            f"R@1 of {tasks[0]} on the test split, so this figure is optimistic (with --validate it is not)"
+        )
 
     def measure(self, model: Model, console: Console | None = None) -> EpochMetrics:
         """Measure Recall@1 and AP of every task, in percent; print all metrics if a console is given."""

@@ -95,7 +95,7 @@ class Recipe:
     warmup_epochs: _Count = 0
     """Epochs of linear warm-up."""
     warmup: Literal["rate", "loss"] = "rate"
-    """Factor that rises step by step to 1 during the warm-up: that of the learning rate, or that of the loss."""
+    """Quantity whose factor rises step by step to 1 during the warm-up: the learning rate, or the loss."""
     warmup_start: _Share = 0.0
     """Factor from which the warm-up rises."""
     weight_decay: _Amount = 5e-4
@@ -116,9 +116,9 @@ class Recipe:
     temperature: Annotated[float, Meta(gt=0)] = 0.07
     """Temperature of the InfoNCE loss."""
     metric: Literal["none", "contrastive", "triplet", "soft_margin"] = "none"
-    """Metric loss: contrastive, triplet, or soft-margin triplet, on the cosines of satellites with the hardest of their drone
-    pictures and of a pool of others' (layumi/University1652-triplet-loss). With safa pooling soft_margin, on the distances within
-    the batch."""
+    """Metric loss: contrastive, triplet, or soft-margin triplet, on the cosines of satellites with the hardest drone picture
+    of the same place, and the hardest of a pool of other places (layumi/University1652-triplet-loss). With safa pooling
+    soft_margin, on the distances within the batch."""
     positives: _Number = 1
     """Drone pictures of each place in a step, among which a metric loss seeks the hardest."""
     pool: _Number = 96
@@ -169,9 +169,9 @@ class Recipe:
     tilt: Annotated[float, Meta(ge=0, le=30)] = 0.0
     """Pitch and roll, up to this many degrees either way, of the camera that looks at a window of a map."""
     season: _Share = 0.0
-    """Probability that all of one hue has another colour in pictures of places, or in the drone view of a window of a map."""
+    """Probability that a hue, such as that of leaves, is shifted in pictures of places or in drone views of a map's windows."""
     bands: _Share = 0.0
-    """Probability that the bands of these pictures are mixed at random, as those of near infrared are."""
+    """Probability that the bands of these pictures are mixed at random, as in near infrared."""
     shadows: _Share = 0.0
     """Probability of shadows in pictures of places, or in the drone view of a window of a map."""
     occlusion: _Share = 0.0
@@ -213,7 +213,7 @@ class Recipe:
 
     @property
     def compares_drones(self) -> bool:
-        """True with a metric loss of Table I, which compares satellites with drone pictures; SAFA has its own."""
+        """True with a metric loss of Table I, which compares satellites with drone pictures; SAFA's loss does not."""
         return self.metric != "none" and self.pooling != "safa"
 
     @property

@@ -50,7 +50,7 @@ class TabScene:
         self._worker.wake()
 
     def take(self, result: ScreenResult, state: ScreenState) -> None:
-        """Take a result, in a state's view and theme, for `draw`."""
+        """Store a result, and the state with its view and theme, for `draw`."""
         self._shown = result, state
 
     def draw(self) -> None:
@@ -65,7 +65,7 @@ class TabScene:
             self.drawn.hover(self._part)
 
     def pick(self, arguments: Mapping[str, Any]) -> None:
-        """Send the object at `x` and `y` of the scene, in shares of its sides; `why` the page asks is a "hover" or a "click"."""
+        """Send the object at `x` and `y`, which are shares of the scene's sides; `why` is "hover" or "click"."""
         why = "click" if arguments.get("why") == "click" else "hover"
         place = [arguments.get(name) for name in ("x", "y")]
         if self.drawn is not None and all(isinstance(one, (int, float)) and 0 <= one <= 1 for one in place):

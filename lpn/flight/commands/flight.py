@@ -27,7 +27,7 @@ class FlightCommand:
     every_metres: float | None = None
     """Metres flown from one frame of a video to the next, in place of --every."""
     gps_order: Literal["lat-lon", "lon-lat"] | None = None
-    """Order of the first two values of GPS(a, b, c) in subtitles; by default told by the dialect, and a note tells of a guess."""
+    """Order of the first two values of GPS(a, b, c) in subtitles; by default that of the dialect; a note names a guess."""
     fov: float | None = None
     """Horizontal field of view in degrees, for photos whose files have none."""
     pitch: float | None = None
@@ -36,7 +36,7 @@ class FlightCommand:
     """File of the camera's lens, YAML or JSON of OpenCV, ROS, or ODM, whose distortion is taken out before photos are
     matched; by default the one in DJI's photos."""
     clock_offset: float | None = None
-    """Seconds to add to the photos' clock for that of a log; by default found out where it is a time zone."""
+    """Seconds to add to the photos' times to get the log's; by default estimated, if they differ by a time zone."""
 
     def run(self) -> None:
         from lpn.core.errors import InputError

@@ -30,15 +30,15 @@ MapError = Annotated[
     ADVANCED,
     tyro.conf.arg(
         help="Error of the map's places in metres, 1 sigma along each axis, which is part of each registration's radius in this "
-        "run. By default it is what lpn map --error keeps in the map. A map without that has the root of the sum of two squares: "
-        "3 pixels, at least 1 m, and the error that the map tells of itself."
+        "run. By default it is the error that lpn map --error put into the map. Without one, it is the root of the sum of two "
+        "squares: 3 pixels, at least 1 m, and the error by the map's own data."
     ),
 ]
 
 
 @dataclass(kw_only=True)
 class LiveInput(ModelOptions):
-    """The map, the model, and what arrives."""
+    """The map, the model, and the sources of a live flight."""
 
     live: str
     """Pictures: a folder that fills, a video, or the address of a stream (rtsp://, udp://, http://)."""
@@ -60,7 +60,7 @@ class LiveInput(ModelOptions):
     fov: Advanced[float | None] = None
     """Horizontal field of view in degrees, for frames of videos and streams."""
     idle: Advanced[float | None] = None
-    """Seconds without a frame after which the flight counts as ended; by default it is waited for."""
+    """Seconds without a frame after which the flight counts as ended; by default there is no limit."""
 
     def open_run(
         self, say: Say, outputs: Sequence[FixOutput], stack: ExitStack, on_windows: Sequence[CountProgress] = ()

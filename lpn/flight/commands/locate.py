@@ -47,7 +47,8 @@ class LocateCommand(ModelOptions):
     model: Path | None = None
     """Trained LPN (.onnx, .safetensors, .pth) for retrieval and sequence; without one, registration alone."""
     index: Advanced[str | None] = None
-    """Index of the map's windows by this model, which are not described again then: a folder, or milvus://host:port/collection."""
+    """Index of the map's windows by this model, so that they are not described again: a folder, or
+    milvus://host:port/collection."""
     sequence: bool = True
     """Let neighbouring photos correct each other by a hidden Markov model."""
     register: bool = True
@@ -64,7 +65,7 @@ class LocateCommand(ModelOptions):
     limit: int | None = None
     """Number of photos, the first ones of the flight; by default all."""
     best: bool = False
-    """Write one point a photo, that of the stage that counts, in place of each stage's."""
+    """Write one point a photo, by the stage that counts, instead of one point for each stage."""
     positions: Path | None = None
     """Table (CSV) of surveyed positions of photos, which the accepted answers are compared with: photo and latitude,longitude or
     easting,northing,epsg, and point, which is camera (by default) or ground, the ground at the photo's middle."""
@@ -275,7 +276,7 @@ def print_surveyed(
         TextTable(("", *columns), rows, title, align="l").print(console)
         sentences = [
             "Each photo counts with its accepted answer of the stage that counts, a contradicted one, too. CE90 and CE95 are "
-            "the distances that hold 90 and 95 % of them, interpolated between photos, so that few tell little. "
+            "the distances that hold 90 and 95 % of them, interpolated between photos, so they are vague for few photos. "
             f"Right radii ({SIGMA}, with the map's error) hold {percents(RIGHT_CALIBRATION)}."
         ]
         told = {title: one.bias_sentence for title, one in columns.items()}

@@ -44,8 +44,7 @@ class MapCommand:
 
     error: float | None = None
     """Error of the map's places on earth in metres, 1 sigma along each axis, as check points showed it. It is kept in the map,
-    and stands in place of what is assumed else: 3 pixels, and 1 m at least. --map-error of lpn locate and lpn explore
-    replaces it for one run."""
+    and replaces the default: 3 pixels, at least 1 m. --map-error of lpn locate and lpn explore replaces it for one run."""
 
     place: str = ""
     """Name of the place, such as "Dripping Springs, Texas"; lpn explore says it."""

@@ -33,7 +33,7 @@ class ClockFit(NamedTuple):
     """The fit of the photos' clock to the clock of a log.
 
     Attributes:
-        offset: seconds to add to a photo's time for the log's time; None if it is unknown.
+        offset: seconds to add to a photo's time to get the log's time; None if it is unknown.
         basis: the photos' clock: "UTC", or "their clock".
         sentence: the end of a note about the fit, or about the reason for none.
     """
@@ -95,7 +95,7 @@ def _fit(telemetry: Telemetry, times: Float64Array, places: Float64Array, basis:
     if away > _NEAR:
         parts.append(
             f"but its positions are {away:.0f} m from the photos' own in the median, so one of the clocks or positions is "
-            "wrong; --clock-offset tells the offset"
+            "wrong; give the offset with --clock-offset"
         )
     return ClockFit(offset, basis, ", ".join(parts))
 

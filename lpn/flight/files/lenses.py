@@ -184,7 +184,7 @@ def _camera(content: dict[str, Any]) -> tuple[Lens, float]:
         cameras = {name: camera for name, camera in content.items() if isinstance(camera, dict)} or {"": content}
         if len(cameras) > 1:
             raise ValueError(
-                f"{len(cameras)} cameras ({first_few(list(cameras), 3)}), of which only that of these photos may stay"
+                f"{len(cameras)} cameras ({first_few(list(cameras), 3)}) and not only the camera of these photos"
             )
         (camera,) = cameras.values()
         width, height = camera["width"], camera["height"]

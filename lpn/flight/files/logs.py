@@ -50,7 +50,7 @@ _DAY_OR_MONTH = re.compile(r"(\d{1,2})[-/](\d{1,2})")
 # Positions from here on are eastings and northings of a map, or degrees times 1e7.
 _LEAST_GRID, _LEAST_SCALED = 1e3, 2e7
 _SWAPPED = " Check that latitude and longitude are not exchanged."
-_SCALED = " Another unit is named behind a column, as in lat (degE7)."
+_SCALED = " Name another unit behind a column, as in lat (degE7)."
 
 
 def read_log(file: Path) -> Log:
@@ -139,7 +139,7 @@ def _clean(table: LogTable, columns: dict[str, Float64Array], what: str) -> Iter
     if is_doubtful:
         del columns[what]
         worst = max(angles[beyond].tolist(), key=abs)
-        hint = "" if what == "fov" else "; another unit is named behind a column, as in (cdeg)"
+        hint = "" if what == "fov" else "; name another unit behind a column, as in (cdeg)"
         yield f"The {column} was left out: it holds {worst:g}, and expected are angles {expected}{hint}."
         return
     if len(beyond):
@@ -149,8 +149,8 @@ def _clean(table: LogTable, columns: dict[str, Float64Array], what: str) -> Iter
     if what == "gimbal_pitch" and known and (lowest := np.nanmin(angles)) > _LOOKS_UP:
         del columns[what]
         yield (
-            f"The {column} was left out: it looks up by {lowest:g} degrees and more, where -90 should be straight down; --pitch "
-            "tells it."
+            f"The {column} was left out: it looks up by {lowest:g} degrees and more, where -90 should be straight down; give "
+            "it with --pitch."
         )
 
 
@@ -252,7 +252,7 @@ def nearest_in_folders(path: Sequence[str], candidates: Sequence[Sequence[str]])
 
 
 def moments(log: Log) -> tuple[list[TelemetryEntry], list[str]]:
-    """Return the entries with a clock, which becomes their time, and notes; the first of equal moments with a position counts.
+    """Return the entries with a clock, timed by it, and notes; of equal moments, the first with a position counts.
 
     A clock in whole seconds gets its fraction from the column of elapsed time.
     """

@@ -201,7 +201,7 @@ class Properties:
             self._values.setdefault(key, value)
 
     def add_xmp(self, packet: bytes) -> bool:
-        """Add the properties of an XMP packet, and return whether it is damaged; then nested ones are left out."""
+        """Add the properties of an XMP packet, without nested ones if it is damaged, and return whether it is."""
         wide = packet[:2] in (b"\xff\xfe", b"\xfe\xff")
         text = packet[:_MOST_BYTES].decode("utf-16" if wide else "utf-8", "replace")
         if (opening := _OPENING.search(text)) is None:

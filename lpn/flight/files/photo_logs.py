@@ -33,7 +33,7 @@ def with_log(photos: Sequence[Photo], log: Log, clock_offset: float | None = Non
     stay: a heading of a better source than the log's, and the field of view of a photo of known lens.
 
     Args:
-        clock_offset: seconds to add to the photos' times for the log's time; None estimates it.
+        clock_offset: seconds to add to the photos' times to get the log's time; None estimates it.
     """
     named = logs.entries_by_name(log)
     how, why_not, notes = "by name", "", list[str]()

@@ -306,8 +306,8 @@ def _view(known: _Metadata, turns: int) -> tuple[Lens | None, float | None]:
         return None, None
     if known.zoom > 1 and fov != cameras.fov_across(known.first("fov") or 0.0, known.zoom):
         known.oddities.append(
-            f"has a digital zoom of {known.zoom:g}, which narrows its field of view; if its maker's focal length counts the "
-            "zoom already, as that of some phones, it is too narrow"
+            f"has a digital zoom of {known.zoom:g}, which narrows its field of view; the field is too narrow if the focal length "
+            "in the file includes the zoom, as on some phones"
         )
     if abs(width / known.width - 1) > _SAME:
         doubt = "its field of view is right if it was reduced, and too wide if it was cropped"

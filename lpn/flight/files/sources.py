@@ -71,7 +71,7 @@ class FlightOptions:
         fov: horizontal field of view in degrees, for frames whose files have none.
         pitch: in degrees, for frames whose files have none; -90 is straight down.
         camera: file of the camera's lens, for all frames, see `lpn.flight.files.lenses.read_camera`.
-        clock_offset: seconds to add to the photos' times for a log's time; None estimates it.
+        clock_offset: seconds to add to the photos' times to get a log's time; None estimates it.
     """
 
     every: float = 1.0
@@ -95,8 +95,8 @@ def make_flight(files: Sequence[Path], out: Path, options: FlightOptions | None 
     """Read the files of one flight, and write its folder.
 
     Args:
-        files: photos, videos, subtitles, logs, tracks, and folders of photos, videos, and subtitles. A log alone adds the photos
-            below its folder that it names.
+        files: photos, videos, subtitles, logs, tracks, and folders of photos, videos, and subtitles. A log alone adds
+            the photos that it names, if they lie below its folder.
         out: the folder; frames of videos are written to `frames` in it.
 
     Raises:
@@ -127,9 +127,7 @@ def make_flight(files: Sequence[Path], out: Path, options: FlightOptions | None 
         usual = FlightOptions()
         of_videos = ("every", "every_metres", "gps_order")
         if given := [f"--{n.replace('_', '-')}" for n in of_videos if getattr(options, n) != getattr(usual, n)]:
-            raise InputError(
-                f"Photos are all taken, and have no subtitles, so {' and '.join(given)} would not be used; leave it out."
-            )
+            raise InputError(f"Every photo is used, and photos have no subtitles; leave {' and '.join(given)} out.")
         flight = _flight_of_photos(photos, name, list(read.values()), options.clock_offset)
     frames, notes = list(flight.frames), list(flight.notes)
     _complete(frames, notes, options)
@@ -185,8 +183,8 @@ def _refuse(file: Path) -> None:
         head = opened.read(4096)
     if _OWN_TRACK.match(head):
         raise DataError(
-            f"{printable(file.name)} is a track of lpn locate: it has places found on a map, and a flight needs what the "
-            "drone told; give the photos, with the drone's own log if there is one, and open the track in a map program."
+            f"{printable(file.name)} is a track of lpn locate: its places are results, and a flight needs the drone's own "
+            "data; give the photos, with the drone's log if there is one, and open the track in a map program."
         )
 
 
@@ -254,7 +252,7 @@ def _flight(
     unread: Sequence[str],
     oddities: Sequence[Sequence[str]] = (),
 ) -> Flight:
-    """Return a flight with headings from the course where it has none, and with the notes about its frames."""
+    """Return a flight with notes about its frames; frames without a heading get that of the course."""
     known, course_notes = with_courses(frames)
     notes = (*notes, *flight_notes(known, oddities), *course_notes, *unread)
     return Flight(name, tuple(known), notes, is_utc)

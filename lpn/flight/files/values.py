@@ -69,7 +69,7 @@ class Moment(NamedTuple):
 
 
 def read_limited(file: Path, most_bytes: int, expected: str) -> bytes:
-    """Return the contents of a file; `expected` names its kind, for the message about a larger one.
+    """Return the contents of a file; a message about a larger file names the `expected` kind.
 
     Raises:
         DataError: if it cannot be read, or has more than `most_bytes`.

@@ -70,7 +70,7 @@ class Vehicle:
     Attributes:
         system: MAVLink id of the vehicle: of the first system that sends a position, or an attitude.
         others: ids of other systems that send positions, which are left out.
-        outside: number of positions that are none on the Earth.
+        outside: number of positions that are not on the Earth.
     """
 
     def __init__(self, needs_position: bool = False) -> None:
@@ -237,7 +237,7 @@ def read_vehicle_log(file: Path) -> Log:
             f"{name} has positions of several vehicles; those of system {vehicle.system} were used, and not those of {others}."
         )
     if vehicle.outside:
-        notes.append(f"{vehicle.outside} positions of {name} are none on the Earth, and were left out.")
+        notes.append(f"{vehicle.outside} positions of {name} are not on the Earth, and were left out.")
     utc = all(entry.clock is not None for entry in entries)
     if not utc:
         notes.append(f"{name} has no time of day; its times are counted from its start.")

@@ -159,7 +159,7 @@ def folder_pictures(folder: Path, say: Say) -> PictureReader:
 
 
 def _photos(folder: Path) -> Iterator[Path]:
-    """Yield the photos of all folders that are not hidden; one that cannot be listed now may be at the next scan."""
+    """Yield the photos of all folders that are not hidden; a folder that cannot be listed is tried again at the next scan."""
     folders = [folder]
     while folders:
         with suppress(OSError):

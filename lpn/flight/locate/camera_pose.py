@@ -331,8 +331,8 @@ def _contradiction(frame: Frame, solved: CameraPose, turned: bool) -> str:
     if abs(solved.pitch - told[0]) <= limits[0] and abs(solved.roll - told[1]) <= limits[1]:
         return ""
     return (
-        f"The matches would have the camera at a pitch of {solved.pitch:.1f}° and a roll of {solved.roll:.1f}°, and the photo "
-        f"tells {told[0]:.1f}° and {told[1]:.1f}°, so there is no pose."
+        f"By the matches the camera has a pitch of {solved.pitch:.1f}° and a roll of {solved.roll:.1f}°, but the photo's file "
+        f"says {told[0]:.1f}° and {told[1]:.1f}°, so there is no pose."
     )
 
 

@@ -5,7 +5,7 @@ kind of evidence is the log of a ratio: its probability on the right map over it
 share of the searched ground that would agree as well. So a search that can hardly fail, such as one close about a prediction,
 proves nothing by itself.
 
-    number      photos that fit: on another map an unknown share does, up to a fifth
+    number      photos that fit: on another map an unknown share fits, up to a fifth
     neighbours  successive photos that overlap on the ground by less than half
     sequence    photos that lie within three quarters of a window's side of their sequence's answer
     tags        photos that lie where their GPS tags say
@@ -68,7 +68,7 @@ class MapEvidence:
 
     Args:
         bounds: west, south, east, north of the map in metres.
-        prior: metres of the search about each photo's tag without a model; None if tags were not used.
+        prior: reach in metres of the search about each photo's tag, if there is no model; None if tags were not used.
         side: metres of the model's windows about which photos were searched; None without a model.
         kept: number of the last views and photos that count; None for all.
 
@@ -102,13 +102,13 @@ class MapEvidence:
         """Add the evidence of a photo, registered or not.
 
         Args:
-            searched: side in metres of the search about the sequence's answer, without the photo's own ground; by default the
-                side of a window.
+            searched: side in metres of the square searched about the sequence's answer, to which the photo's own ground is
+                added; by default the side of a window.
         """
         before, self._before = self._before, None
         self._photos += 1
         answer, sequence = (located.stages.get(stage) for stage in ("registration", "sequence"))
-        # A place that the map contradicts away from the photo's middle is no evidence.
+        # A place is no evidence if the map contradicts it outside the photo's middle.
         if answer is None or not answer.accepted or answer.x is None or map_misfit(answer) is not None:
             self._fits.append(False)
             return
@@ -144,7 +144,7 @@ class MapEvidence:
     def _chance(
         self, located: LocatedFrame, view: _View, point: Float64Array, distance: float, margin: float | None
     ) -> float:
-        """Return the share, 0 < share <= 1, of the ground searched for a photo's middle within `distance` metres of a point."""
+        """Return the share of the searched ground that lies within `distance` metres of a point, 0 < share <= 1."""
         west, south, east, north = self._bounds
         places = None if margin is None else located.searched_places(around_tag=self._side is None)
         if margin is None or places is None:
@@ -196,9 +196,10 @@ def judge_map(frames: Sequence[LocatedFrame], evidence: MapEvidence) -> list[str
 
 
 def _log_ratio(trials: Iterable[tuple[float, bool]]) -> float:
-    """Return the log ratio of trials (chance to agree, 0 < chance <= 1; agreement) on the right map and on another.
+    """Return the log ratio of the trials' probability on the right map and on another map.
 
-    On the right map an unknown share agrees for sure, and the others by chance; all shares are equally likely.
+    A trial is its chance to agree, 0 < chance <= 1, and whether it agrees. On the right map an unknown share agrees for sure,
+    and the others by chance; all shares are equally likely.
     """
     logs = np.zeros(len(_SHARES))
     for chance, agrees in trials:

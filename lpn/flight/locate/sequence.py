@@ -51,8 +51,8 @@ _HEADING_DEVIATION, _TURN_RATE = 20.0, 1.0
 _ANY_HEADING = 0.1
 # Multiple of the usual seconds above which a step may be a pause, and the probability of a pause.
 _LONG, _PAUSE = 3.0, 0.5
-# Log odds of a place beyond the map against a window of mean share, for a frame on the ground of the last frame: a wrong
-# window then suits both.
+# Log odds of a place beyond the map against a window of mean share, for a frame on the ground of the last frame: one wrong
+# window then suits both frames.
 _ALIKE = 1.5
 # Factor of the probability of a step off the map, and probability of a first frame beyond it.
 _LEAVE, _BEGIN = 1e-3, 0.1

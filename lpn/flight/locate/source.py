@@ -125,7 +125,7 @@ class FlightSource(TaskSource):
         return self.locate(None, names, weights)
 
     def to_measure(self) -> list[Task]:
-        if getattr(self.options, "rotate", 0):  # of lpn evaluate; lpn explain can turn its single picture
+        if getattr(self.options, "rotate", 0):  # an option of lpn evaluate
             raise InputError(
                 f"{printable(self.options.path.name)} is a flight, whose queries are cut out of photos and not turned; leave "
                 "--rotate out."

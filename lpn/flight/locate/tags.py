@@ -88,12 +88,12 @@ def enter_corrections(basemap: Map, frames: list[LocatedFrame], corrections: Map
     notes = []
     if count := sum(located.by_hand is not None for located in frames):
         notes.append(
-            f"{count} of {len(frames)} photos are corrected by hand. Their positions are the corrections', and so is the truth "
-            "of their errors; --no-corrections leaves them out."
+            f"{count} of {len(frames)} photos are corrected by hand. The corrections are their positions, and the truth of "
+            "their errors; --no-corrections leaves them out."
         )
     if left:
         notes.append(
-            f"Corrections of photos that this run does not have, or beyond what the map's frame holds, are left out: "
+            f"Corrections of photos that this run does not have, or that lie beyond the map's frame, are left out: "
             f"{', '.join(sorted(left))}."
         )
     return notes

@@ -226,7 +226,7 @@ def _head(path: Path) -> bytes:
 
 
 def _reason(error: Exception, path: Path) -> str:
-    while isinstance(error.__cause__, Exception):  # which says more than "Read failed"
+    while isinstance(error.__cause__, Exception):  # the cause says more than "Read failed"
         error = error.__cause__
     if isinstance(error, UnicodeDecodeError):
         return "damaged text"

@@ -40,7 +40,7 @@ _MAX_WIDTH = 400_000.0
 _MAX_PIXELS = 16_384
 # Fewest pixels of a map along its shorter side: fewer show no place.
 _MIN_SIDE = 16
-# Default error of a map's places in pixels, and its least metres, as of a map from tags without ground control.
+# Default error of a map's places in pixels, and its minimum in metres: those of a map from tags without ground control.
 _PIXELS, _METRES = 3.0, 1.0
 
 SEASONS = ("spring", "summer", "autumn", "winter")
@@ -81,7 +81,7 @@ class MapPlace(msgspec.Struct, frozen=True, omit_defaults=True):
             known = False
         if not known:
             raise InputError(
-                f"The map's pictures are said to be of {self.photographed!r}; expected a day such as 2014-10-19, or "
+                f"The time of the map's pictures is {self.photographed!r}; expected a day such as 2014-10-19, or "
                 f"{listed(SEASONS, 'or')}."
             )
 
@@ -185,7 +185,7 @@ class Map:
     def place_error(self, given: float | None) -> float:
         """Return the part of `total_error` that is the error of its place on earth; 0 if unknown.
 
-        A person's value for one run tells nothing of the place on earth.
+        A person's value for one run says nothing about the place on earth.
         """
         return 0.0 if given is not None else self.surveyed_error or self.error or 0.0
 
@@ -250,7 +250,7 @@ class Map:
         centres = windows.grid(self.bounds, size, size * (1 - overlap))
         for start in range(0, len(centres), _WINDOWS):
             some = centres[start : start + _WINDOWS]
-            # A share of exactly the least one must not fail by rounding.
+            # The tolerance keeps a share of exactly `_MIN_VALID` from failing by rounding.
             yield some[self.valid_shares(some, size) >= _MIN_VALID - 1e-6]
 
     def valid_shares(self, centres: Float64Array, size: float) -> Float64Array:

@@ -250,7 +250,7 @@ def _limits(used: int, middles: Float64Array, tags: Float64Array, error: float |
         else f"By their scatter its places have an error of ± {error:.1f} m ({SIGMA})."
     )
     return (
-        f"The map is made of {used} photos as if the ground were flat, so what stands on it leans. {_PLACING}, which lie "
+        f"The map is made of {used} photos as if the ground were flat, so buildings and trees lean. {_PLACING}, which lie "
         f"{np.median(off):.1f} m from the photos' middles on it in the median, {upper_bound(float(off.max()))} m at most. "
         f"{open_places}"
     )

@@ -91,7 +91,7 @@ def test_a_description_goes_on_where_it_was_stopped(how: str, model_file: Path, 
         process.until(lambda: any(out.glob("*/rows.json")))
         getattr(process, how)()
         assert process.ended()[0] == (130 if how == "interrupt" else 143)
-        assert last_line(process) == f"lpn: Stopped. What {out} has by now is kept; the same command goes on."
+        assert last_line(process) == f"lpn: Stopped. The descriptors in {out} are kept; the same command goes on."
         assert not half_written(out)
         assert not (out / "store.json").exists()
         assert main.main([str(one) for one in given]) == 0
@@ -173,7 +173,7 @@ def test_afterwards_signals_do_what_they_did(tmp_path: Path, monkeypatch: pytest
         (["reproduce", "table1", "--data", "x", "--out", "OUT"], "Whole epochs and measurements in OUT are kept"),
         (
             ["describe", "--model", "m", "--images", "s", "--view", "drone", "--out", "OUT"],
-            "What OUT has by now is kept; the same command goes on.",
+            "The descriptors in OUT are kept; the same command goes on.",
         ),
         (
             ["index", "--descriptors", "s", "--out", "OUT"],

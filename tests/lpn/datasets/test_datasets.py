@@ -161,7 +161,7 @@ def test_pairs_without_satellites_go_by_their_first_view(tmp_path: Path) -> None
         ("satellite,street\n../a.jpg,b.jpg\n", r"Line 2 of pairs\.csv names the file '\.\./a\.jpg'"),
         ("satellite,street\n/a.jpg,b.jpg\n", "expected a path below"),
         ("satellite,street,place\na.jpg,b.jpg,1\na.jpg,c.jpg,2\n", r"Line 3 .* gives a\.jpg the place 2, after 1"),
-        ("satellite,street\nabsent1.jpg,absent2.jpg\n", "has no picture that can be used, for want of absent1.jpg"),
+        ("satellite,street\nabsent1.jpg,absent2.jpg\n", "the first file left out is absent1.jpg"),
     ],
 )
 def test_a_wrong_list_of_pairs_is_one_sentence(text: str, said: str, tmp_path: Path) -> None:

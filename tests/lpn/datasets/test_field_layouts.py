@@ -206,7 +206,7 @@ def without_key(text: str) -> str:
         (layouts.sues_raw, edit("indexs.yaml", lambda _: "index: []"), "indexs.yaml names no place"),
         (layouts.denseuav, spoil("Dense_GPS_*.txt"), "no Dense_GPS_ALL.txt; put that file"),
         (layouts.denseuav, edit("Dense_GPS_ALL.txt", lambda t: t.replace(" N30", " 30", 1)), "Line 1 of Dense_GPS_ALL.txt is"),
-        (layouts.gta, spoil("satellite"), "has no picture that can be used, for want of satellite/4_0_0_1.png; expected"),
+        (layouts.gta, spoil("satellite"), "the first file left out is satellite/4_0_0_1.png; expected"),
         (layouts.gta, spoil("cross-area-drone2sate-test.json"), "expected same-area-drone2sate-test.json"),
         (layouts.gta, edit("cross-area-drone2sate-test.json", lambda t: t[:-9]), "is not JSON"),
         (layouts.gta, edit("cross-area-drone2sate-test.json", without_key), "Object 2 of cross.*has no pair_pos_sate_img_list"),

@@ -108,5 +108,5 @@ def test_two_pictures_of_one_name_are_refused(tmp_path: Path) -> None:
 
 def test_ground_truth_without_pictures_is_refused(tmp_path: Path) -> None:
     layouts.ground_truth(tmp_path, "x_1", "x_000001 1 1 3 3", [], [], [])
-    with pytest.raises(DataError, match=r"has no picture that can be used, for want of x_000001\.jpg"):
+    with pytest.raises(DataError, match=r"the first file left out is x_000001\.jpg"):
         open_dataset(tmp_path)

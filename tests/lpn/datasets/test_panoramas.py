@@ -91,7 +91,7 @@ def test_other_damage_is_said(tmp_path: Path) -> None:
         open_dataset(root)
     root = layouts.cvusa(tmp_path / "b")
     (root / "bingmap").rename(root / "bing")
-    with pytest.raises(DataError, match=r"has no picture that can be used, for want of bingmap/19/0000001\.jpg"):
+    with pytest.raises(DataError, match=r"the first file left out is bingmap/19/0000001\.jpg"):
         open_dataset(root)
 
 
@@ -126,7 +126,7 @@ def test_one_pair_a_split_is_enough(tmp_path: Path) -> None:
         ({"valSet": {"valInd": np.array([[1.5]])}}, "test rows that are not whole numbers from 1 to 3"),
         ({"valSet": {"valInd": np.array([[np.nan]])}}, "test rows that are not whole numbers"),
         ({"valSet": {"valInd": np.array([["x"]])}}, "test rows that are not whole numbers"),
-        ({}, "has no picture that can be used, for want of"),
+        ({}, "the first file left out is"),
     ],
 )
 def test_what_is_wrong_with_the_matlab_file_is_said(values: dict[str, object], said: str, tmp_path: Path) -> None:

@@ -115,7 +115,7 @@ def test_what_is_chosen_for_each_picture_is_not_exact(model: Model, differing: s
         found = next(check_model(model, {"drone": pictures}))
         assert (found.healthy, found.error) == (False, None)
         assert found.message.startswith(f"The {differing} of a picture of squares ")
-        assert "name in held what is" in found.message
+        assert "name the differing quantity in held" in found.message
 
 
 def test_the_demo_s_model_is_proved_on_its_pictures(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

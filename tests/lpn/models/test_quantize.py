@@ -185,7 +185,7 @@ def test_a_network_of_relu6_computes_in_8_bits_and_stays_exact(data: Path, tmp_p
 
 def test_a_model_that_8_bits_change_too_much_is_not_written(transformer: Path, data: Path, tmp_path: Path) -> None:
     with pytest.raises(
-        InputError, match=r"tokens\.onnx describes \w+ pictures otherwise: .* below 1, so nothing was"
+        InputError, match=r"tokens\.onnx changes its \w+ descriptors: .* below 1, so nothing was"
     ) as said:
         quantize(transformer, open_dataset(data), tmp_path / "small.onnx", 4, least_cosine=1)
     assert "\n" not in str(said.value)

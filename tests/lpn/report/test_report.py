@@ -269,7 +269,7 @@ def test_the_worst_failures_come_first(
         (["--failures", "0"], "expected 1 or more"),
         (["--matches", "0"], "expected 1 or more"),
         (["--weights", "1,2"], "expected 4 numbers"),
-        (["--where", "rank < 1"], "No query is one with rank < 1"),
+        (["--where", "rank < 1"], "No query fits rank < 1"),
         (["--where", "rank = 1", "--failures", "3"], "No query failed of those with rank = 1"),
     ],
 )

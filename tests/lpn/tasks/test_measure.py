@@ -453,7 +453,7 @@ def test_tiles_have_no_weather(data: Path, model_file: Path) -> None:
 
 def test_a_query_whose_truth_is_taken_away_is_not_graded(data: Path, model_file: Path) -> None:
     by_labels = open_source(SourceOptions(source=str(data), model=model_file)).task
-    with pytest.raises(InputError, match="told by labels"):
+    with pytest.raises(InputError, match="defined by labels"):
         by_labels.without_truth([0])
     none = np.zeros(0, np.int64)
     lists = [Truth(np.flatnonzero(by_labels.gallery_labels == label), none) for label in by_labels.query_labels]

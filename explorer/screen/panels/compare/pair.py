@@ -106,7 +106,7 @@ class TilePair:
             return f"The {followed} is first already, so no weights need to change."
         if compared.weights is None:
             return f"No part weights at all put the {followed} first."
-        fine = "" if self.usable else " It is finer than the screen's weights."
+        fine = "" if self.usable else " The page cannot set weights as fine as these."
         return f"The smallest change of part weights that puts the {followed} first is in the last column.{fine}"
 
     def _painted(self, compared: Comparison) -> dict[str, Any]:
@@ -120,7 +120,7 @@ class TilePair:
         at, nowhere = rounded_to_sum([float(cells.sum()), lead - float(cells.sum())], total=lead)
         if abs(nowhere) < _ROUNDED:
             at = lead
-        rest = f" {signed(nowhere)} has no place, such as CSLS." if at != lead else ""
+        rest = f" A further {signed(nowhere)} comes from no place, for example from CSLS." if at != lead else ""
         said = f"Magenta places speak for the {'truth' if compared.followed.true else 'answer'}, green for the other tile: "
         return {"photo": self.result.painted(cells), "places": f"{said}{signed(at)} together.{rest}"}
 

@@ -98,7 +98,7 @@ def message(selection: LabSelection, rows: Int64Array) -> dict[str, Any]:
     known = int(graded.known[rows].sum())
     unlike = ""
     if second is not None and len(set(second.scorings)) > 1:
-        unlike = "A is ranked {}, B {}: their ranks differ not by the models alone.".format(*second.scorings)
+        unlike = "A is ranked {}, B {}: not only the models differ.".format(*second.scorings)
     name, descending = selection.sort
     return {
         "total": len(rows),

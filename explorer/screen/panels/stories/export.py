@@ -22,7 +22,7 @@ def save_story(tab: Tab, story: Story) -> None:
         InputError: when the story has no step, or a step shows something that no longer exists.
     """
     if not story.steps:
-        raise InputError("The story has no step yet; S keeps what is shown as one.")
+        raise InputError("The story has no step yet; press S to keep this page as the first step.")
     base, context = tab.base, tab.background
     shown = [_state(base, step.shows, number) for number, step in enumerate(story.steps, 1)]
 
@@ -50,7 +50,7 @@ def _state(base: Workspace, shows: str, number: int) -> tuple[Workspace, ScreenS
         raise InputError(f"Step {number} shows a place that is not open yet; open that step, then save the story.")
     state, problems = fields.from_values(given, workspace)
     if problems:
-        raise InputError(f"Step {number} cannot be shown: {problems[0]} Remove the step, or keep it again.")
+        raise InputError(f"Step {number} cannot be shown: {problems[0]} Remove the step, or add it again.")
     of_model = workspace.models[int(state.model)].workspace
     if of_model is None:
         raise InputError(f"Step {number} shows a model that is not open yet; open that step, then save the story.")

@@ -28,7 +28,7 @@ def keep(tab: Tab) -> None:
     """Add the screen's state as a step to the chosen story of the user, or to a new one."""
     if tab.state.own:
         raise InputError(
-            "A story shows photos of the data set, and yours leaves with this tab; choose one of the list."
+            "A story shows photos of the data set, and your own photo leaves with this tab; choose one of the list."
         )
     workspace = tab.base
     stories = files.stories_of(workspace)

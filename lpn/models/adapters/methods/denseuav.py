@@ -22,7 +22,7 @@ def build(entries: Entries) -> PublishedParts:
     others = [f"{head.prefix}{key}" for key in head.state if not key.startswith("classifier.")]
     if _HEAD not in head.state or others:
         raise ModelFileError(
-            f"{entries.name} is DenseUAV's, of a head that is not read (found {next(iter(others), 'nothing')}); expected "
+            f"{entries.name} is a model of DenseUAV with an unsupported head (found {next(iter(others), 'nothing')}); expected "
             "SingleBranch, the head of its released checkpoint."
         )
     pool, stated = entries.options.get("head_pool", "avg"), entries.options.get("model")
@@ -46,7 +46,7 @@ def build(entries: Entries) -> PublishedParts:
         mapped, grid, prefix, name = TokenMap(tokens), tokens.grid, 1, tokens.title
     else:
         raise ModelFileError(
-            f"{entries.name} is DenseUAV's, of a backbone that its entries do not tell (found "
+            f"{entries.name} is a model of DenseUAV with an unknown backbone (found "
             f"{next((own.file_name(key) for key in own.state), 'nothing')}); write its network's name in timm as `model: NAME` "
             "into an opts.yaml beside the file."
         )

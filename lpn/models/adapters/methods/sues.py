@@ -14,7 +14,7 @@ from lpn.models.adapters.published import PublishedParts, numbered, published, s
 from lpn.models.adapters.registry import Adapter
 from lpn.models.entries import Entries
 
-# timm's networks of the option `model`, each with an entry, and its shape, that later ones lack.
+# Networks of timm. Each has an entry, with its shape, that all later networks in this table lack.
 NETWORKS: dict[str, tuple[str, tuple[int, ...]]] = {
     "seresnet50": ("layer3.5.se.fc1.weight", (64, 1024, 1, 1)),
     "resnest50d": ("layer3.5.conv2.conv.weight", (512, 128, 3, 3)),
@@ -69,7 +69,7 @@ def build(entries: Entries) -> PublishedParts:
     name = network_in(own)
     if name is None or "classifier.add_block.0.weight" not in entries.state:
         raise ModelFileError(
-            f"{entries.name} is a model of SUES-200 that is not read (its LPN, its CBAM, or another; found "
+            f"{entries.name} is an unsupported model of SUES-200, such as its LPN or CBAM (found "
             f"{next(map(own.file_name, own.state), 'nothing')}); expected one of {', '.join(NETWORKS)} with one head. Its "
             "descriptors open as plain arrays (lpn explore q.npy --gallery g.npy)."
         )

@@ -52,7 +52,7 @@ def _of_timm(entries: Entries) -> _Network:
         stated = stated or _ROTARY.get((width, depth))
     if not isinstance(stated, str):
         raise ModelFileError(
-            f"{entries.name} holds {next((entries.file_name(key) for key in entries.state), 'nothing')}, which tells no network; "
+            f"{entries.name} holds {next((entries.file_name(key) for key in entries.state), 'nothing')}, which names no network; "
             "write its network's name in timm as `model: NAME`, such as swin_base_patch4_window7_224, into an opts.yaml beside "
             "the file."
         )

@@ -112,7 +112,7 @@ def test_an_offset_that_is_no_zone_is_given_or_said(tmp_path: Path) -> None:
     ]
     note = note_of(make_flight(files, tmp_path / "flight"))
     assert "by their clock, but its positions are " in note
-    assert "so one of the clocks or positions is wrong; --clock-offset tells the offset" in note
+    assert "so one of the clocks or positions is wrong; give the offset with --clock-offset" in note
     flight = make_flight(files, tmp_path / "told", FlightOptions(clock_offset=-34.0))
     assert "with the offset of -34 s given with --clock-offset" in note_of(flight)
     assert is_on(flight, PATH)

@@ -260,7 +260,7 @@ BEGINS = "log.csv begins with {!r}; expected a line of column names with latitud
         ('lat,lon,alt\n47.3,8.5,"1,234"\n', "has the altitude '1,234'; expected a number"),
         ("lat,lon\n100,3\n", "Line 2 of log.csv has the position 100, 3; expected degrees, latitude from -90 to 90."),
         ("lat,lon\n120.35,23.12\n", "Check that latitude and longitude are not exchanged."),
-        ("lat,lon\n473000000,85000000\n", "Another unit is named behind a column, as in lat (degE7)."),
+        ("lat,lon\n473000000,85000000\n", "Name another unit behind a column, as in lat (degE7)."),
         ("lat,lon\n465123.1,5242123.1\n", GRID),
         ("name,easting,northing\na.jpg,465123.1,5242123.1\n", GRID),
         ("imageName X Y Z Omega Phi Kappa\na.jpg 464512.10 5238471.2 560.2 0.51 -0.42 -116.5\n", GRID),
