@@ -1,8 +1,9 @@
-"""The place of the camera of a registered photo, from its tilt."""
+"""The place of the camera of a registered photo, from its tilt, and the error of a flight's tilts from the scatter of places."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import msgspec
@@ -15,7 +16,7 @@ from lpn.flight.files.cameras import rotation
 from lpn.flight.locate.registration import Registration, is_turned_over
 
 if TYPE_CHECKING:
-    from lpn.flight.locate.located import StageRecord
+    from lpn.flight.locate.located import LocatedFrame, StageRecord
 
 # Largest tilt in degrees for which the camera's place is returned, and 1-sigma errors of a gimbal's and an aircraft's tilt.
 _MAX_TILT = 15.0
@@ -24,6 +25,17 @@ _TILT_ERROR, _AIRCRAFT_TILT_ERROR = 1.5, 5.0
 _LEAST_DOWN = 0.5
 # 1-sigma errors of the direction of a tilted camera in degrees, and of its height as a share.
 _DIRECTION_ERROR, _HEIGHT_ERROR = 5.0, 0.1
+# Radii keep this share of a tilt's default error, for the part that frames have in common.
+COMMON = 0.5
+# Neighbours that are compared with a parabola in time, fewest groups of them, and most seconds between two.
+_NEIGHBOURS = 4
+_LEAST_GROUPS = 12
+_GAP = 30.0
+# Limit of a squared difference in variances (Huber), and the mean of the limited square for normal errors.
+_CUT = 4.0
+_MEAN = 2 * (1 - math.exp(-_CUT / 2))
+# Resolution of the estimate in degrees.
+_EXACT = 0.01
 
 
 def frame_tilt(frame: Frame) -> float:
@@ -32,7 +44,7 @@ def frame_tilt(frame: Frame) -> float:
 
 
 def frame_tilt_error(frame: Frame) -> float:
-    """Return the 1-sigma error of a frame's tilt in degrees; an aircraft banks between the photo and its record."""
+    """Return the default 1-sigma error of a frame's tilt in degrees; an aircraft banks between the photo and its record."""
     return _AIRCRAFT_TILT_ERROR if frame.heading_source == "aircraft" else _TILT_ERROR
 
 
@@ -104,3 +116,94 @@ def below_camera(frame: Frame, answer: StageRecord) -> StageRecord:
     )
     x, y = answer.x - height * east / down, answer.y - height * north / down
     return msgspec.structs.replace(answer, x=x, y=y, camera=True, radius=radius)
+
+
+def scattered_radii(
+    frames: Sequence[LocatedFrame], answers: Sequence[StageRecord]
+) -> tuple[dict[int, float], list[str]]:
+    """Return smaller radii of accepted cameras if their places scatter less than the tilts' default error, and sentences.
+
+    An error that frames have in common, such as a camera mounted askew, moves a whole leg and does not scatter. So the error
+    of the tilt is the root of the sum of two squares: of the scatter, and of `COMMON` times the default error. Radii never grow.
+
+    Args:
+        answers: of the registration for each frame, without the map's error.
+
+    Returns:
+        The radii in metres by the frame's position, also without the map's error.
+    """
+    radii: dict[int, float] = {}
+    notes = []
+    for told in sorted({frame_tilt_error(located.frame) for located in frames}):
+        rows = [
+            (located.frame.time, height_of_width(located.frame, answer.width), answer.radius, answer.x, answer.y, i)
+            for i, (located, answer) in enumerate(zip(frames, answers, strict=True))
+            if located.stages["registration"].accepted
+            and answer.camera
+            and not answer.by_pose
+            and answer.radius is not None
+            and answer.width is not None
+            and located.frame.time is not None
+            and frame_tilt_error(located.frame) == told
+        ]
+        times, heights, held, x, y, numbers = np.array(sorted(rows), np.float64).reshape(-1, 6).T
+        spreads = np.sqrt(np.maximum(held**2 - (heights * math.tan(math.radians(told))) ** 2, 0))
+        scatter = tilt_error(times, np.stack([x, y], axis=1), spreads, heights, told)
+        degrees = math.hypot(scatter, COMMON * told)
+        if degrees >= told:
+            continue
+        smaller = np.hypot(spreads, heights * math.tan(math.radians(degrees)))
+        radii |= zip(numbers.astype(int).tolist(), smaller.tolist(), strict=True)
+        notes.append(
+            f"Neighbouring places of the camera scatter by an error of {scatter:.1f} degrees in the tilts. An error that "
+            f"photos have in common does not scatter; {COMMON * told:.2g} degrees are assumed for it. So radii count with "
+            f"{degrees:.1f} in place of {told:g} degrees."
+        )
+    return radii, notes
+
+
+def tilt_error(
+    times: Float64Array, places: Float64Array, spreads: Float64Array, heights: Float64Array, most: float
+) -> float:
+    """Estimate the 1-sigma error of a flight's tilts in degrees, along each axis.
+
+    A drone flies smoothly, so its place is nearly a parabola in time over four neighbouring frames, and their third divided
+    difference is pure error. Its variance is the sum of the squared coefficients times spread^2 + (height tan(tilt))^2. The tilt
+    solves Huber's second proposal: the squares over their variances, limited to 4, have the mean of normal errors. An error that
+    a leg's frames have in common, such as a camera mounted askew, stays unseen.
+
+    Args:
+        times: seconds, ascending, (N,).
+        places: of the camera in metres, (N, 2).
+        spreads: 1-sigma radii of the places without the tilt's error, (N,) metres.
+        heights: above ground in metres, (N,).
+        most: the largest result in degrees. It is returned if the places scatter more, as in a flight that turns between its
+            frames. It is also returned for fewer than 12 groups of four frames less than 30 s apart.
+    """
+    squares, shares = [], []
+    for i in range(len(times) - _NEIGHBOURS + 1):
+        group = slice(i, i + _NEIGHBOURS)
+        gaps = np.diff(times[group])
+        if not ((gaps > 0) & (gaps <= _GAP)).all():
+            continue
+        apart = times[group, None] - times[group]
+        np.fill_diagonal(apart, 1)
+        weights = 1 / apart.prod(axis=1)
+        weights /= np.linalg.norm(weights)
+        squares.append(((weights @ places[group]) ** 2).sum())
+        shares.append([(weights**2) @ values[group] ** 2 for values in (spreads, heights)])
+    if len(squares) < _LEAST_GROUPS:
+        return most
+    scatter, (own, height) = np.array(squares), np.array(shares).T
+
+    def too_small(degrees: float) -> bool:
+        variances = np.maximum(own + height * math.tan(math.radians(degrees)) ** 2, 1e-12)
+        return bool(np.minimum(scatter / variances, _CUT).mean() > _MEAN)
+
+    low, high = 0.0, most
+    if too_small(high):
+        return most
+    while high - low > _EXACT:
+        middle = (low + high) / 2
+        low, high = (middle, high) if too_small(middle) else (low, middle)
+    return high

@@ -134,6 +134,11 @@ class StageRecord(msgspec.Struct, frozen=True, omit_defaults=True):
         return self.state == "accepted"
 
     @property
+    def by_pose(self) -> bool:
+        """True if the position and its radius come from the pose."""
+        return self.pose is not None and self.camera and (self.x, self.y) == (self.pose.east, self.pose.north)
+
+    @property
     def place(self) -> Float64Array | None:
         """The position in metres of the map's frame, (2,); None without one."""
         return None if self.x is None or self.y is None else np.array([self.x, self.y])

@@ -24,7 +24,7 @@ from lpn.core.numbers import SIGMA, error_figure
 from lpn.core.progress import CountProgress, report_progress
 from lpn.flight.files import Flight, Frame, ground_width
 from lpn.flight.locate.agreement import MatchedDetails, map_agreement
-from lpn.flight.locate.camera_place import camera_place
+from lpn.flight.locate.camera_place import camera_place, scattered_radii
 from lpn.flight.locate.camera_pose import photo_pose
 from lpn.flight.locate.ground import MAX_BLOCKS, MapFeatures
 from lpn.flight.locate.levelled import PhotoView, level
@@ -115,6 +115,7 @@ def register_frames(
     few = len(frames) < FEWEST and all(located.by_hand is None for located in frames)
     prior = FlightPrior()
     trail = _digest(key)
+    answers: list[StageRecord] = []
     map_error, place_error = basemap.total_error(options.map_error), basemap.place_error(options.map_error)
     for i, located in enumerate(frames):
         # An answer depends on earlier frames, whose widths it uses.
@@ -129,11 +130,17 @@ def register_frames(
                 # With the tag, fewer details may suffice.
                 answer = register_frame(basemap, features, located, options, prior, side)
             append_record(file, trail, answer)
+        answers.append(answer)
         located.stages["registration"] = with_map_error(answer, map_error, place_error)
         prior.add(located.frame, answer)
         report_progress("Registering frames", i + 1, len(frames))
         on_frame(i + 1, len(frames))
-    return refuse_turned(frames)
+    notes = refuse_turned(frames)
+    radii, told = scattered_radii(frames, answers)
+    for i, radius in radii.items():
+        smaller = msgspec.structs.replace(answers[i], radius=radius)
+        frames[i].stages["registration"] = with_map_error(smaller, map_error, place_error)
+    return notes + told
 
 
 def read_records(file: Path) -> dict[str, StageRecord]:
