@@ -67,7 +67,12 @@ class TestSplit:
             lines.append(f"{task}: {recalls}  AP {result.ap:.2f}  ({result.queries} queries, {result.gallery} tiles)")
             row |= {f"recall@1 {task}": result.recall["1"], f"ap {task}": result.ap}
         if console is not None:
-            console.print("\n".join([*lines, result.sentence]))
+            zoomed = [
+                f"The {view} pictures were zoomed by {zoom:.3g} as in the training; lpn evaluate does so with --calibrate alone."
+                for view in ("drone", "satellite")
+                if (zoom := self._zoom(view)) != 1
+            ]
+            console.print("\n".join([*lines, result.sentence, *zoomed]))
         return row
 
 

@@ -284,6 +284,11 @@ class Trainer:
             lines.append(
                 f"The learning rate never decays, as --decay-epoch is {decay} and the training has {epochs} epochs."
             )
+        if epochs <= self.recipe.warmup_epochs:
+            lines.append(
+                f"The warm-up of {self.recipe.warmup_epochs} epochs fills the training of {epochs}; lower --warmup-epochs, or "
+                "train longer."
+            )
         if self.evaluate_every and self.validator is None:
             lines.append(f"{self.name} has no test split, so no epoch is tested.")
         for line in lines:
