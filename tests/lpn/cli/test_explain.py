@@ -136,4 +136,4 @@ def test_a_query_of_a_source_is_explained_by_its_name_beside_its_top_match(
         assert said in refused(*given, *wrong)
     assert "Nothing says which tile to compare with; give it as --match." in refused("explain", "--query", own)
     unnamed = refused("explain", "--query", query.path, "--match", query.path, "--csls", "3")
-    assert "--csls is of a source, and none is given; name it: lpn explain SOURCE." in unnamed
+    assert "--csls needs a source; name it: lpn explain SOURCE." in unnamed

@@ -261,7 +261,7 @@ def test_a_calibration_has_two_views_and_their_branches(model: Model, wide: Path
         centred_task(lazy_task(model, dataset, TASK)),
         turned(lazy_task(model, dataset, TASK), 90),
     ):
-        with pytest.raises(InputError, match="leave --centre, another branch, and the released protocol out"):
+        with pytest.raises(InputError, match="leave out --centre, another branch, and the released protocol"):
             calibrated(task, calibration)
         assert task.evaluate().calibration is None
     with pytest.raises(InputError, match="leave --centre or the calibration out"):
@@ -340,7 +340,7 @@ def test_the_demo_is_ranked_by_the_calibration_that_ships(monkeypatch: pytest.Mo
 def test_pictures_of_queries_come_with_a_calibration_or_csls(model: Model, wide: Path) -> None:
     tiles, drones = (wide / "test" / name for name in ("gallery_satellite", "query_drone"))
     for options in ({"calibrate": True}, {"csls": 3}, {"queries": drones}):
-        with pytest.raises(InputError, match="give their folder as queries with one of both, or leave all three out"):
+        with pytest.raises(InputError, match="give it as queries, together with one of both, or leave all three out"):
             lpn.Gallery.of_folder(tiles, model, **options)
     gallery = lpn.Gallery.of_folder(tiles, model, queries=drones, calibrate=True)
     with pytest.raises(

@@ -200,7 +200,7 @@ def test_landmarks_are_cropped_and_ranked_by_lists(data: Path, model_file: Path)
     assert "cropped" in found.sentence
     uncut = model.descriptors(np.stack([images.prepare(picture, model.input_size) for picture in whole]), "drone")
     assert metrics.evaluate(uncut, None, tiles, None, dataset.truth("street-to-street"))["ap"] != found.ap
-    with pytest.raises(InputError, match=r"lpn reproduce table6 describes .*lazy_task\(branch=\.\.\.\)"):
+    with pytest.raises(InputError, match=r"use lpn reproduce table6 .*lazy_task\(branch=\.\.\.\)"):
         lazy_task(model, dataset, "street-to-street")
     with pytest.raises(InputError, match="averaged"):
         averaged(task)

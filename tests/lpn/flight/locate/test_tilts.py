@@ -113,7 +113,7 @@ def test_a_tilt_that_is_wrong_by_the_same_angle_along_each_leg_stays_within_the_
     width = 2 * HEIGHT * math.tan(math.radians(35.0))
     radius = math.hypot(SPREAD, HEIGHT * math.tan(math.radians(1.5)))
     smaller, (note,) = scattered_radii(*_registered(times, places, radius, width))
-    assert "0.75 degrees for an error that photos have in common" in note
+    assert "0.75 degrees are assumed for it" in note
     radii = np.array(list(smaller.values()))
     errors = np.linalg.norm(places - truth, axis=1)
     assert radii.max() < 0.7 * radius

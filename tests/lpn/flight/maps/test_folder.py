@@ -75,8 +75,8 @@ def test_the_options_of_lpn_map_are_kept_in_its_folder(tmp_path: Path, capsys: p
     ]
     command += ["--bands", "2", "--keep-borders", "--place", "A town"]
     for wrong, words in (
-        (["--photographed", "2014-13-19"], "said to be of '2014-13-19'; expected a day such as 2014-10-19"),
-        (["--photographed", "yesterday"], "said to be of 'yesterday'; expected a day"),
+        (["--photographed", "2014-13-19"], "pictures is '2014-13-19'; expected a day such as 2014-10-19"),
+        (["--photographed", "yesterday"], "pictures is 'yesterday'; expected a day"),
         (["--error", "0"], "expected more than 0, 1 sigma along each axis."),
     ):
         assert main([*command, *wrong]) == 2

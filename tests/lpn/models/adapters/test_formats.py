@@ -190,8 +190,8 @@ def narrow_denseuav() -> State:
         (small_mccg(1, 2), {}, "views: 2\nh: 64\nw: 64", "has 3 networks .* says views: 2; correct or remove"),
         (small_mccg(1), {}, "h: 100\nw: 64", "multiples of 32"),
         (narrow_denseuav(), {}, "", "1 blocks of the width 40; expected .* heads of 64 numbers"),
-        (DENSEUAV, {"head.head.netvlad.centroids": (4, 64)}, "", r"not read \(found head\.head\.netvlad\.centroids\)"),
-        (DENSEUAV, {"backbone.backbone.dist_token": (1, 1, 64)}, "backbone: DeitT-224", r"entries do not tell \(found backbone"),
+        (DENSEUAV, {"head.head.netvlad.centroids": (4, 64)}, "", r"unsupported head \(found head\.head\.netvlad\.centroids\)"),
+        (DENSEUAV, {"backbone.backbone.dist_token": (1, 1, 64)}, "backbone: DeitT-224", r"unknown backbone \(found backbone"),
         (DENSEUAV, {}, "head_pool: median", "head_pool: median; expected one of avg, global"),
     ],
 )  # fmt: skip
