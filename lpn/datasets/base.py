@@ -214,7 +214,7 @@ class Dataset:
     deep: bool = False
     splits: Mapping[str, Sequence[str]] = {}
     folders: Sequence[str] = ()
-    expected: str = ""
+    expected: str = "the lists of its layout"
     panoramas: bool = False
     group_name: str = ""
     mean_of_groups: bool = False
@@ -424,7 +424,7 @@ class Folder(Dataset):
     def why_no_task(self) -> str:
         return (
             "is a folder of pictures, and nothing says which of them show the same place; name the pairs in a pairs.csv (columns "
-            "satellite,drone,split), or make folders of a number for each place: train/drone/<number>/* and "
+            "satellite, drone, and perhaps split), or make folders of a number for each place: train/drone/<number>/* and "
             "train/satellite/<number>/* to train on, test/query_drone/<number>/* and test/gallery_satellite/<number>/* to test "
             "with"
         )

@@ -101,9 +101,11 @@ def check_dataset(dataset: Dataset, decode: bool = True) -> DataSetReport:
         decode: decode every picture; else read only its header and end (see `lpn.datasets.integrity`).
 
     Raises:
-        DataError: if a list cannot be read.
+        DataError: if a list cannot be read, or nothing can be trained or tested.
     """
     lists = dataset.lists()
+    if not dataset.tasks() and not any(name.startswith("train/") for name in lists):
+        raise dataset.no_task()
     files = list(dict.fromkeys(picture.path for pictures in lists.values() for picture in pictures))
     errors = picture_errors(files, decode, lambda done: report_progress("Reading pictures", done, len(files)))
     positions, gap = _positions(dataset)

@@ -323,10 +323,10 @@ class Trainer:
         if str(init) == AUTO and not init.is_file():
             init, place = find_weights(self.recipe.backbone)
             self.console.print(f"--init {AUTO} takes {init}, of {place}.", soft_wrap=True, markup=False)
-        init = model_file(init, trained=True)
+        named, init = init, model_file(init, trained=True)
         filled, total, missing = checkpoints.load_backbone(network, init)
         rest = f"; missing or incomplete, so as initialised: {', '.join(missing)}" if missing else ""
-        self.console.print(f"{init.name} fills {filled} of the backbone's {total} tensors{rest}.")
+        self.console.print(f"{named.name} fills {filled} of the backbone's {total} tensors{rest}.")
         # Windows of a map have no classes, so training starts from the descriptors of a trained model.
         if isinstance(self.places, MapWindows):
             self.console.print(checkpoints.load_heads(network, init))

@@ -74,6 +74,7 @@ export const drawPictures = (view) => {
   showPicture(photoBox, own, focus, page.parts, photoTurn(own, angle), `${own.name}`);
   find(".frame", photoBox).classList.toggle("fixed", !page.turns);
   find("figcaption b", photoBox).textContent = page.photo[0].toUpperCase() + page.photo.slice(1);
+  find("figcaption .name", photoBox).textContent = own.name;
   find("figcaption .hint", photoBox).textContent = own.own ? "yours" : page.turns ? (own.around ? "drag to roll" : "drag to turn") : "";
   const key = find(".key", photoBox);
   const { name, ends, meaning } = HEATS[own.signed ? result.state.heat : "activation"];

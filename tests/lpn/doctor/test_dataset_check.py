@@ -201,3 +201,17 @@ def test_files_are_compared_alone(tmp_path: Path, refused: Refused) -> None:
         assert "is compared with its checksums alone; leave the options out" in told
     assert "There is nothing at" in refused("doctor", tmp_path / "none", tmp_path)
     assert not list(tmp_path.iterdir())
+
+
+def test_a_folder_that_can_be_neither_trained_nor_tested_on_is_no_data_set(
+    data: Path, tmp_path: Path, refused: Refused
+) -> None:
+    (plain := tmp_path / "plain").mkdir()
+    for picture in open_dataset(data).queries("drone")[:1]:
+        shutil.copy(picture.path, plain)
+    assert "is a folder of pictures, and nothing says which of them show the same place" in refused(
+        "doctor", "--data", plain, "--json", tmp_path / "report.json"
+    )
+    for name in ("train", "test"):
+        (tmp_path / "empty" / name).mkdir(parents=True)
+    assert "has no pictures to test with" in refused("doctor", "--data", tmp_path / "empty")
