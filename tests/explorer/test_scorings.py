@@ -12,6 +12,7 @@ import lpn
 from explorer.opening import open_model
 from explorer.workspace import Workspace
 from lpn.core import images
+from lpn.core.demo import DEMO, DEMO_MODEL
 from lpn.core.progress import listening, report_progress
 from lpn.datasets import Picture, labels_of, open_dataset
 from lpn.retrieval.csls import NEIGHBOURS
@@ -91,6 +92,15 @@ def test_labels_never_choose_the_scoring_that_opens(
         assert (shown.task.neighbours, shown.task.calibration is not None) == (csls, calibrate is True)
         recalls.append(shown.results["recall@1"])
     assert len(set(recalls)) > 1, "other labels, other figures"
+
+
+@pytest.mark.parametrize(("calibrate", "expected"), [(None, "calibrated"), (False, "plain")])
+def test_the_demo_opens_by_the_calibration_that_ships_and_offers_each_scoring(
+    calibrate: bool | None, expected: str
+) -> None:
+    opened = open_model(DEMO, DEMO_MODEL, calibrate=calibrate)
+    assert opened.default_scoring(TASK) == expected
+    assert {scored_key(TASK, one) for one in SCORINGS} <= opened.rankings.keys()
 
 
 def test_a_preparation_counts_its_pictures_and_ends_when_nobody_waits(

@@ -15,6 +15,7 @@ import pytest
 import lpn
 import lpn.__main__
 import lpn.core
+from lpn.core.errors import LPNError
 from tools.fixtures import small_worlds
 from tools.fixtures.without_torch import run_without_torch
 
@@ -63,6 +64,25 @@ def test_help_of_the_library_runs_as_it_says(desk: Path, monkeypatch: pytest.Mon
     assert outcome.attempted >= 7
     assert not outcome.failed, "".join(said)
     assert (desk / "why.png").is_file()
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "message"),
+    [
+        ("a.pth", b"PK\x03\x04", "a.pth is truncated"),
+        ("a.pth", b"version https://git-lfs.github.com/spec/v1", "a.pth is a Git LFS pointer"),
+        ("a.pth", b"\x80\x02" + bytes(9) + b".", "Opening a.pth needs the package"),
+        ("a.safetensors", b"\x62" + bytes(7) + b"{}", "a.safetensors is truncated"),
+        ("a.safetensors", b"\x02" + bytes(7) + b"{}", "Opening a.safetensors needs the package"),
+    ],
+)
+def test_without_torch_a_file_that_is_no_model_is_told_first(
+    name: str, content: bytes, message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "lpn.models.adapters.load", None)
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(LPNError, match=message):
+        lpn.load(tmp_path / name)
 
 
 def test_an_unknown_name_is_an_attribute_error() -> None:

@@ -203,6 +203,13 @@ def _decoded(uri: str) -> UInt8Array:
     return np.asarray(cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED), np.uint8)
 
 
+def test_a_spot_lists_the_frames_that_show_it(seen: FlightSnapshot) -> None:
+    spot = page.spot(seen, (-20.0, 0.0))
+    assert 0 in spot["frames"]
+    assert 1 not in spot["frames"]
+    assert spot["sentence"].startswith(f"{len(spot['frames'])} of 3 photos show 47.")
+
+
 def test_pins_go_from_where_the_photo_has_a_detail_to_where_the_map_has_it(flight: LocatedFlight) -> None:
     rows = [(0.25, 0.5, 0.0, 0.5), (0.75, 0.5, 0.3, -0.1)]
     details = MatchedDetails(rows, 0.4, 0.9)

@@ -6,6 +6,7 @@ import threading
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -45,7 +46,11 @@ def test_a_correction_is_a_track_of_its_own_and_lays_the_photo(service: SharedFl
     card = page.card(view, 2)
     assert card["lines"][-1].startswith("✎ By hand: 47.")
     assert card["facts"][-1] == "10.0 m from its correction", "the answer of the sequence lies 10 m south of it"
-    service.correct(2, None)
+    service.correct(0, CORNERS)
+    registered = service.snapshot().flight.frames[0]
+    np.testing.assert_allclose(registered.laid, matrix, atol=1e-6)
+    for frame in (0, 2):
+        service.correct(frame, None)
     assert service.snapshot().flight.frames[2].laid is None
     assert "corrected" not in page.data(service.snapshot(), ADDRESSES)["tracks"]
 
@@ -61,6 +66,17 @@ def test_positions_are_one_a_photo_and_hold_the_corrections(service: SharedFligh
     service.correct(2, CORNERS)
     assert column("stage") == ["registration", "registration", "by hand"]
     assert json.loads(service.positions(".geojson"))["type"] == "FeatureCollection"
+
+
+def test_a_position_has_its_radius_with_and_without_the_error_of_the_map_s_place(
+    service: SharedFlight, flight: LocatedFlight, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    stages = flight.frames[0].stages
+    answer = msgspec.structs.replace(stages["registration"], radius=5.0, place_error=4.0)
+    monkeypatch.setitem(stages, "registration", answer)
+    first, second, _ = csv.DictReader(service.positions(".csv").decode("utf-8-sig").splitlines())
+    assert (first["radius_on_map_m"], first["radius_on_earth_m"]) == ("3.0", "5.0")
+    assert (second["radius_on_map_m"], second["radius_on_earth_m"]) == ("1.0", "")
 
 
 def test_corrections_at_once_are_all_in_the_view(service: SharedFlight, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -6,6 +6,7 @@ import socket
 
 import pytest
 
+from explorer.cli import Explore
 from explorer.server.auth import (
     Authenticator,
     HttpRequest,
@@ -15,6 +16,7 @@ from explorer.server.auth import (
     make_authenticator,
     same_origin,
 )
+from lpn.cli.parsing import parse
 from lpn.core.errors import InputError
 
 TOKEN = "correct horse battery"
@@ -176,3 +178,8 @@ def test_no_text_of_the_rules_shows_a_secret() -> None:
     assert rules.token is not None
     assert rules.token not in repr(rules)
     assert rules.cookie_value not in repr(rules)
+
+
+def test_each_allow_host_adds_a_name() -> None:
+    options = parse(Explore, ["--allow-host", "a.example", "--allow-host", "b.example"], "lpn explore")
+    assert options.allow_host == ("a.example", "b.example")

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import os
 import shutil
 from pathlib import Path
 
@@ -65,6 +66,15 @@ def test_a_folder_of_the_test_split_may_be_a_text_with_the_name_of_another(data:
     for text in ("../../etc", "nowhere", ""):
         (root / "test" / "gallery_drone").write_text(text)
         assert open_dataset(root).tasks() == ["drone-to-satellite"]
+
+
+def test_names_can_always_be_shown_and_sent(tmp_path: Path) -> None:
+    folder = tmp_path / "test" / "query_drone" / "0001"
+    folder.mkdir(parents=True)
+    for name in (b"caf\xe9.png", b"two\nlines.png"):
+        (folder / os.fsdecode(name)).write_bytes(b"")
+    names = [picture.name for picture in open_dataset(tmp_path).queries("drone")]
+    assert names == ["0001/caf?", "0001/two?lines"]
 
 
 def test_what_is_wrong_with_a_folder_is_said_in_one_sentence(tmp_path: Path) -> None:

@@ -17,7 +17,8 @@ from lpn import descriptors
 from lpn.cli.main import main
 from lpn.core import images
 from lpn.core.arrays import Float32Array
-from lpn.core.errors import DataError, PictureError, StoreError
+from lpn.core.errors import DataError, OutputError, PictureError, StoreError
+from lpn.core.files import write_atomic
 from lpn.core.views import View
 from lpn.datasets import Picture, open_dataset
 from lpn.descriptors.transforms import Change
@@ -164,6 +165,20 @@ def test_a_kill_while_a_store_is_finished_loses_no_row(
                 np.testing.assert_allclose(again.descriptors, expected, atol=1e-6)
                 assert_one_part(out)
         assert step >= (4 if there else 1)
+
+
+def test_an_error_that_the_system_has_no_name_for_is_told(
+    model: Model, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def short(*_: object) -> None:
+        raise OSError("512 requested and 0 written")  # as NumPy says of a full disk
+
+    monkeypatch.setattr(descriptors.PartialStore, "save", short)
+    with pytest.raises(StoreError, match=r"cannot be written \(512 requested and 0 written\)"):
+        descriptors.describe(model, descriptors.pictures_below(folder), "drone", tmp_path / "store")
+    monkeypatch.setattr(Path, "write_bytes", short)
+    with pytest.raises(OutputError, match=r"cannot be written \(512 requested and 0 written\)"):
+        write_atomic(tmp_path / "file", b"")
 
 
 def test_files_of_other_origin_are_not_touched(model: Model, folder: Path, tmp_path: Path) -> None:

@@ -474,10 +474,14 @@ def test_what_cannot_be_indexed_or_searched_is_told_in_a_sentence(
     places = tmp_path / "elsewhere"
     places.mkdir()
     (places / "geo.csv").write_text("path,latitude,longitude\nother.png,1,2\n")
+    create_index(tmp_path / "other", KIND).close()
+    searching = ["search", *_options(model=described.model, picture=described.tile)]
     for given, said in (
         (["index", *_options(descriptors=tmp_path), *into], "not a store of descriptors"),
         (["index", *_options(descriptors=described.store, data=tmp_path), *into], "has no geo.csv"),
         (["index", *_options(descriptors=described.store, data=places), *into], "no position for any of the 14 tiles"),
+        (["index", *_options(descriptors=described.store, out=tmp_path / "other")], "choose another folder"),
+        ([*searching, *_options(index=tmp_path / "other")], "This index holds descriptors of model"),
     ):
         assert main(given) == 2, given
         error = capsys.readouterr().err

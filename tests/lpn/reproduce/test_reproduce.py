@@ -7,6 +7,7 @@ from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import pytest
 import torch
@@ -67,6 +68,17 @@ def reproduction(places: Path, out: Path, **options: Any) -> Reproduction:
 def said(made: Reproduction) -> str:
     assert isinstance(made.console.file, io.StringIO)
     return made.console.file.getvalue()
+
+
+@pytest.mark.parametrize("has_google", [True, False])
+def test_the_note_of_table_i_says_which_rows_are_trained_with_google(has_google: bool) -> None:
+    scale = SCALES["paper"]
+    table = find("table1", scale)
+    google = [row.label for row in table.rows if row.training and scale.recipe(row.training, 0).google]
+    assert google == ["Instance loss (baseline)", "LPN"]
+    source = Mock(has_google=has_google, sizes=lambda _: "sizes")
+    notes = " ".join(report.data_notes(table, [source], scale))
+    assert ("LPN and the baseline are trained with google" in notes) == has_google
 
 
 def test_at_the_paper_s_scale_the_recipes_are_the_paper_s() -> None:

@@ -534,6 +534,13 @@ def test_the_command_locates_what_a_vehicle_sends(
     assert "3 frames were located." in capsys.readouterr().err
 
 
+def test_what_is_neither_a_folder_nor_a_video_nor_a_stream_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "notes.txt").touch()
+    for source, said in ((tmp_path / "notes.txt", "no video that is read"), ("0", "There is no 0; give a folder")):
+        with pytest.raises(InputError, match=said):
+            lpn.flight.live.frames.open_source(str(source), print)
+
+
 def test_a_field_of_view_that_cannot_be_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     command = ["locate", "--live", str(tmp_path), "--map", "town.tif", "--model", "grid.onnx", "--fov", "500"]
     assert main(command) == 2
