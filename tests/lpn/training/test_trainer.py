@@ -251,13 +251,16 @@ def test_float16_and_its_scaler_are_resumed(places: Path, tmp_path: Path, monkey
 def test_a_loss_that_explodes_stops_with_a_sentence(
     places: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, third: float, said: str
 ) -> None:
-    run, told = trainer(places, tmp_path / "run", replace(QUICK, precision="float16", schedule="step", decay_epoch=3))
+    run, told = trainer(
+        places, tmp_path / "run", replace(QUICK, precision="float16", schedule="step", decay_epoch=3, warmup_epochs=3)
+    )
     values = iter([6.0] * 6 + [3.0, 40.0, 3.0, 3.0, 3.0, 3.0] + [third] * 6)
     monkeypatch.setattr(run.learner, "step", lambda *_: ({"loss": torch.tensor(next(values))}, 0.1))
     with pytest.raises(InputError, match=said):
         run.run()
     assert "on cpu (float16 needs a CUDA device);" in told.getvalue()
     assert "never decays, as --decay-epoch is 3 and the training has 3 epochs." in told.getvalue()
+    assert "The warm-up of 3 epochs fills the training of 3" in told.getvalue()
 
 
 def test_weights_that_are_no_numbers_are_not_saved(places: Path, tmp_path: Path) -> None:

@@ -78,3 +78,10 @@ def test_a_refused_photo_has_no_details(town: Map) -> None:
     answer = registered(town, ground_to_photo((20.0, -30.0), HEADING, WIDTH, SIZE), FRAME, seed=1)
     assert not answer.accepted
     assert answer.details is None
+
+
+def test_a_photo_of_unknown_field_of_view_is_placed_without_a_pose(town: Map) -> None:
+    answer = registered(town, ground_to_photo((20.0, -30.0), HEADING, WIDTH, SIZE), replace(FRAME, fov=None))
+    assert answer.accepted
+    assert answer.pose is None
+    assert "Nothing tells the photo's field of view" in answer.sentence
