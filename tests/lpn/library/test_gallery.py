@@ -16,8 +16,9 @@ import lpn
 from lpn import report
 from lpn.core.errors import LPNError
 from lpn.explain import SideEvidence
-from lpn.library.analyser import OwnPicture, QueryAnalyser, QueryRequest, describe_tile
+from lpn.library.analyser import OwnPicture, QueryAnalyser, QueryRequest, describe_tile, start_search
 from lpn.library.answer import Answer
+from lpn.retrieval import scoring
 from lpn.tasks.task import Task
 from lpn.tasks.verdict import judge
 from tools.fixtures import small_worlds
@@ -167,6 +168,19 @@ def test_an_answer_explains_any_rank_and_describes_the_compared_tile_once(task: 
     other = 1 if rank > 1 else 2
     assert shown.evidence(other).score == pytest.approx(shown.ranking.match(other - 1).score, abs=1e-5)
     assert described == [5, shown.ranking.match(other - 1).index]
+
+
+def test_a_region_is_described_under_the_part_weights_of_the_request(task: Task) -> None:
+    analyser = QueryAnalyser(task.model, lambda of, index: describe_tile(of, index, of.model))
+    height, width = task.map_sizes["drone"]
+    region = tuple(range(height * width // 2 + width))
+    for part in (0, -1, 0):
+        given = np.zeros(task.contract.n_parts)
+        given[part] = 1
+        found = analyser.analyse(task, QueryRequest(3, region=region, weights=tuple(given.tolist())), 5)
+        weights = scoring.part_weights(task.contract.n_parts, given)
+        expected = start_search(task, 3, found.query, region, weights)(weights)
+        np.testing.assert_array_equal(found.ranking.scores, expected.scores)
 
 
 def test_an_own_picture_and_an_ungraded_query_have_no_sign(task: Task) -> None:
