@@ -50,7 +50,7 @@ log = logging.getLogger(__name__)
 TILES = 48
 # Bytes of the cached tiles. A model with a map for each part, such as SDPL, takes up to 42 MB a tile, so few fit.
 TILE_BYTES = 400_000_000
-# Number of described queries in the cache, of which each angle counts as one, and their bytes.
+# Most described queries in the cache, and their bytes. Each angle of a query counts as one.
 QUERIES, QUERY_BYTES = 1000, 150_000_000
 # Side of a thumbnail in pixels.
 _THUMBNAIL = 64

@@ -140,8 +140,9 @@ class RankingJob:
         task, (queries, gallery) = self.task, self.task.compared
         with self._rank_lock:  # a cancelled job may still be computing its last block
             report(0, len(queries))
-            labels = task.query_labels, task.gallery_labels
-            ranking = metrics.retrieve(queries, labels[0], gallery, labels[1], task.truth, progress=report)
+            ranking = metrics.retrieve(
+                queries, task.query_labels, gallery, task.gallery_labels, task.truth, progress=report
+            )
         errors = None if task.geometry is None else task.geometry.answer_errors_m(ranking.best)
         self.result = TaskRanking(ranking, errors, task.known)
         return self.result

@@ -50,7 +50,7 @@ export class FlightMap {
     [this.key, this.bounds] = [key, data.bounds];
     if (!same) this.open(data);
     this.base?.remove();
-    const [left, south, right, top] = data.bounds.map((edge, i) => edge + (i < 2 ? 0.5 : -0.5) * data.resolution); // edges are rounded
+    const [left, south, right, top] = data.bounds.map((edge, i) => edge + (i < 2 ? 0.5 : -0.5) * data.resolution); // no tile that only touches an edge
     const levels = data.addresses.tiles;
     const Tiles = L.TileLayer.extend({ getTileUrl: ({ x, y, z }) => `${levels[z]}${y * 2 ** z + x}` });
     this.base = new Tiles("", { noWrap: true, bounds: [[south, left], [top, right]], minNativeZoom: 0, maxNativeZoom: levels.length - 1, minZoom: -9, maxZoom: 40, tileSize: TILE, keepBuffer: 1 });

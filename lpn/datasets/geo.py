@@ -109,7 +109,7 @@ class Positions:
     def match(self, names: Sequence[str]) -> list[Position | None]:
         """Return the position of each path below a described folder; None for a path without a position.
 
-        That folder may lie below the data set's. Paths get the prefix that fits most of them; a tie gives the empty prefix.
+        The folder may lie below the data set's folder. All paths get the prefix that fits most of them, and after a tie none.
 
         Raises:
             InputError: if two prefixes fit equally many names, at different positions.

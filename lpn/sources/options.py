@@ -162,7 +162,7 @@ class SourceOptions(ModelOptions):
     n_parts: Advanced[int | None] = None
     """Number of parts of a .mat, or of two-dimensional arrays; 1 by default."""
     pictures: Advanced[Path | None] = None
-    """Of an index: folder of plain pictures of unknown places to search for, in place of --data."""
+    """Of an index: folder of pictures of unknown places, which are the queries in place of --data."""
     index: Advanced[str | None] = None
     """Of a flight: index of the map's windows by this model, in place of windows that are described."""
 

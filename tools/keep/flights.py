@@ -225,7 +225,7 @@ def photos_of(folder: Path, every: int) -> list[Path]:
 
 
 def _accepted(basemap: Map, features: Sequence[MapFeatures], file: Path) -> bool:
-    """Register a photo as a visitor's own picture is, of which the pixels alone are known, and return whether it is accepted."""
+    """Register the pixels of a photo as a visitor's own picture, and return whether it is accepted."""
     from explorer import uploads
     from lpn.flight.locate.own_photo import register_own_photo
 

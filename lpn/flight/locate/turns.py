@@ -67,7 +67,7 @@ def other_turns(turns: Float64Array) -> dict[int, float]:
     """Return the indices of turns that do not fit the others, with the degrees of `other_turn`.
 
     The others are the turns within 2.5 degrees of the commonest one; they must be half of all, and at least eight. A turn
-    also fits if ten turns lie within 5 degrees of it, or half as many as near the commonest one. Time is O(N log N).
+    also fits if at least ten turns, or half as many as near the commonest one, lie within 5 degrees. The time is O(N log N).
 
     Args:
         turns: against certain headings in degrees, (N,).
