@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import csv
-import os
 import shutil
-import signal
 import time
 import warnings
 from collections.abc import Iterator
@@ -26,11 +24,12 @@ from lpn.core.errors import DataError, InputError, LPNError, StoreError
 from lpn.core.files import exclusive_lock
 from lpn.core.progress import listening
 from lpn.descriptors import many_machines
-from lpn.descriptors.many_machines import DescribeWorker, Summary, describe_by_many
+from lpn.descriptors.many_machines import Summary, describe_by_many
 from lpn.index import create_index, open_index
 from lpn.models.onnx_engine import Engine
 from tests.lpn.models.test_own_models import graph
 from tools.fixtures import small_worlds
+from tools.fixtures.failing_workers import Killed, Odd
 from tools.fixtures.processes import free_port
 
 pytestmark = [
@@ -139,28 +138,6 @@ def test_what_changed_alone_is_computed_and_what_is_broken_is_named(
     for name in broken:
         (folder / name).unlink()
     assert_equal(descriptors.open_store(out), expected(model_file, folder, tmp_path / "alone"))
-
-
-class Killed(DescribeWorker):
-    """Is killed once, before it writes its second part."""
-
-    def describe(self, number: int, rows: list[descriptors.Row]) -> tuple[int, dict[str, str]]:
-        self.seen = getattr(self, "seen", 0) + 1
-        if self.seen == 2:
-            try:
-                Path(self.task.out).with_name("killed").touch(exist_ok=False)
-            except FileExistsError:
-                pass
-            else:
-                os.kill(os.getpid(), signal.SIGKILL)
-        return super().describe(number, rows)
-
-
-class Odd(DescribeWorker):
-    """Fails at every part, as a fault of ours would make it."""
-
-    def describe(self, number: int, rows: list[descriptors.Row]) -> tuple[int, dict[str, str]]:
-        raise ZeroDivisionError(f"part {number} of {len(rows)}")
 
 
 @pytest.mark.slow
