@@ -43,7 +43,7 @@ from lpn.tasks.task import Scoring, Task
 
 # Seconds for which the start waits for registration; cached answers take less.
 REGISTRATION_WAIT = 3.0
-# Overlap of the windows below an offered flight. `lpn locate` describes four times as many; here a user waits.
+# Overlap of the windows of an offered flight. `lpn locate` describes four times as many; here a user waits.
 OFFERED_OVERLAP = 0.5
 
 

@@ -35,7 +35,7 @@ log = logging.getLogger(__name__)
 
 # Above this many frames, the older half is forgotten, because each change sends all frames to the page.
 MOST = 400
-# Longer side and JPEG quality of stored photos, and the number of stored sentences.
+# Longer side and JPEG quality of stored photos, and the number of stored notes.
 _PHOTO, _QUALITY, _SENTENCES = 1280, 82, 20
 # The fields that a tab of a live flight may set, beside the photo.
 _FIELDS = {"theme", *(row.name for row in FIELDS if row.name != "flight_paint")}
@@ -47,7 +47,7 @@ class LiveSight(NamedTuple):
     Attributes:
         seen: the located frames; None before the first.
         addresses: folders of their pictures, see `FlightPicturesFeed`.
-        status: age of the last answer and dropped frames in words; before the first answer, the reason to wait.
+        status: a sentence on the last answer's age and the dropped frames; before the first answer, the reason to wait.
     """
 
     seen: FlightSnapshot | None
@@ -56,7 +56,7 @@ class LiveSight(NamedTuple):
 
 
 class LiveRecord:
-    """Collects the fixes and the sentences of a run; thread-safe. It stores photos as small files in its own folder.
+    """Collects the fixes and notes of a live run; thread-safe. It stores photos as small files in a temporary folder.
 
     Args:
         name: the flight's name.
@@ -64,7 +64,7 @@ class LiveRecord:
 
     Attributes:
         feeds: serves the pictures.
-        watchers: called after each frame and each sentence.
+        watchers: called after each frame and each note.
     """
 
     def __init__(self, name: str, basemap: Map) -> None:
@@ -104,7 +104,7 @@ class LiveRecord:
         self._change(f"{done:,} of {total:,} windows of the map are described")
 
     def note(self, sentence: str) -> None:
-        """Add a sentence; the last twenty are stored."""
+        """Add a note, one sentence; the last twenty are stored."""
         with self._lock:
             self._sentences = [*self._sentences, sentence][-_SENTENCES:]
         self._change(self._status)
@@ -175,10 +175,10 @@ class LiveSession:
         self._worker.wake()
 
     def receive_bytes(self, part: bytes) -> None:
-        """Take no file."""
+        """Ignore a file that the tab sends."""
 
     def attach(self, client: Any) -> None:
-        """Draw no scene."""
+        """Do nothing: this page has no scene."""
 
     def leave(self) -> None:
         """Stop the work for a tab that left."""

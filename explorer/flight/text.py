@@ -32,12 +32,12 @@ STATES = {"right": "placed", "contradicted": "in doubt", "unknown": "not placed"
 
 
 def state(verdict: FrameVerdict) -> str:
-    """Return the colour's name of a photo's state, see `STATES`; a guess by its neighbours places no photo."""
+    """Return the colour's name of a photo's state, see `STATES`; a photo that only its neighbours place counts as not placed."""
     return "right" if verdict.sign else "contradicted" if verdict.contradicted else "unknown"
 
 
 def mark(verdict: FrameVerdict) -> str:
-    """Return the sign of a photo's state: a question mark for a place by its neighbours, or one in doubt."""
+    """Return the sign of a photo's state: a question mark for a place in doubt, or by the neighbours alone."""
     return "✓" if verdict.sign else "✗" if verdict.placed is None else "?"
 
 
@@ -82,7 +82,7 @@ def place(flight: LocatedFlight, point: tuple[float, float] | Float64Array) -> t
 
 
 def drone(flight: LocatedFlight, located: LocatedFrame) -> str:
-    """Tell height and tilt of the drone's camera, and its place unless that is the answer; "" without a pose."""
+    """Describe height and tilt of the drone's camera, and its place unless that is the answer; "" without a pose."""
     answer = located.stages.get("registration")
     if answer is None or not answer.accepted or (pose := answer.pose) is None:
         return ""
@@ -108,13 +108,13 @@ def accuracy(seen: FlightSnapshot) -> list[tuple[str, str, str]]:
         text += f" GPS tags do not confirm it: {held:.0f} % lie within 3 radii, where {right:.0f} % should."
     rows = [("On this map", f"± {median(radii):.1f} m", text)]
     figure = f"± {error_figure(flight.place_error)} m" if flight.place_error else ""
-    source = "As good as the map's georeference; its error is not told."
+    source = "As good as the map's georeference; its error is unknown."
     if flight.rendered:
         source = "The map is rendered, and shows no real place."
     elif told := placing_sentence(flight.basemap.notes):
         source = first_sentence(told)
     elif figure:
-        source = "The error that lpn map --error keeps."
+        source = "The error that lpn map --error states."
     rows.append(("On Earth", figure, source))
     if (errors := placed_errors(seen.measured.frames, seen.verdicts)) is not None:
         name, with_lag = "GPS tags", ""

@@ -610,7 +610,7 @@ def _curve_key(state: ScreenState, analysis: Answer) -> tuple[object, ...]:
 
 
 def _digest(key: tuple[object, ...], state: ScreenState) -> str:
-    """Return the name of a photo under part weights; the page matches a result to its curve by it."""
+    """Return the name of a photo under part weights, by which the page assigns a curve to a result."""
     return repr((key, state.weights))
 
 

@@ -31,11 +31,11 @@ class IndexCommand:
     descriptors: str | None = None
     """Store of tiles written by lpn describe; an address such as s3://bucket/store is copied to this machine first."""
     map: Path | None = None
-    """Map whose windows are described straight into the index, block by block, for more than memory holds; needs --model."""
+    """Map whose windows are described into the index block by block, so that they need not fit in memory; needs --model."""
     model: Path | None = None
     """With --map: trained LPN, .onnx, .safetensors, or .pth."""
     size: tuple[float, ...] = ()
-    """With --map: sides of the windows in metres, such as 70 100 140; by default five, of up to 300 m or 0.6 of the map."""
+    """With --map: sides of the windows in metres, such as 70 100 140; by default five, at most 300 m and 0.6 of the map."""
     overlap: float = 0.5
     """With --map: share of a window's side that its neighbour covers, too."""
     turns: int = 1

@@ -30,7 +30,7 @@ class ReportCommand(SourceOptions):
     failures: int | None = None
     """Maximum number of failures, lowest margin first; 20 if no query is named."""
     where: str = ""
-    """Filter of the queries, such as 'district = "Dock 3" and rank > 10'; with --failures the worst of them."""
+    """Filter of the queries, such as 'district = "Dock 3" and rank > 10'; with --failures, the worst queries that fit it."""
     matches: int = 5
     """Number of listed tiles for each query."""
     weights: str | None = None

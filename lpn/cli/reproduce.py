@@ -36,8 +36,8 @@ class ReproduceCommand:
     """Reproduce the paper's tables and figures; resumable."""
 
     what: Annotated[tuple[str, ...], tyro.conf.Positional]
-    """table1 to table6, figure1, figure3, figure4, figure5, figure7, figure8, or all, in which rows say why they cannot be
-    made."""
+    """table1 to table6, figure1, figure3, figure4, figure5, figure7, figure8, or all. A row of `all` that cannot
+    be made says why."""
     data: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
     """A data set's folder (University-1652, CVUSA, Oxford5k, Paris6k, or a rendered world); once for each data set."""
     out: Path = Path("runs/reproduce")
@@ -54,8 +54,8 @@ class ReproduceCommand:
     seeds: tuple[int, ...] = (0,)
     """Random seeds: one training for each, and the mean is reported."""
     protocol: Literal["ours", "released"] | None = None
-    """Protocol of turned queries and of the transfer to landmarks: released (as by their authors, the default with --recipe
-    released) or ours."""
+    """Protocol for turned queries and for the transfer to landmarks: the authors' released one (the default with --recipe
+    released), or ours."""
     train: bool = True
     """Train missing models; otherwise their rows are left out."""
     queries: tuple[str, ...] = ()

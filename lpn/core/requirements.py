@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from packaging.requirements import Requirement
 
 NAME = "lpn-explorer"
-# Packages that replace a required one, because they hold its modules.
+# Packages that replace a required one, because they contain its modules.
 _STAND_INS = {"onnxruntime": "onnxruntime-gpu"}
 # The package of each module, if their names differ.
 _PACKAGES = {

@@ -21,7 +21,7 @@ ProviderName = str
 PROVIDER_ENDING = "ExecutionProvider"
 # Devices whose descriptors agree to 1e-4: both compute in float32.
 FLOAT32_DEVICES = ("cpu", "cuda")
-# Part of sentences: commands without the flag --provider read the variable as well, see `resolve_provider`.
+# A remedy in messages. It names the variable too, because some commands have no --provider, see `resolve_provider`.
 COMPUTE_ON_CPU = "compute on the CPU (--provider cpu, or LPN_PROVIDER=cpu)"
 
 _CGROUPS, _OWN_CGROUP = Path("/sys/fs/cgroup"), Path("/proc/self/cgroup")

@@ -49,7 +49,7 @@ class TextTable:
         title: the text above it.
         after: sentences below it.
         align: l or r for each column, left or right; the last letter counts for all further columns.
-        ruled: numbers, from 0, of rows; a terminal shows a line above each.
+        ruled: indices of the rows that have a line above them on a terminal.
     """
 
     head: Sequence[str]

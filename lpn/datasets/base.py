@@ -140,7 +140,7 @@ class LeftOut:
     Attributes:
         file: its path below the root.
         why: reason as a predicate, such as "is not there".
-        published: whether the published data set has this defect; this copy is intact then.
+        published: whether this defect is in the published data set, so that it says nothing against this copy.
     """
 
     file: str
@@ -189,8 +189,8 @@ class Dataset:
         split: the split that is read, such as "cross-area"; None for a layout with one.
         kind: the recognised layout, such as "University-1652".
         title: the name of the folder in `lpn doctor`.
-        marks: patterns of paths below the root, with a slash at the end for folders; a folder with all paths of one of the tuples
-            has this layout.
+        marks: tuples of patterns of paths below the root; a pattern of folders ends in a slash. A folder has this layout if
+            all patterns of a tuple match.
         priority: layouts of a higher priority are tried first.
         deep: `recognises` searches the whole folder, so it is called last, and only for the folder to open.
         splits: lists of each split; at least one must exist. The path to open may end in a split's name.
@@ -424,7 +424,7 @@ class Folder(Dataset):
     def why_no_task(self) -> str:
         return (
             "is a folder of pictures, and nothing says which of them show the same place; name the pairs in a pairs.csv (columns "
-            "satellite, drone, and perhaps split), or make folders of a number for each place: train/drone/<number>/* and "
+            "satellite, drone, and perhaps split), or make one numbered folder for each place: train/drone/<number>/* and "
             "train/satellite/<number>/* to train on, test/query_drone/<number>/* and test/gallery_satellite/<number>/* to test "
             "with"
         )

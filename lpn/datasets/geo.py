@@ -133,8 +133,8 @@ class Positions:
         for other in others if best else ():
             if places(other) != places(best):
                 raise InputError(
-                    f"{self.source} in {self._root} has the pictures below both {best} and {other}, at other places; give a file "
-                    "of positions, or the folder of one (as --data takes it), that has only the described one."
+                    f"{self.source} in {self._root} has these names below {best} and {other} at different positions; give a file "
+                    "of positions, or its folder as --data, that has only the described folder."
                 )
         return [listed.get(best + name) for name in keys]
 
@@ -251,11 +251,9 @@ def read_positions(text: str) -> dict[str, Position]:
         path = plain_path(row.pop("path"))
         numbers = {name: _number(value, name, line) for name, value in row.items() if value or name in _REQUIRED}
         if not path:
-            raise DataError(f"{line} has no path; expected the picture's, relative to the folder.")
+            raise DataError(f"{line} has no path; expected the picture's path, relative to the folder.")
         if numbers["latitude"] == numbers["longitude"] == 0:
-            raise DataError(
-                f"{line} has the position 0, 0, which programs write for an unknown one; give the picture's."
-            )
+            raise DataError(f"{line} has the position 0, 0, which programs write if it is unknown; give the true one.")
         if path in positions:
             raise DataError(f"{line} gives {printable(path[:200])} a second position; keep one.")
         positions[path] = Position(**numbers)

@@ -73,7 +73,7 @@ def _read(path: Path, names: Sequence[str], simplify: bool) -> dict[str, Any]:
         try:
             reader = subprocess.run(command, stdout=output, stderr=subprocess.DEVNULL, timeout=_SECONDS, check=False)
         except subprocess.TimeoutExpired as error:
-            raise ValueError("its reader came to no end, so it is damaged") from error
+            raise ValueError("its reader did not end in time, so it is damaged") from error
         if reader.returncode:
             raise ValueError("its reader crashed, so it is damaged")
         output.seek(0)

@@ -163,7 +163,7 @@ def _places_without(name: str, labels: Iterable[int], of: int) -> MissingCounter
 def _unanswered(dataset: Dataset) -> Iterable[tuple[bool, MissingCounterparts]]:
     """Find queries without a true match, which count as missed.
 
-    True marks queries that are no damage, because not every place has a street picture.
+    True marks street tasks, where this is no damage: not every place has a street picture.
     """
     for task in dataset.tasks():
         query_view, gallery_view = views_of(task)

@@ -14,7 +14,7 @@ from lpn.core.arrays import FloatingArray, Int64Array, UInt8Array
 from lpn.drawing.part_areas import PartAreas
 from lpn.drawing.theme import HEAT, HEAT_AGAINST, part_colour
 
-# The strongest heat that is not painted, and two numbers of a greyed picture: the factor of its light, and the added level.
+# Heat up to this is not painted. A greyed picture is its grey level times the second number, plus the third.
 _BARE, _GREY, _RAISED = 0.3, 0.61, 10.0
 # Pixels of a part's border.
 _LINE = 2

@@ -69,7 +69,7 @@ def unknown_truth(queries: Sequence[Picture]) -> list[Truth]:
 
 
 def dataset_queries(model: Model, dataset: Dataset, index: Index) -> IndexQueries:
-    """Return the test queries of the data set's task whose gallery has most pictures in an index.
+    """Return the test queries of the data set's task whose gallery has the most pictures in an index.
 
     Names in the index are paths below the described folder: the data set's or one below it. If no gallery picture is in the
     index, the queries' places are unknown.

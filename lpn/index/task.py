@@ -72,8 +72,8 @@ class IndexGallery:
 def open_gallery(index: Index, queries: IndexQueries) -> IndexGallery:
     """Read all tiles of an index; of a large index, or of one that does not list its tiles, only the relevant ones.
 
-    Relevant are the true tiles, and those that the engine proposes for each query. If the engine misses no tile, ranks are those
-    among all tiles, down to the last proposed tile.
+    Relevant are the true tiles, and those that the engine proposes for each query. If the engine misses no tile, ranks
+    down to the last proposed tile equal those among all tiles.
 
     Raises:
         InputError: if the index holds no tiles, or too many are proposed.

@@ -81,7 +81,7 @@ def _positions(root: Path, names: list[str]) -> Float64Array:
         reason = f" ({str(error).rstrip('.')})"
     if known is None:
         raise DataError(
-            f"{root} has no {geo.NAME}, and no data set's own positions{reason}; leave --data out, or write one (docs/data.md)."
+            f"{root} has no {geo.NAME}, and its lists have no positions{reason}; leave --data out, or write one (docs/data.md)."
         )
     places = known.match(names)
     if names and not any(places):

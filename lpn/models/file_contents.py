@@ -32,7 +32,7 @@ def check_contents(path: Path, expected: FileFormat) -> None:
     """Check that a file begins like one of its kind; its end may be missing.
 
     Raises:
-        ModelFileError: if it does not, with its actual kind, if known, and a remedy; or if it is unreadable.
+        ModelFileError: if it is unreadable, or of another kind; the message names that kind, if known, and a remedy.
     """
     held = contents_of(path)
     if held == expected or {held, expected} == {"pytorch", "safetensors"}:

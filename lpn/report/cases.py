@@ -56,7 +56,7 @@ class Seen:
     """A described picture for a report.
 
     Attributes:
-        picture: the ground of the drawn parts, (H, W, 3) uint8, see `Answer.drawn`.
+        picture: the picture below the drawn parts, (H, W, 3) uint8, see `Answer.drawn`.
         areas: of its parts; None if neither a partition nor its cells are known.
         heat: its activation, (h, w), 0 to 1; None without cells.
         match: a tile's entry in the ranking; None for the query.

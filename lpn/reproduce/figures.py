@@ -96,7 +96,7 @@ def retrievals(model: Model, dataset: Dataset, views: Sequence[View], names: Seq
 
 
 def described(model: Model, dataset: Dataset, names: Sequence[str] = ()) -> list[PictureOfView]:
-    """Describe the first drone query of `names`, or one of all, and its tile for Figures 3 and 4."""
+    """Describe a drone query, the first of `names` if there are any, and its tile for Figures 3 and 4."""
     (query,) = named(dataset, "drone", names[:1], count=1)
     tile = next(picture for picture in dataset.gallery("satellite") if picture.label == query.label)
     made = []

@@ -77,8 +77,8 @@ class Claim:
         text: the claim in our words, with its place in the paper.
         pairs: labels of the row that should lead, and of the other one.
         columns: indices of the compared columns; None for every measured column.
-        tolerance: None for a claim that the first row leads. For a claim that it does not, the points of lead that are still
-            allowed, for each of `columns`.
+        tolerance: None for a claim that the first row leads. For a claim that it does not lead, the points by which it may still
+            lead, for each of `columns`.
     """
 
     text: str
@@ -204,7 +204,7 @@ ROW_SETTINGS = (
 )
 SCALES = {name: Scale(name, **values) for name, values in _DATA["scales"].items()}
 _TRAININGS = {name: Training(name, **values) for name, values in _DATA["trainings"].items()}
-# The networks in each drawn picture, by name of the file. The first is Figure 8's.
+# The networks of each drawn picture, by the name of its file.
 SHOWN = {name: tuple(_TRAININGS[one] for one in names) for name, names in _DATA["figures"].items()}
 # The pictures of each drawn figure.
 DRAWN = {

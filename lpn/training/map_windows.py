@@ -33,7 +33,7 @@ _SIZES = (0.5, 2.0)
 _LARGEST = 0.5
 # Number of sizes for which places for windows are computed; sizes between them are drawn log-uniformly.
 _LEVELS = 6
-# Least valid share of a window, steps of its centre per side, and the most centres for a size.
+# Least valid share of a window, steps of the centre along a window's side, and the maximum of centres for a size.
 _MIN_VALID = 0.75
 _STEPS = 8
 _MAX_PLACES = 50_000

@@ -171,7 +171,7 @@ class Recipe:
     season: _Share = 0.0
     """Probability that a hue, such as that of leaves, is shifted in pictures of places or in drone views of a map's windows."""
     bands: _Share = 0.0
-    """Probability that the bands of these pictures are mixed at random, as in near infrared."""
+    """Probability that bands are mixed at random, as in near infrared, in the same pictures as with `season`."""
     shadows: _Share = 0.0
     """Probability of shadows in pictures of places, or in the drone view of a window of a map."""
     occlusion: _Share = 0.0
@@ -179,7 +179,7 @@ class Recipe:
     blur: _Share = 0.0
     """Probability that pictures of places, or the drone view of a window of a map, are out of focus or blurred by motion."""
     noise: Annotated[float, Meta(ge=0, le=255)] = 0.0
-    """Largest standard deviation of the noise in these pictures, in grey levels."""
+    """Largest standard deviation of noise, in grey levels, in the same pictures as with `season`."""
 
     precision: Literal["auto", "float32", "bfloat16", "float16"] = "float16"
     """Arithmetic of the forward pass; auto is bfloat16 where the hardware has it, else float16 on CUDA and float32 elsewhere.

@@ -23,11 +23,11 @@ class FlightCommand:
     out: Path
     """Folder to write: flight.csv, flight.json, and the frames of videos in frames. Photos stay where they are."""
     every: float = 1.0
-    """Seconds from one frame of a video to the next; the sharpest of the first second from there on is taken."""
+    """Seconds from one frame of a video to the next; within a second from each moment, the sharpest is taken."""
     every_metres: float | None = None
     """Metres flown from one frame of a video to the next, in place of --every."""
     gps_order: Literal["lat-lon", "lon-lat"] | None = None
-    """Order of the first two values of GPS(a, b, c) in subtitles; by default that of the dialect; a note names a guess."""
+    """Order of the first two values of GPS(a, b, c) in subtitles; by default by the dialect; a note says if it is a guess."""
     fov: float | None = None
     """Horizontal field of view in degrees, for photos whose files have none."""
     pitch: float | None = None

@@ -2,8 +2,8 @@
 
 A camera's clock often has local time where the log has UTC, or the reverse. Offsets up to 14 hours either way are tried in steps
 of a quarter hour. The best one puts the most photos within the log, and brings the log nearest to the photos' own positions. If
-several are as good, the offset is unknown, and the user gives it as --clock-offset. Between clocks of one kind, offset 0 is
-taken if it is among them.
+several are as good, the offset is unknown, and the user gives it as --clock-offset. If both clocks are in UTC, or neither,
+offset 0 is taken if it is one of the best.
 """
 
 from __future__ import annotations
@@ -79,7 +79,7 @@ def _fit(telemetry: Telemetry, times: Float64Array, places: Float64Array, basis:
         best = near & (metres <= max(_CLEAR * least, least + _CLEAR_METRES))
     choices = offsets[best].tolist()
     if not choices:
-        return ClockFit(None, basis, "at no offset of a time zone do the photos' times lie within it")
+        return ClockFit(None, basis, "the photos' times lie within it at no offset of a time zone")
     if len(choices) > 1 and not (is_like and choices[0] == 0):
         return ClockFit(
             None,

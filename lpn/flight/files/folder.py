@@ -67,7 +67,7 @@ def write_flight(flight: Flight, folder: Path) -> None:
     for frame in flight.frames:
         lens = None if frame.lens is None else frame.lens.text()
         told = {"file": _relative(frame.file, folder), "lens": lens}
-        # A frame that msgspec read has its unknown values on the class alone.
+        # msgspec leaves unknown values of a frame to the class, so `vars` would lack them.
         rows.append([told.get(name, getattr(frame, name)) for name in _COLUMNS])
     header = {"format": FORMAT, "name": flight.name, "utc": flight.utc, "notes": flight.notes}
     write_together({folder / TABLE: csv_bytes(rows, own=True), folder / HEADER: json_bytes(header, ensure_ascii=False)})

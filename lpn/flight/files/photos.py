@@ -49,7 +49,7 @@ _OTHER_PLACE = 1000.0
 _MOST_BACK = -30.0
 # If twice the optical centre differs from the width by a larger share, the calibration is for another picture size.
 _OFF_CENTRE = 0.1
-# By convention: the source of the heading, and degrees to add to a pitch; None if the aircraft's tilt is not the camera's.
+# By convention: the source of the heading, and degrees to add to the pitch; None if the pitch is not that of the camera.
 _CONVENTIONS: Mapping[Convention, tuple[HeadingSource, float | None]] = {
     "gimbal": ("gimbal", 0.0), "on platform": ("gimbal", 0.0), "nadir": ("camera", -90.0), "direction": ("camera", 0.0),
     "fixed": ("aircraft", -90.0), "aircraft": ("aircraft", None),
@@ -79,8 +79,8 @@ class Photo:
     camera: str = ""
 
     def facts(self, data: bytes) -> list[tuple[str, str]]:
-        """Return names and values of a photo for display; `data` are its file's bytes. A missing value is "not told"."""
-        frame, place = self.frame, "not told"
+        """Return names and values of a photo for display; `data` are its file's bytes. A missing value is "unknown"."""
+        frame, place = self.frame, "unknown"
         if frame.latitude is not None:
             place = f"{frame.latitude:.6f}, {frame.longitude:.6f} (latitude and longitude of the camera)"
         clocks = {"by the camera's clock": self.local, "UTC": self.utc}
@@ -89,8 +89,8 @@ class Photo:
             ("File", printable(frame.name)),
             ("SHA-256", hashlib.sha256(data).hexdigest()),
             ("Size", f"{frame.width} × {frame.height} pixels, {len(data):,} bytes"),
-            ("Taken", ", ".join(f"{time:%Y-%m-%d %H:%M:%S} {clock}" for clock, time in times.items()) or "not told"),
-            ("Camera", printable(self.camera) or "not told"),
+            ("Taken", ", ".join(f"{time:%Y-%m-%d %H:%M:%S} {clock}" for clock, time in times.items()) or "unknown"),
+            ("Camera", printable(self.camera) or "unknown"),
             ("GPS tag", place),
         ]
 
@@ -262,7 +262,7 @@ def _told_angles(known: _Metadata) -> Iterator[_Angles]:
             yaw, pitch, roll = np.add(told, platform).tolist()
         elif convention == "nadir" and (pitch or 0.0) < _MOST_BACK:
             known.oddities.append(
-                f"has a pitch below {_MOST_BACK:g} where 0 is straight down, which was taken to count from the horizon"
+                f"has a pitch below {_MOST_BACK:g} although 0 is straight down; it was taken to count from the horizon"
             )
             convention = "gimbal"
         elif row.names == "GPSImgDirection" and text_of(known.raw("GPSImgDirectionRef")).upper().startswith("M"):
@@ -286,7 +286,7 @@ def _view(known: _Metadata, turns: int) -> tuple[Lens | None, float | None]:
     """Return the lens if the picture still has its known distortion, and the upright picture's horizontal field of view."""
     if projection := known.first("projection"):
         known.oddities.append(
-            f"is a panorama ({printable(projection)[:40]}), whose ground has not the map's shape; leave it out"
+            f"is a panorama ({printable(projection)[:40]}), which cannot be laid over a map; leave it out"
         )
         return None, None
     width, height = known.taken_size
@@ -328,7 +328,7 @@ def _fovs(known: _Metadata, width: float, height: float) -> Iterator[float]:
             continue
         if not across or abs(2 * across / width - 1) <= _OFF_CENTRE:
             yield cameras.fov_of_sensor(width, focal)
-        # A picture of another size was reduced. If its proportions are less wide, the calibration is of another camera.
+        # A picture of another size was reduced, unless it is much narrower: then the calibration is of another camera.
         elif not down or width / height * down / across >= 1 - _OFF_CENTRE / 2:
             yield cameras.fov_of_sensor(2 * across, focal)
         else:
@@ -347,7 +347,7 @@ def _fovs(known: _Metadata, width: float, height: float) -> Iterator[float]:
         if length and _SENSOR_WIDTHS[0] <= sensor <= _SENSOR_WIDTHS[1]:
             yield cameras.fov_of_sensor(sensor, length)
     if equivalent:
-        # It gives the field of view across the longer side.
+        # The 35 mm equivalent gives the field of view across the longer side.
         yield cameras.fov_across(cameras.fov_of_equivalent(equivalent, focal), min(width / height, 1.0))
 
 

@@ -19,7 +19,7 @@ from lpn.flight.files.photos import Photo
 
 # The course is measured over this many metres; position noise of a metre then turns it by 11 degrees.
 _LEAST_STEP = 5.0
-# Most seconds between a frame and the neighbours that give its course.
+# Maximum of seconds between a frame and the neighbours that give its course.
 _COURSE_SECONDS = 15.0
 # Courses before and after a frame that differ by more degrees are a turn, in which the camera's heading is unknown.
 _TURN = 45.0

@@ -158,7 +158,7 @@ def moment(text: str, day_first: bool = False) -> Moment | None:
     """Parse a moment such as "2024:05:01 14:00:00.5+02:00" or "5/13/2024 1:00 PM"; None for other text.
 
     Args:
-        day_first: whether dates with slashes have the day before the month; dates with points always have.
+        day_first: whether the day comes before the month in a date with slashes; in a date with points it always does.
     """
     return _moment(_MOMENT.fullmatch(text.strip()), day_first) if len(text) <= _LONGEST else None
 

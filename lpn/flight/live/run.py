@@ -178,7 +178,7 @@ def _without_place(fix: LiveFix, near_border: bool) -> str:
     """Return the sentence about many frames in a row without a usable place, by the last of them."""
     begin = f"{_REFUSED} frames in a row have no certain place"
     if fix.best.answer.accepted and fix.best.doubt == ["tag"]:
-        return f"{begin}: details place the last one, and its GPS tag alone disagrees, which may have drifted."
+        return f"{begin}: its details place the last one; only its GPS tag disagrees, and may have drifted."
     last = f"{fix.best.summary}. {fix.best.reason}"
     if fix.located.stages["sequence"].code == "beyond" or near_border:
         last += " The last place is near the border of the map; the flight may have left it."

@@ -22,7 +22,7 @@ from lpn.flight.live.frames import ArrivedPicture, Say
 # Seconds for which values count: quickly changing ones, and heights.
 FRESH, _HEIGHT_HOLDS = 2.0, 10.0
 _SLOW = ("height_above_ground", "height_above_takeoff", "altitude", "fov")
-# Most entries of a link in memory, enough for some seconds.
+# Maximum of a link's entries in memory, enough for some seconds.
 _ENTRIES = 256
 _WAIT = 0.2
 
@@ -51,7 +51,7 @@ def _with(picture: ArrivedPicture, told: dict[str, Any], across_longer_side: boo
 
 
 class LogTelemetry(LiveTelemetry):
-    """A log or track, matched by UTC where both have it; else the first picture counts from the log's first row.
+    """A log or track, matched by UTC where both have it; else the first picture is matched with the log's first row.
 
     Raises:
         DataError: if it has no times.

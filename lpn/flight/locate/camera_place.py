@@ -27,7 +27,7 @@ _LEAST_DOWN = 0.5
 _DIRECTION_ERROR, _HEIGHT_ERROR = 5.0, 0.1
 # Radii keep this share of a tilt's default error, for the part that frames have in common.
 COMMON = 0.5
-# Neighbours that are compared with a parabola in time, fewest groups of them, and most seconds between two.
+# Neighbours that are compared with a parabola in time, the minimum of such groups, and the maximum of seconds between two.
 _NEIGHBOURS = 4
 _LEAST_GROUPS = 12
 _GAP = 30.0

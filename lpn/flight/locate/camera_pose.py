@@ -26,7 +26,7 @@ from lpn.flight.locate.matchers import Complex
 from lpn.flight.locate.registration import Registration, is_turned_over
 from lpn.flight.maps import Map
 
-# Fewest matches of a pose, fewest cells of a grid over the photo that hold some, and cells on a side of the grid.
+# Minima of a pose's matches, and of the cells of a grid over the photo that hold some; and cells on a side of the grid.
 _LEAST_MATCHES, _LEAST_CELLS, _GRID = 12, 6, 5
 # The density of matches that agree must be this many times the density just beyond the threshold.
 _OVER_CHANCE = 2.0
@@ -166,7 +166,7 @@ class PoseMatches:
         return self._refined(_Camera(turn, shift, start.focal))
 
     def agreeing(self, camera: _Camera, thresholds: float = 1.0) -> BoolArray:
-        """Tell which matches agree with a camera, (M,)."""
+        """Return a mask of the matches that agree with a camera, (M,)."""
         return np.asarray(self._residuals(camera) < thresholds * self.threshold)
 
     def cells(self, which: BoolArray | slice = np.s_[:]) -> int:

@@ -20,7 +20,7 @@ _LEAST_TILT, _MOST_TILT, _LOWEST_RAY = 15.0, 65.0, 28.0
 _WIDEST = 4.0
 # Rows of a photo whose rays are computed at once.
 _ROWS = 256
-# Most features of a photo; more cost time, and raise the support of wrong places.
+# Maximum of a photo's features; more cost time, and raise the support of wrong places.
 _FEATURES = 2048
 
 
@@ -116,7 +116,7 @@ def level(photo: UInt8Array, frame: Frame) -> PhotoView:
 
     Args:
         photo: (H, W, 3) uint8.
-        frame: with its pitch; that of an aircraft levels nothing.
+        frame: with its pitch; a photo with an aircraft's pitch is not levelled.
     """
     height, width = photo.shape[:2]
     plain = PhotoView.plain(photo)

@@ -10,9 +10,10 @@ proves nothing by itself.
     sequence    photos that lie within three quarters of a window's side of their sequence's answer
     tags        photos that lie where their GPS tags say
 
-The share of photos that agree on the right map is unknown, so all shares are equally likely. On the right map few photos may fit
-and none overlap, so number and neighbours count as evidence on only a share of right maps, and their lack costs little. If false
-places are independent, a sum of 3 has a probability of at most exp(-3) (Markov's inequality). Photos of one view count once.
+The share of photos that agree on the right map is unknown, so all shares are equally likely. Even on the right map few photos
+may fit and none overlap. So number and neighbours are evidence on only a share of right maps, and their absence costs little. If
+false places are independent, a sum of 3 has a probability of at most exp(-3) (Markov's inequality). Photos of one view count
+once.
 """
 
 from __future__ import annotations
@@ -210,8 +211,8 @@ def _log_ratio(trials: Iterable[tuple[float, bool]]) -> float:
 def _log_ratio_of_number(count: int, chances: int) -> float:
     """Return the log ratio of `count` fits in `chances` views on the right map and on another.
 
-    All shares of fits are equally likely on the right map, and up to 1/5 on another. So the ratio is 1/5 over the probability of
-    more than `count` fits in `chances` + 1 trials of probability 1/5.
+    On the right map all shares of fits are equally likely; on another map, all shares up to 1/5. So the ratio is 1/5 over the
+    probability of more than `count` fits in `chances` + 1 trials of probability 1/5.
     """
     trials, yes, no = chances + 1, math.log(_CHANCE), math.log(1 - _CHANCE)
     logs = [

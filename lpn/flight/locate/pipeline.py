@@ -148,7 +148,7 @@ def registered(
         if place_error == located.basemap.surveyed_error:
             source = ", as it was surveyed"
         notes.append(
-            f"Radii of registrations hold {error_figure(map_error)} m for the error of the map itself{source}."
+            f"Radii of registrations include {error_figure(map_error)} m for the error of the map itself{source}."
         )
     moved = corrected_tags(located.flight.times, tags, audit.lag) if audit.has_lag else None
     return replace(

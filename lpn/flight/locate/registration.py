@@ -47,7 +47,7 @@ _GRID = 8
 _OFF_MAP = 0.25
 _SAMPLES = 200_000
 _HYPOTHESES = 4000
-# Most places that are matched again, and their least distance in ground widths.
+# Maximum of places that are matched again, and their least distance in ground widths.
 _PLACES = 4
 APART = 0.25
 _NONE = np.zeros(0, np.complex128)

@@ -45,20 +45,20 @@ _SIZES = 5
 _TURNS = 8
 # Least distance between the centres of a frame's best windows, as a share of their side: overlapping windows show one place.
 APART = 0.5
-# Fewest distinct frames for centring: a mean of fewer still contains their differences. Frames of a greater cosine are alike.
+# Minimum of distinct frames for centring: a mean of fewer frames keeps their differences. A cosine above ALIKE: not distinct.
 MIN_DISTINCT = 20
 ALIKE = 0.99
-# Turns in degrees from an aircraft's heading that its pictures mostly have, as it drifts and banks.
+# Usual turns of pictures from the aircraft's heading, in degrees, as it drifts and banks.
 _AIRCRAFT_TURNS = (0.0, -10.0, 10.0, -20.0, 20.0)
 # Any other heading must be better by this many standard deviations of the frame's scores.
 _OTHER_TURN = 1.5
 # Added to the variances of whitening, as a share of their mean: few samples estimate small variances badly.
 _SHRINKAGE = 1.0
-# Most bytes of frames' scores in memory: the sequence reads the scores of each frame a dozen times.
+# Maximum of bytes of frames' scores in memory: the sequence reads the scores of each frame a dozen times.
 _HELD_SCORES = 1 << 26
-# Most windows of an index that are all compared with each frame: 400 MB with 4 parts of 512 numbers.
+# Up to this many windows of an index are all compared with each frame: 400 MB with 4 parts of 512 numbers.
 MOST = 50_000
-# For a larger index: most compared windows for each description of a frame, and fewest for a flight of many frames.
+# With a larger index: the windows that each description of a frame is compared with, and their minimum in a long flight.
 NEAREST, _FEWEST = 500, 20
 
 
@@ -83,7 +83,7 @@ class FrameViews:
             sizes are compared.
         share: of the frame's width that the squares show, see `lpn.flight.files.cut.cut_square`.
         headings: of the comparison in degrees.
-        described: number of the first headings that are described; turned windows replace the others.
+        described: the frame is described at this many of the first headings; turned windows replace the others.
         aircraft: whether the first five headings are within 20 degrees of the aircraft's heading.
     """
 
@@ -152,7 +152,7 @@ class WindowGallery:
         return max(self.side * (1 - self.overlap), 1.0)
 
     def compared(self, views: FrameViews) -> BoolArray:
-        """Tell for each window whether a frame is compared with it, (W,)."""
+        """Return for each window whether a frame is compared with it, (W,)."""
         return np.asarray(math.isnan(views.level) | (self.sizes == views.level))
 
     def scores(self, views: FrameViews, described: Float32Array | None) -> Float64Array:
@@ -266,7 +266,7 @@ def heading_is_certain(frame: Frame) -> bool:
 
 
 def pyramid_sizes(basemap: Map, frames: Sequence[Frame]) -> list[float]:
-    """Return sides of windows in metres: by frames of known width, else up to 60 % of the map's shorter side, or 300 m."""
+    """Return sides of windows in metres, from frames of known width; else at most 60 % of the map's shorter side and 300 m."""
     cuts = [cut for frame in frames if (cut := cut_size(frame)) is not None]
     if cuts:
         low, high = np.log(np.quantile(cuts, (0.02, 0.98)))
@@ -455,7 +455,7 @@ def _indexed(
             found = dict.fromkeys(name for one in asked for name in index.search(one, None, wanted).ids)
             parsed = [one for name in found if (one := NamedWindow.parse(name)) is not None]
             named = list(dict.fromkeys(replace(one, heading=0.0) for one in parsed))
-            # Names round the sides, too.
+            # A name has its window's side rounded, too.
             windows = [
                 Window(one.x, one.y, min(record.sizes, key=lambda size, one=one: abs(size - one.size)))  # type: ignore[misc]
                 for one in NamedWindow.all_on(named, basemap.frame)
@@ -470,11 +470,11 @@ def _indexed(
         vectors = index.read([names[i][k] for k in range(len(turns)) for i in chosen])[0]
     if whole > MOST:
         notes.append(
-            f"The index holds {held:,} windows; photos were compared with the {len(vectors):,} of them that are nearest to one."
+            f"The index holds {held:,} windows; photos were compared with the {len(vectors):,} most similar ones."
         )
     if held < whole:
         notes.append(
-            f"The index holds {held:,} of {whole:,} windows of the map, and no photo is found where it holds none; let "
+            f"The index holds {held:,} of {whole:,} windows of the map, and photos of the others cannot be located; let "
             "lpn index --map go on to its end."
         )
     return [windows[i] for i in chosen], vectors.astype(np.float32, copy=False), notes

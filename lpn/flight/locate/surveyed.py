@@ -46,7 +46,7 @@ _DEGREES, _METRES = ("latitude", "longitude"), ("easting", "northing")
 _EXPECTED = "expected photo and latitude,longitude or easting,northing,epsg, and, if you like, point (camera or ground)"
 # The default CRS of degrees.
 _WGS84 = "EPSG:4326"
-# Most names in one sentence.
+# Maximum of names in one sentence.
 _MOST_NAMES = 10
 _RESIDUAL_COLUMNS = (
     *("photo", "point", "answer_is", "stage", "state", "doubt"),

@@ -31,7 +31,7 @@ _LOWEST, _HIGHEST = -500.0, 9000.0
 _LEAST, _WHOLE = 0.5, 0.98
 # Points along a side at which coverage is tested, and pixels along a side that are read to test heights.
 _PROBES, _LOOK = 64, 512
-# Most pixels that are read at once: 64 MB.
+# Maximum of pixels that are read at once: 64 MB.
 _MOST_PIXELS = 1 << 24
 
 

@@ -27,7 +27,7 @@ from lpn.flight.maps.window import Window
 
 # Side of the blocks in which a picture is cut, which bounds the memory.
 _BLOCK = 512
-# Most cells of the coverage along the longer side.
+# Maximum of cells of the coverage along the longer side.
 _COVERAGE = 1024
 # Pixels along the longer side of the overview that a map keeps in memory, some 16 MB.
 OVERVIEW = 2 * _COVERAGE
@@ -38,7 +38,7 @@ _WINDOWS = 1 << 16
 # Widest map in metres: beyond it, grid north and scale of one frame are too far off.
 _MAX_WIDTH = 400_000.0
 _MAX_PIXELS = 16_384
-# Fewest pixels of a map along its shorter side: fewer show no place.
+# Minimum of pixels along a map's shorter side: fewer show no place.
 _MIN_SIDE = 16
 # Default error of a map's places in pixels, and its minimum in metres: those of a map from tags without ground control.
 _PIXELS, _METRES = 3.0, 1.0
@@ -183,9 +183,9 @@ class Map:
         return self.default_error if given is None else given
 
     def place_error(self, given: float | None) -> float:
-        """Return the part of `total_error` that is the error of its place on earth; 0 if unknown.
+        """Return the part of `total_error` that is the map's error against true positions on earth; 0 if unknown.
 
-        A person's value for one run says nothing about the place on earth.
+        A person's value for one run says nothing about this part.
         """
         return 0.0 if given is not None else self.surveyed_error or self.error or 0.0
 

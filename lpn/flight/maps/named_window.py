@@ -107,7 +107,7 @@ def describe_place(window: Window, with_size: bool = True) -> str:
 
 
 def caption_of(window: Window) -> str:
-    """Describe a window by the way from the map's middle to its own, as "46 m W, 0 m N, 37 m wide"."""
+    """Describe a window by the way from the map's middle to its centre, as "46 m W, 0 m N, 37 m wide"."""
     east, north = round(window.x), round(window.y)
     return f"{abs(east):,} m {'W' if east < 0 else 'E'}, {abs(north):,} m {'S' if north < 0 else 'N'}, {window.size:.0f} m wide"
 

@@ -30,7 +30,7 @@ from lpn.flight.maps.map import Map, MapPlace
 from lpn.flight.maps.sheet import bounds_of
 from lpn.flight.maps.sources import MapOptions
 
-# Fewest photos of a map, and most names in a sentence.
+# Minimum of photos of a map, and maximum of names in a sentence.
 _LEAST, _NAMED = 3, 5
 # Groups of consecutive photos that are left out in turn, and the largest residual of a tag that counts, in metres or multiples
 # of the median; the library has the same limits.
@@ -245,7 +245,7 @@ def _limits(used: int, middles: Float64Array, tags: Float64Array, error: float |
     """State the metres from each photo's tag to its middle on the map, and the map's error."""
     off = np.hypot(*(middles - tags).T)
     open_places = (
-        "They are too few, or too nearly of one leg, to tell its error."
+        "The map's error is unknown, because the tags are too few, or nearly all of one leg."
         if error is None
         else f"By their scatter its places have an error of ± {error:.1f} m ({SIGMA})."
     )

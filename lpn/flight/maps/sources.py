@@ -164,7 +164,7 @@ def _listed(path: Path) -> list[Path]:
     if missing:
         raise DataError(
             f"{len(missing)} of {len(files)} pictures of {printable(str(path))} are not beside it, the first being "
-            f"{printable(missing[0])}; add them, or give the pictures themselves, which find their line."
+            f"{printable(missing[0])}; add them, or give single pictures of the list instead."
         )
     return files
 

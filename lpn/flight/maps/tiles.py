@@ -24,7 +24,7 @@ from lpn.datasets.integrity import list_errors, stream_error
 
 # Half the side of the square that Web Mercator (EPSG:3857) shows, in metres of the projection.
 _HALF = math.pi * 6_378_137.0
-# Most files and folders that are searched for a first tile, and most pixels along a side of the raster.
+# Maximum of files and folders that are searched for a first tile, and of pixels along a side of the raster.
 _MAX_ENTRIES, _MAX_PIXELS = 20_000, 1 << 30
 # The deepest zoom that GDAL reads in an .mbtiles.
 _ZOOM = 22
@@ -118,7 +118,7 @@ def pack_tiles(folder: Path, out: Path) -> tuple[Float64Array, list[str]]:
             "CREATE TABLE tiles (zoom_level INTEGER, tile_column INTEGER, tile_row INTEGER, tile_data BLOB, "
             "PRIMARY KEY (zoom_level, tile_column, tile_row))"
         )
-        # Clear tiles at two corners keep the rectangle where the tiles there have no data.
+        # Clear tiles at two corners preserve the rectangle's size if no tile with data lies there.
         for place in {(*low.tolist(),), (*high.tolist(),), *sound}:
             data = _encoded(sound.get(place), side)
             database.execute("INSERT INTO tiles VALUES (?, ?, ?, ?)", (_ZOOM, *np.subtract(place, low).tolist(), data))

@@ -155,7 +155,7 @@ def test_accuracy_has_three_rows_with_their_sources(flight: LocatedFlight, monke
     assert "GPS tags do not confirm it: 50 % lie within 3 radii, where 99 % should" in known["On this map"][1]
     assert known["GPS tags"] == ("5.0 m", "Median of 3 photos, at most 45.0 m.")
     surveyed = rows(map_error=0.02, place_error=0.02)
-    assert surveyed["On Earth"] == ("± 0.02 m", "The error that lpn map --error keeps.")
+    assert surveyed["On Earth"] == ("± 0.02 m", "The error that lpn map --error states.")
     assert rows(frames=[replace(frame, stages={}) for frame in flight.frames]) == {}
     note = "The map is made of 30 photos. Place and scale are those of the GPS tags, which lie 13.2 m from the photos."
     monkeypatch.setattr(type(flight.basemap), "notes", [note])

@@ -68,7 +68,7 @@ def test_names_of_a_folder_further_down_find_their_positions() -> None:
     assert matched(found("x/y/a.png", "z/a.png", "x/y/b/a.png"), "a.png", "b/a.png") == [0, 2]
     assert matched(found("x/a.png", "a.png"), "a.png") == [1]  # the file's own folder
     assert matched({}, "a.png") == [None]
-    with pytest.raises(InputError, match="below both x/ and y/, at other places"):
+    with pytest.raises(InputError, match="these names below x/ and y/ at different positions"):
         Positions(Path(), found("x/a.png", "y/a.png")).match(["a.png"])
     alike = dict.fromkeys(("x/a.png", "y/a.png"), geo.Position(1, 2))
     assert Positions(Path(), alike).match(["a.png"]) == [geo.Position(1, 2)]

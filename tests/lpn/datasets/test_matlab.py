@@ -81,7 +81,7 @@ def test_damage_anywhere_never_ends_the_process(packed: bool, tmp_path: Path) ->
     ("reader", "seconds", "message"),
     [
         ("import os; os.abort()", 60.0, "its reader crashed"),
-        ("import time; time.sleep(60)", 0.5, "its reader came to no end"),
+        ("import time; time.sleep(60)", 0.5, "its reader did not end in time"),
     ],
 )
 def test_a_reader_that_crashes_or_hangs_is_one_sentence(

@@ -32,6 +32,6 @@ def test_a_folder_without_positions_is_told_in_a_sentence(tmp_path: Path) -> Non
     (tmp_path / "empty").mkdir()
     for folder, reason in (("plain", ""), ("empty", r" \(.+\)")):
         with pytest.raises(
-            DataError, match=rf"{folder} has no geo.csv, and no data set's own positions{reason}; leave --data out"
+            DataError, match=rf"{folder} has no geo.csv, and its lists have no positions{reason}; leave --data out"
         ):
             tiles._positions(tmp_path / folder, ["a.png"])

@@ -96,7 +96,7 @@ class SecondModel:
         unlike = (
             ""
             if task.key == result.task.key
-            else f"Compared by {task.scoring} distances: not both models have {result.task.scoring} ones."
+            else f"Compared by {task.scoring} distances: one of the models has no {result.task.scoring} ones."
         )
         failed = next((ranking.error for ranking in rankings if ranking.error), "")
         columns = [

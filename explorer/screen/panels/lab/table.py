@@ -25,7 +25,7 @@ _HINTS = {
     "margin": "d² of the hardest negative minus d² of the nearest true tile; negative for a miss",
     "part": "The part that lowers the margin most in a miss, and raises it most otherwise",
     "answer": "The tile that was ranked first",
-    "distance": "From what the photo shows to the centre of the answer",
+    "distance": "The distance from the ground in the photo to the centre of the answer",
 }
 
 
@@ -98,7 +98,7 @@ def message(selection: LabSelection, rows: Int64Array) -> dict[str, Any]:
     known = int(graded.known[rows].sum())
     unlike = ""
     if second is not None and len(set(second.scorings)) > 1:
-        unlike = "A is ranked {}, B {}: not only the models differ.".format(*second.scorings)
+        unlike = "A is ranked {}, B {}, so ranks do not compare the models alone.".format(*second.scorings)
     name, descending = selection.sort
     return {
         "total": len(rows),

@@ -94,7 +94,7 @@ def message(result: ScreenResult, painted: tuple[int, ...]) -> dict[str, Any]:
     if truth is not None and (before := whole.positive()) is not None:
         said.append(f"The truth is {ordinal(truth.rank)}, and by the whole photo {ordinal(before.rank)}.")
     lacks = "other cells, constants, and CSLS" if result.task.neighbours else "other cells and constants"
-    said.append(f"These distances lack what {lacks} add, so compare them only with each other.")
+    said.append(f"These distances are without {lacks}, so compare them only with each other.")
     return shown | {"tiles": tiles, "said": said}
 
 

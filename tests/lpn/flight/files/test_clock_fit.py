@@ -85,7 +85,7 @@ SEVERAL = "at several offsets, and nothing decides between them; give one, in se
         (FOUR, {"utc": True}, {"path": straight(7200)}, "of 4 of 4 photos, by UTC; they replace those in the files."),
         # Nothing tells the offset.
         (FOUR, {}, {"ahead": -3 * HOUR, "path": straight(18_000)}, SEVERAL),
-        (FOUR, {}, {"ahead": 30 * 24 * HOUR}, "at no offset of a time zone do the photos' times lie within it"),
+        (FOUR, {}, {"ahead": 30 * 24 * HOUR}, "the photos' times lie within it at no offset of a time zone"),
     ],
 )  # fmt: skip
 def test_an_offset_of_clocks_is_estimated_where_the_files_determine_it(

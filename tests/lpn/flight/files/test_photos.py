@@ -248,4 +248,4 @@ def test_the_facts_are_those_of_the_file() -> None:
     ]
     other = photo_of(photo_bytes(exif(main={BASE.Make: "DJI", BASE.Model: "FC330"})), Path("b.jpg"))
     assert other.camera == "DJI FC330"
-    assert {other.facts(data)[i][1] for i in (3, 5)} == {"not told"}
+    assert {other.facts(data)[i][1] for i in (3, 5)} == {"unknown"}

@@ -96,7 +96,7 @@ def test_an_index_that_is_still_being_filled_is_told(town: Map, flight: Flight, 
     assert len(found.gallery.windows) == 16 // turns
     assert (None if found.gallery.turned is None else len(found.gallery.turned)) == (turns - 1 or None)
     assert found.notes[-1:] == [
-        f"The index holds 16 of {whole} windows of the map, and no photo is found where it holds none; let lpn index --map go "
+        f"The index holds 16 of {whole} windows of the map, and photos of the others cannot be located; let lpn index --map go "
         "on to its end."
     ]
     filled(tmp_path / "index", town, [51.0, 40.0], turns=turns)
@@ -133,7 +133,7 @@ def test_of_an_index_too_large_to_return_all_the_nearest_windows_are_compared(
     monkeypatch.setattr(FolderIndex, "most", 3)
     found, count = retrieve(model(), town, flight, index=where), len(plain.gallery.windows)
     assert 3 < len(found.gallery.windows) < count
-    assert any(f"were compared with the {len(found.gallery.windows)} of them" in note for note in found.notes)
+    assert any(f"were compared with the {len(found.gallery.windows)} most similar" in note for note in found.notes)
     for i in range(len(flight.frames)):
         # The three nearest of each are among them, and windows that resemble nothing score alike.
         np.testing.assert_allclose(np.sort(found.scores(i))[-3:], np.sort(plain.scores(i))[-3:], atol=5e-3)

@@ -619,7 +619,7 @@ def test_the_commands_write_a_track_and_measures(
     assert main(["locate", *where, *compared]) == 0
     assert "Against surveyed positions" in capsys.readouterr().out
     measured = json.loads((tmp_path / "all.json").read_text())
-    assert measured["notes"] == ["Radii of registrations hold 1.5 m for the error of the map itself."]
+    assert measured["notes"] == ["Radii of registrations include 1.5 m for the error of the map itself."]
     assert (measured["frames"], measured["corrected"], measured["stages"]["registration"]["photos"]) == (2, 0, 2)
     assert measured["surveyed"]["registration"]["camera"]["bias_east"] == pytest.approx(1.0, abs=0.6)
     assert len((tmp_path / "residuals.csv").read_text().splitlines()) == 3
