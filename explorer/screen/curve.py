@@ -19,7 +19,7 @@ from lpn.models.base import Model
 from lpn.retrieval import Ranking, scoring
 from lpn.tasks.task import Task
 
-# Degrees between two points, and cached descriptors for all browsers: 24 for a photo, some 8 kB each.
+# Degrees between two points, and maximum of cached descriptors for all browsers: 24 for a photo, some 8 kB each.
 STEP = 15
 ANGLES = tuple(range(-180, 180, STEP))
 _HELD = 4000
@@ -77,7 +77,7 @@ class Curve:
 
     Args:
         send: hands a message to the page.
-        held: the cache of all browsers.
+        held: the cache that all browsers share.
     """
 
     def __init__(self, send: Callable[[dict[str, Any]], None], held: Descriptors) -> None:

@@ -53,7 +53,7 @@ class ConnectionCheck:
             )
 
     def log_once(self, sentence: str) -> None:
-        """Log a sentence, unless it was logged before, or too many others were."""
+        """Log a sentence, unless it was logged before, or too many sentences were logged lately."""
         if sentence in self._logged or self._lines.level() < 1:
             return
         self._lines.take()

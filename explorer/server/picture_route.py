@@ -19,11 +19,11 @@ log = logging.getLogger(__name__)
 
 # The folder of all these addresses.
 PREFIX = "/pictures/"
-# Computed and waiting pictures at most, for all browsers and for one address. A page asks for six at a time.
+# Maximum of computed and waiting pictures, for all browsers and for one address. A page asks for six at a time.
 _MAX_WAITING, _MAX_WAITING_FOR_ONE = 64, 32
 # Seconds after which a client must ask again. The gateway aborts requests that take longer than 10 s.
 _PATIENCE = 8.0
-# Paths of logged failures that are remembered.
+# Maximum of remembered paths of logged failures.
 _MAX_LOGGED = 1000
 _PATH = re.compile(re.escape(PREFIX) + r"([\w./-]{1,120})", re.ASCII)
 

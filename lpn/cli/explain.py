@@ -31,8 +31,8 @@ if TYPE_CHECKING:
 class ExplainCommand(SourceOptions):
     """Split the score of a query and a tile exactly into its cells; works from the .onnx alone.
 
-    With a SOURCE, queries and tiles are named as the explorer names them, and the query may be a picture file; without one both
-    are picture files. With --over, one query is changed step by step, see lpn explain --over --help.
+    With a SOURCE, queries and tiles are named as the explorer names them, and the query may be a picture file. Without a
+    SOURCE, both are picture files. With --over, one query is changed step by step, see lpn explain --over --help.
     """
 
     MODES: ClassVar[dict[str, type[Sweep]]] = {"--over": Sweep}
@@ -166,7 +166,7 @@ class ExplainCommand(SourceOptions):
 
         if not model.contract.has_cells and (self.png is not None or not self.covering):
             raise InputError(
-                f"{verdicts.no_cells(model.contract)} Give --covering and --json to measure places instead."
+                f"{verdicts.no_cells(model.contract)} Give --covering and --json to measure squares of the query instead."
             )
 
 

@@ -68,7 +68,7 @@ class Gallery:
             view: of the pictures, "satellite", "street", or "drone".
             queries: a folder of typical query pictures, for `calibrate` and `csls`; no labels are needed.
             query_view: the view of the queries.
-            calibrate, csls: see `lpn.open_task`; nothing ships with a folder.
+            calibrate, csls: see `lpn.open_task`; a folder has no shipped calibration.
 
         Raises:
             DataError: if there is no such folder, or it holds no picture.

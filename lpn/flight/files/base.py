@@ -118,7 +118,7 @@ def degrees(frames: Sequence[Frame]) -> Float64Array:
 
 
 def on_earth(latitude: float, longitude: float) -> bool:
-    """Tell whether degrees are a position on the Earth."""
+    """Return whether degrees are a position on the Earth."""
     return abs(latitude) <= 90 and abs(longitude) <= 180
 
 

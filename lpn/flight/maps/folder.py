@@ -161,7 +161,7 @@ def build_map(
             about = f", which takes some {minutes:.0f} minutes" if minutes >= 2 else ""
             on_progress(f"Copying {printable(sheet.name)} into the map{about}.")
             sheets.append(_copied(sheet, folder, f"{_SHEETS}/{number:02d}.tif"))
-        on_progress("Looking where the map has data.")
+        on_progress("Reading the map for pixels without data.")
         if not whole.coverage().any():
             raise DataError(f"{printable(whole.name)} has no valid pixel; expected a map.")
         heights = None

@@ -95,7 +95,7 @@ def test_the_head_that_fsra_of_one_block_does_not_use_may_be_missing(tmp_path: P
     bare = {key: value for key, value in state.items() if "classifier_heat" not in key}
     expected = opened(state, tmp_path, "block: 1").part_embeddings(pictures, "drone")
     np.testing.assert_array_equal(opened(bare, tmp_path, "block: 1").part_embeddings(pictures, "drone"), expected)
-    with pytest.raises(ModelFileError, match=r"has 0 of these heads, .* block: 3"):
+    with pytest.raises(ModelFileError, match=r"has 0 heads of parts, .* block: 3"):
         opened(bare, tmp_path, "block: 3")
 
 
@@ -168,7 +168,8 @@ def test_the_branches_of_sdpl_follow_the_role() -> None:
         sdpl.build(Entries("net_350.pth", state, {"h": 256, "w": 256, "views": 3}))
     for height, width in ((320, 320), (512, 256), (128, 128)):
         with pytest.raises(
-            ModelFileError, match=f"{height} x {width} pixels; SDPL takes squares of a multiple of 128 pixels from 256"
+            ModelFileError,
+            match=f"{height} x {width} pixels; SDPL takes squares with a side that is a multiple of 128 pixels, 256 or more",
         ):
             sdpl.build(Entries("net_350.pth", state, {"h": height, "w": width}))
 
