@@ -75,7 +75,7 @@ class Workspace:
         root: the data set's folder.
         flight: its frames are the queries; None for a data set. Registration, which may take minutes, replaces it.
         basemap: the map that windows are cut from; None without one.
-        own_photos: registers own pictures on the map; None without one.
+        own_photos: registers the user's own photos on the map; None without a map.
         weather: the weather of all queries.
     """
 

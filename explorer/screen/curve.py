@@ -41,7 +41,7 @@ class Turning:
         key: identifies photo and model, without angle and part weights.
         source: the photo before it is turned, (H, W, 3) uint8.
         change: other changes of the photo, see `Change.for_picture`.
-        index: position among the queries; None for an own photo.
+        index: position among the queries; None for the user's own photo.
         weights: the part weights, (n,); None for equal ones.
         model: describes the photo like the task's pictures, in the background.
         keep: caches described queries, so that a turn to one of the curve's angles needs no forward pass.

@@ -54,7 +54,7 @@ class _Computing:
 
 
 class PictureRoute:
-    """Answers requests for pictures on two threads of its own, so that no browser waits for another's tiles.
+    """Answers requests for pictures on two separate threads, so that no browser waits for the tiles of a second one.
 
     Equal requests share one computation, which goes on when a request times out. A browser may keep a picture for an hour: its
     address must change with its content.

@@ -91,7 +91,7 @@ class Rate:
 def confusions(
     outcomes: Outcomes, query_labels: Int64Array, labels: Int64Array, rows: Int64Array | None = None
 ) -> list[Confusion]:
-    """Return the confused pairs of places, the most frequent first, on ties by their labels.
+    """Return the confused pairs of places, the most frequent first, and equally frequent ones by their labels.
 
     Args:
         query_labels, labels: the place of each query and tile, (Q,) and (G,).

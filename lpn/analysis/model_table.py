@@ -223,7 +223,7 @@ def compare(
 
     Raises:
         InputError: when there are fewer than two models, names repeat, no query's truth is known, or tasks, galleries, queries,
-            or the orders of repeated queries differ; or when the numbers of groups and of models differ.
+            or the orders of repeated queries differ. Also when the numbers of groups and of models differ.
     """
     models = list[RankedModel]()
     for one in results if isinstance(results, Collection) else [results]:

@@ -42,9 +42,9 @@ class ExplainCommand(SourceOptions):
     match: str | None = None
     """Tile to compare with, by its name or its file; by default the source's top match."""
     view_query: Advanced[View] = "drone"
-    """View of a query without a source: the branch that describes it."""
+    """Without a SOURCE, the query's view, which selects its branch."""
     view_match: Advanced[View] = "satellite"
-    """View of the tile, likewise."""
+    """Without a SOURCE, the tile's view."""
     rotate: float = 0.0
     """Degrees counter-clockwise by which the query is rotated first."""
     weights: str | None = None

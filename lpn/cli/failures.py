@@ -36,7 +36,7 @@ class FailuresCommand(SourceOptions):
     notes: Advanced[Path | None] = None
     """File of tags and notes; by default notes.csv in the folder of the queries."""
     csv: Path | None = None
-    """File to write all queries that match --where to, with all columns, tags, and notes, as CSV."""
+    """CSV file to write: all queries that match --where, with all columns, tags, and notes."""
     beside: Path | None = None
     """Second trained model on the same queries; adds the columns rank A (of --model) and rank B, also for --where and --sort."""
     beside_kind: Advanced[Kind | None] = None

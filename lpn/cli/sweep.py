@@ -109,9 +109,7 @@ def _sentences(profile: SweepResult, views: tuple[View, View]) -> list[str]:
     if profile.points[0].followed.true:
         lines.append(_sentence("The true match scores highest", profile, profile.best))
         lines.append(_sentence("It ranks best", profile, profile.best_rank))
-    lines.append(
-        _sentence("The top score, which is seen without knowing the truth, is highest", profile, profile.best_top_match)
-    )
+    lines.append(_sentence("The top score, which needs no truth, is highest", profile, profile.best_top_match))
     if guess := verdicts.describe_heading(profile, views):
         lines.append(guess)
     return lines

@@ -45,7 +45,7 @@ _OPEN_FILES = 65_536
 _OPEN_FILES_MACOS = 10_240
 # Maximum of folders in a displayed name.
 _MAX_FOLDERS = 8
-# Characters that turn the direction of writing (marks, embeddings, overrides, isolates), so that a text reads as another one,
+# Characters that turn the direction of writing (marks, embeddings, overrides, isolates), so that a text looks like another one,
 # and the two further characters that XML excludes.
 _MISLEADING = "\ufffe\uffff\u061c\u200e\u200f\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069"
 # Categories of Unicode: control characters, bytes that are not UTF-8, separators of lines and of paragraphs.

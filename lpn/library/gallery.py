@@ -36,7 +36,7 @@ class Gallery:
         view: of the pictures.
         pictures: in the order of their paths.
         descriptors: of the pictures, (G, n, D).
-        calibration: the model's; None without one.
+        calibration: of the model; None without one.
         neighbours: K of CSLS; 0 ranks without it.
         hubness: the pictures' terms of CSLS, see `CslsTerms`, (G, n); None without it.
     """

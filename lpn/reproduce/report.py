@@ -128,7 +128,7 @@ def _verdict(claim: Claim, record: TableRecord) -> str:
 
 
 def _gaps(claim: Claim, rows: dict[str, RowRecord], index: int) -> list[tuple[float, str, str]]:
-    """Return the lead of each pair's first row over the other in a column, the smallest first."""
+    """Return the lead of each pair's first row over its second row in a column, the smallest first."""
     return sorted(
         ((rows[better].mean[index] - rows[worse].mean[index], better, worse) for better, worse in claim.pairs),
         key=lambda gap: gap[0],

@@ -87,7 +87,7 @@ def lazy_task(
     if carried:
         contract = replace(contract, n_parts=1, level="one vector", held="", partitions={}, part_names={})
         read, clauses = _carried, [transfer.SENTENCE]
-    clauses += ["queries cropped to the part that is meant"] if any(picture.box for picture in queries) else []
+    clauses += ["queries cropped to their boxes"] if any(picture.box for picture in queries) else []
     if branch:
         contract = replace(contract, views=(branch,), groups=(), roles="view")
         clauses.append(f"both sides described by the {branch} branch")

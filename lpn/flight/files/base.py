@@ -38,7 +38,7 @@ class Frame:
         latitude, longitude: of the camera in WGS 84 degrees.
         height_above_ground: of the camera in metres.
         height_above_takeoff: in metres above the point of take-off; on flat land this is the height above ground.
-        altitude: in metres above the sea, or above the ellipsoid where the file's writer means that.
+        altitude: in metres above the sea, or above the ellipsoid if the file's writer counts from it.
         heading: of the picture's top in degrees clockwise from north, 0 <= heading < 360.
         heading_source: "gimbal"; "camera", a direction of the camera in EXIF or XMP; "aircraft", whose camera may look elsewhere;
             or "course", the direction of motion. None without a heading.

@@ -30,7 +30,7 @@ def with_log(photos: Sequence[Photo], log: Log, clock_offset: float | None = Non
     """Return photos with a log's values, and notes.
 
     Rows are matched by file name if the log has file names, else by time. The log's values replace the photos' values. Two
-    stay: a heading of a better source than the log's, and the field of view of a photo of known lens.
+    stay: a heading of a better source, and the field of view of a photo of known lens.
 
     Args:
         clock_offset: seconds to add to the photos' times to get the log's time; None estimates it.

@@ -141,8 +141,8 @@ class LiveLocator:
             step = min(sizes) * (1 - self.options.overlap)
             if (count := (east - west) * (north - south) / step**2) > _MOST_WINDOWS:
                 raise InputError(
-                    f"The ground of {min(sizes):.1f} m that the first frame shows makes {count:,.0f} windows of the map, "
-                    f"and {_MOST_WINDOWS:,} are compared at most; fly higher, or give sides with --size."
+                    f"The first frame shows {min(sizes):.1f} m of ground, so the map has {count:,.0f} such windows, "
+                    f"and at most {_MOST_WINDOWS:,} are compared; fly higher, or give sides with --size."
                 )
         self.prepare(self.options.sizes or sizes)
         return True

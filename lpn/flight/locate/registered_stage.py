@@ -66,7 +66,7 @@ _AGREED = {"similarity": "one place, turn, and scale", "homography": "one place,
 
 @dataclass(eq=False)
 class FlightPrior:
-    """Facts from earlier registered frames for the next one.
+    """Facts from earlier registered frames for the next frame.
 
     Attributes:
         widths: metres of ground across the last pictures.

@@ -140,7 +140,7 @@ def flight_queries(model: Model, flight: Flight, basemap: Map, index: Index, roo
         root: folder of the flight, which holds a person's notes.
 
     Raises:
-        InputError: if the model's branches have roles, and it has one view, or the index was made for other tiles than windows
+        InputError: if a model with roles has only one view, or the index was made for other tiles than windows
             of the map.
         StoreError: if the index holds descriptors of another model.
     """

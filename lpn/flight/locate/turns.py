@@ -52,7 +52,7 @@ def other_turn(turn: float, turns: Float64Array) -> float | None:
     """Return the degrees, 0 .. 180, between a turn and the median of others, (N,) with N > 0; None if it fits them.
 
     A turn fits within 5 degrees, or within twice the spread of the others. The comparison ignores half turns, as files may be
-    saved upside down. The returned degrees include half turns, and count from the way up of most others.
+    saved upside down. The returned degrees include half turns, and count from the way up of most other turns.
     """
     from_first = _half_turn(turns - turns[0])
     usual = turns[0] + float(np.median(from_first))

@@ -1,4 +1,4 @@
-"""The folder of a map, which holds all that is needed to read it.
+"""The folder of a map, with everything that is needed to read it.
 
     map.json            format, frame, and for each sheet its file, CRS, and transform
     coverage.png        share of each cell that is valid, 0 to 255
@@ -51,7 +51,7 @@ class SheetRecord(msgspec.Struct, frozen=True):
         file: path of the pixels in the folder.
         crs: EPSG code or WKT.
         transform: from column and row to coordinates, row by row.
-        notes: sentences about how the user's file is shown.
+        notes: sentences about how the user's file is read.
     """
 
     name: str
