@@ -71,7 +71,7 @@ def test_a_score_of_constants_is_not_said_to_be_of_places() -> None:
     found = Evidence(np.array([0.5, 0.6]), part_weights(2), *(SideEvidence(cells, np.array([0.6, 0.7])),) * 2)
     said = verdicts.describe_evidence(found, ["1 centre", "2 outer"], "drone", "satellite")
     assert "most of it by a constant that comes from no cell" in said
-    assert "Of the whole score, +0.650 is constants" in said
+    assert "Of the whole score, +0.650 comes from constants" in said
     assert "north-east" not in said
 
 

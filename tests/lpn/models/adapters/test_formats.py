@@ -164,7 +164,7 @@ def test_the_branches_of_sdpl_follow_the_role() -> None:
         bound = model.for_task(query, gallery)
         for view, value in ((query, 0.0), (gallery, 1.0)):
             assert bound.network(view).get_submodule("trunk.bn1").bias[0] == value
-    with pytest.raises(ModelFileError, match=r"has 2 networks .* says views: 3"):
+    with pytest.raises(ModelFileError, match=r"has 2 views, .* says views: 3"):
         sdpl.build(Entries("net_350.pth", state, {"h": 256, "w": 256, "views": 3}))
     for height, width in ((320, 320), (512, 256), (128, 128)):
         with pytest.raises(
@@ -187,8 +187,8 @@ def narrow_denseuav() -> State:
         (FSRA, {"model_1.classifier1.add_block.0.weight": (512, 8)}, "", r"has shape \(512, 8\); expected \(512, 16\)"),
         (FSRA, {"model_1.transformer.pos_embed": (1, 50, 16)}, "", "positions for 49 patches of 16"),
         (FSRA, {}, "block: 3", "block: 3; correct or remove it"),
-        (small_mccg(1), {}, "views: 3\nh: 64\nw: 64", "has 2 networks .* says views: 3; correct or remove"),
-        (small_mccg(1, 2), {}, "views: 2\nh: 64\nw: 64", "has 3 networks .* says views: 2; correct or remove"),
+        (small_mccg(1), {}, "views: 3\nh: 64\nw: 64", "has 2 views, .* says views: 3; correct or remove"),
+        (small_mccg(1, 2), {}, "views: 2\nh: 64\nw: 64", "has 3 views, .* says views: 2; correct or remove"),
         (small_mccg(1), {}, "h: 100\nw: 64", "multiples of 32"),
         (narrow_denseuav(), {}, "", "1 blocks of the width 40; expected .* heads of 64 numbers"),
         (DENSEUAV, {"head.head.netvlad.centroids": (4, 64)}, "", r"unsupported head \(found head\.head\.netvlad\.centroids\)"),
