@@ -50,7 +50,7 @@ log = logging.getLogger(__name__)
 TILES = 48
 # Bytes of the cached tiles. A model with a map for each part, such as SDPL, takes up to 42 MB a tile, so few fit.
 TILE_BYTES = 400_000_000
-# Most described queries in the cache, and their bytes. Each angle of a query counts as one.
+# Maximum of described queries in the cache, and of their bytes. Each angle of a query counts as one.
 QUERIES, QUERY_BYTES = 1000, 150_000_000
 # Side of a thumbnail in pixels.
 _THUMBNAIL = 64
@@ -75,7 +75,7 @@ class Workspace:
         root: the data set's folder.
         flight: its frames are the queries; None for a data set. Registration, which may take minutes, replaces it.
         basemap: the map that windows are cut from; None without one.
-        own_photos: registers own pictures on the map; None without one.
+        own_photos: registers the user's own photos on the map; None without a map.
         weather: the weather of all queries.
     """
 
@@ -99,10 +99,10 @@ class Workspace:
         # Rankings by the keys of their tasks; calibration adds the rankings under the further scorings.
         self.rankings = {ranking.task.key: ranking for ranking in rankings}
         self.tasks = {ranking.task.name: ranking.task for ranking in rankings}
-        # Scorings of a page that opens, the preferred first; a task takes the first that it has. No measured figure decides.
+        # Scorings of a new page, the preferred first; a task takes the first that it has, without regard to its figures.
         self.opens_with: tuple[Scoring, ...] = ()
         self.scorings: Scorings = Scorings(
-            "Saved descriptors and indexes are ranked as they are; calibration takes pictures."
+            "Saved descriptors and indexes cannot be calibrated, because that takes pictures."
         )
         self.contract, self.map_sizes = contract, map_sizes
         self.inference = InferenceScheduler()
@@ -170,7 +170,7 @@ class Workspace:
         return self._tiles.get(_tile_key(task, index), lambda: describe_tile(task, index, model or self.model))
 
     def described_query(self, key: Hashable, describe: Callable[[], DescribedPicture]) -> DescribedPicture:
-        """Return a described query, from the cache if possible; nobody waits for another's work, which may be cancelled."""
+        """Return a described query, from the cache if possible; each browser describes it by itself, as work may be cancelled."""
         known = self._queries.peek(key)
         described = describe() if known is None else known
         return self._queries.get(key, lambda: described)
@@ -190,7 +190,7 @@ class Workspace:
         return self.rankings.get(scored_key(name, cast("Scoring", scoring)), self.rankings[self.tasks[name].key])
 
     def shared_task(self, task: Task, others: Iterable[Workspace]) -> Task:
-        """Return a task under its scoring if all other workspaces have it ranked so, else as this workspace opened it."""
+        """Return a task under its scoring if all other workspaces rank it so, else as this workspace opened it."""
         alike = all(task.key in other.rankings for other in others if task.name in other.tasks)
         return task if alike else self.tasks[task.name]
 

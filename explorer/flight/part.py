@@ -32,7 +32,7 @@ _INTERVAL = 1.0
 
 @dataclass(frozen=True)
 class MetresOf:
-    """A fixed number of numbers in metres, or none."""
+    """A fixed count of values in metres, or none."""
 
     count: int
 
@@ -41,7 +41,7 @@ class MetresOf:
         if given in ([], "", None):
             return ()
         if not isinstance(given, list) or len(given) != self.count:
-            raise UnusableError(f"expected {self.count} numbers of metres.")
+            raise UnusableError(f"expected {self.count} numbers in metres.")
         return tuple(round(parse_number(str(one), -_FARTHEST, _FARTHEST), 2) for one in given)
 
     def write(self, value: tuple[float, ...], state: ScreenState, workspace: Workspace) -> str:  # noqa: ARG002
@@ -130,7 +130,7 @@ class FlightPart(PanelPart):
         return _INTERVAL if running else None
 
     def _register(self, own: OwnPicture, result: ScreenResult) -> BackgroundJob[OwnPhoto] | None:
-        """Return the job that registers an own photo; `OwnPhotos.check` may have begun it."""
+        """Return the job that registers the user's own photo; `OwnPhotos.check` may have started it."""
         jobs, analysis = self.tab.base.own_photos, result.analysis
         if jobs is not None and (self._registering is None or self._registering[0] != own.key):
             windows = likely_windows(analysis.task, analysis.ranking.order.tolist())

@@ -66,7 +66,7 @@ class Access:
             return self._opened[workspace]
 
     def ranks_beside(self, state: ScreenState) -> list[tuple[str, int]]:
-        """Return the labels of the other models and their ranks of the unturned query, from the models that have ranked it."""
+        """Return the label of each further model that has ranked the query, with the rank of the unturned query."""
         ranks = []
         for number, model in enumerate(self.base(state).models):
             workspace = model.workspace

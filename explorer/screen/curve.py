@@ -19,7 +19,7 @@ from lpn.models.base import Model
 from lpn.retrieval import Ranking, scoring
 from lpn.tasks.task import Task
 
-# Degrees between two points, and cached descriptors for all browsers: 24 for a photo, some 8 kB each.
+# Degrees between two points, and maximum of cached descriptors for all browsers: 24 for a photo, some 8 kB each.
 STEP = 15
 ANGLES = tuple(range(-180, 180, STEP))
 _HELD = 4000
@@ -41,7 +41,7 @@ class Turning:
         key: identifies photo and model, without angle and part weights.
         source: the photo before it is turned, (H, W, 3) uint8.
         change: other changes of the photo, see `Change.for_picture`.
-        index: position among the queries; None for an own photo.
+        index: position among the queries; None for the user's own photo.
         weights: the part weights, (n,); None for equal ones.
         model: describes the photo like the task's pictures, in the background.
         keep: caches described queries, so that a turn to one of the curve's angles needs no forward pass.
@@ -77,7 +77,7 @@ class Curve:
 
     Args:
         send: hands a message to the page.
-        held: the cache of all browsers.
+        held: the cache that all browsers share.
     """
 
     def __init__(self, send: Callable[[dict[str, Any]], None], held: Descriptors) -> None:

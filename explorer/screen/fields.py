@@ -15,7 +15,7 @@ from lpn.descriptors.transforms import Change
 from lpn.library.analyser import OwnPicture, QueryRequest
 from lpn.tasks.task import SCORINGS, scored_key
 
-# Most characters and values of an address that are read.
+# Maximum of characters, and of values, that are read of an address.
 _MAX_SEARCH, _MAX_PARAMETERS = 4000, 100
 # Maximum of a part's weight, and the digits of written weights.
 MAX_WEIGHT, _WEIGHT_DIGITS = 2.0, 2
@@ -193,7 +193,7 @@ class ScreenState:
         model: "0" for the workspace's model, else the number of another model.
         scoring: how the gallery is ranked.
         query: position among the task's queries.
-        own: the key of the own photo shown in place of the query; empty for none.
+        own: the key of the user's own photo in place of the query; empty for none.
         angle: degrees counter-clockwise by which the photo is turned.
         compare: gallery position of the compared tile; None for the headline's tile.
         weights: the part weights; empty for equal ones.
@@ -228,7 +228,7 @@ class ScreenState:
         return value
 
     def question(self, own: OwnPicture | None = None) -> QueryRequest:
-        """Return the question for the task: about the own photo, or without one about the query."""
+        """Return the question for the task: about the user's own photo if there is one, else about the query."""
         return QueryRequest(own or self.query, Change(self.angle), self.weights or None, compare=self.compare)
 
     def value(self, name: str) -> Any:
@@ -263,7 +263,7 @@ _OF_PAGE = ("filter", "find", "view", "theme", "panel", "of_panels")
 
 
 def add_panel(name: str, rows: Sequence[PanelField[Any]], offered: Callable[[Workspace], bool] | None) -> None:
-    """Add a panel's name and rows to the table; `offered` tells whether a workspace has it, None if it never opens."""
+    """Add a panel's name and rows to the table; `offered` tests whether a workspace has it; None for a panel that never opens."""
     if offered is not None:
         PANELS[name] = offered
     for row in rows:

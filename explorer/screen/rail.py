@@ -73,7 +73,7 @@ class Rail:
 
 
 def listed_queries(state: ScreenState, workspace: Workspace, ranking: RankingJob) -> Int64Array:
-    """Return the listed queries of a state; missed ones stand worst first."""
+    """Return the listed queries of a state; the missed ones in descending order of rank."""
     words = state.find.casefold().split()
     text = " ".join(word for word in words if word != _MISSED)
     named = np.array([i for i, name in enumerate(ranking.task.query_names) if text in name.casefold()], np.int64)

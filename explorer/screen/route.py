@@ -1,6 +1,6 @@
 """The files of the page at `/`: one template, style sheets, and ES modules from `page`, `vendor`, and the panels.
 
-`screen/page/bundle.js` joins all modules of the first page, because each file takes a connection. No two define the same name.
+`screen/page/bundle.js` joins all modules of the first page, as each file takes a connection. No two modules define the same name.
 Panels import these modules at their addresses; each exports the whole bundle. `screen/terms.json` has the meanings of terms.
 """
 
@@ -82,7 +82,7 @@ def _read(file: Path, _: int, zipped: bool) -> tuple[bytes, str]:
 
 
 def bundle() -> tuple[str, set[str]]:
-    """Return the modules of the first page as one, and their names; each module follows its imports."""
+    """Return the modules of the first page as one text, and their names; each module follows its imports."""
     texts: list[str] = []
     added: set[str] = set()
 

@@ -32,7 +32,7 @@ class ConnectionCheck:
         if origin == "null":
             saw.append("from a frame that hides its address")
         elif not same_origin(origin, host := request.only("host")):
-            saw.append(f"for {printable(host)[:_MAX_NAME]}, and another web site may not use this server")
+            saw.append(f"for {printable(host)[:_MAX_NAME]}, which is another web site")
         if not request.upgrade:
             saw.append("without the header Upgrade")
         if not protocol:
@@ -53,7 +53,7 @@ class ConnectionCheck:
             )
 
     def log_once(self, sentence: str) -> None:
-        """Log a sentence, unless it was logged before, or too many others were."""
+        """Log a sentence, unless it was logged before, or too many sentences were logged lately."""
         if sentence in self._logged or self._lines.level() < 1:
             return
         self._lines.take()

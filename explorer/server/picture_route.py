@@ -19,11 +19,11 @@ log = logging.getLogger(__name__)
 
 # The folder of all these addresses.
 PREFIX = "/pictures/"
-# Computed and waiting pictures at most, for all browsers and for one address. A page asks for six at a time.
+# Maximum of computed and waiting pictures, for all browsers and for one address. A page asks for six at a time.
 _MAX_WAITING, _MAX_WAITING_FOR_ONE = 64, 32
 # Seconds after which a client must ask again. The gateway aborts requests that take longer than 10 s.
 _PATIENCE = 8.0
-# Paths of logged failures that are remembered.
+# Maximum of remembered paths of logged failures.
 _MAX_LOGGED = 1000
 _PATH = re.compile(re.escape(PREFIX) + r"([\w./-]{1,120})", re.ASCII)
 
@@ -54,7 +54,7 @@ class _Computing:
 
 
 class PictureRoute:
-    """Answers requests for pictures on two threads of its own, so that no browser waits for another's tiles.
+    """Answers requests for pictures on two separate threads, so that no browser waits for the tiles of a second one.
 
     Equal requests share one computation, which goes on when a request times out. A browser may keep a picture for an hour: its
     address must change with its content.

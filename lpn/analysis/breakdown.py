@@ -13,7 +13,7 @@ from lpn.tasks.query_outcomes import Outcomes
 
 # The two-sided 95 % quantile of the normal distribution.
 _NORMAL_95 = 1.959963984540054
-# Most bins of numbers.
+# Maximum of bins of a column of numbers.
 _BINS = 5
 # Columns of degrees around the full circle, and the number of their bins: north, east, south, and west.
 _CIRCULAR, _SECTORS = ("heading",), 4
@@ -91,7 +91,7 @@ class Rate:
 def confusions(
     outcomes: Outcomes, query_labels: Int64Array, labels: Int64Array, rows: Int64Array | None = None
 ) -> list[Confusion]:
-    """Return the confused pairs of places, the most frequent first, on ties by their labels.
+    """Return the confused pairs of places, the most frequent first, and equally frequent ones by their labels.
 
     Args:
         query_labels, labels: the place of each query and tile, (Q,) and (G,).
@@ -109,7 +109,7 @@ def confusions(
 
 
 def hubs(outcomes: Outcomes, query_labels: Int64Array, rows: Int64Array | None = None) -> list[Hub]:
-    """Return the tiles that answer queries of at least two other places, the most places first.
+    """Return the tiles that answer queries of at least two other places, in descending number of places.
 
     Args:
         query_labels: the place of each query, (Q,).

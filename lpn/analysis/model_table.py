@@ -32,7 +32,7 @@ class PairedTest:
         first, second: their names.
         figure: such as "R@1".
         difference: first minus second in percentage points.
-        first_better, second_better: numbers of queries on which either group is better.
+        first_better, second_better: numbers of queries on which the first, or the second, is better.
         p: p-value of the paired randomization test over places.
         holm: p adjusted for all pairs under this figure.
         seeds_p, seeds_holm: p and adjusted p of Welch's t-test over runs; None unless both groups have several.
@@ -52,7 +52,7 @@ class PairedTest:
 
 @dataclass(frozen=True, eq=False)
 class ModelTable:
-    """Models that ranked equal queries in one gallery.
+    """Models that ranked the same queries in one gallery.
 
     Attributes:
         task, gallery_name: common to all.
@@ -133,7 +133,7 @@ class ModelTable:
         places, groups = len(np.unique(self.models[0].labels)), len(self.groups)
         pairs, grouped = groups * (groups - 1) // 2, groups < len(self.models)
         sentences = [
-            f"{self.task}, {self.gallery_name} pictures ranked for {self.queries} queries of {places} places. Intervals hold "
+            f"{self.task}, {self.gallery_name} pictures ranked for {self.queries} queries of {places} places. Intervals contain "
             f"{100 * LEVEL:.0f} % of {self.resamples} bootstrap means over places, seed {self.seed}; they cover the choice of "
             "places, not that of training seeds."
         ]
@@ -143,13 +143,13 @@ class ModelTable:
             )
         if pairs:
             sentences.append(
-                "p is of a two-sided paired randomization test that swaps two models on whole places, as queries of one place "
-                f"are not independent; Holm's p allows for {pairs} pair{'s' * (pairs > 1)} under each figure."
+                "p is of a two-sided paired randomization test. It swaps two models on whole places, as queries of one place "
+                f"are not independent. Holm's p allows for {pairs} pair{'s' * (pairs > 1)} under each figure."
             )
         if grouped and pairs:
             sentences.append(
                 "For groups, p applies to these runs on other places. The seeds' p, of Welch's t-test over runs, applies to "
-                "other runs on these places. A difference of two methods should hold in both."
+                "other runs on these places. A difference of two methods should pass both tests."
             )
         return " ".join(sentences)
 
@@ -223,12 +223,14 @@ def compare(
 
     Raises:
         InputError: when there are fewer than two models, names repeat, no query's truth is known, or tasks, galleries, queries,
-            or the orders of repeated queries differ; or when the numbers of groups and of models differ.
+            or the orders of repeated queries differ. Also when the numbers of groups and of models differ.
     """
     models = list[RankedModel]()
     for one in results if isinstance(results, Collection) else [results]:
         if not isinstance(one, Result | RankedModel):
-            raise InputError(f"One of the results is of the type {type(one).__name__}; expected those of lpn.evaluate.")
+            raise InputError(
+                f"One of the results is of the type {type(one).__name__}; expected results of lpn.evaluate."
+            )
         if isinstance(one, Result):
             one = replace(one.ranked(), name=scored_name(one.name, one.calibration, one.neighbours))
         models.append(one)

@@ -20,7 +20,7 @@ with suppress(Exception):
 
 @dataclass
 class DoctorCommand:
-    """Check this machine, files, a data set, or a model: what it holds and what is broken; ends with status 1 if something is."""
+    """Check this machine, files, a data set, or a model, and list contents and faults; ends with status 1 after a fault."""
 
     paths: Annotated[tuple[Path, ...], tyro.conf.Positional] = ()
     """Stores, indexes, parts, models, and trainings, or folders of them, to compare with their checksums."""

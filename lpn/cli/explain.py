@@ -31,8 +31,8 @@ if TYPE_CHECKING:
 class ExplainCommand(SourceOptions):
     """Split the score of a query and a tile exactly into its cells; works from the .onnx alone.
 
-    With a SOURCE, queries and tiles are named as the explorer names them, and the query may be a picture file; without one both
-    are picture files. With --over, one query is changed step by step, see lpn explain --over --help.
+    With a SOURCE, queries and tiles are named as the explorer names them, and the query may be a picture file. Without a
+    SOURCE, both are picture files. With --over, one query is changed step by step, see lpn explain --over --help.
     """
 
     MODES: ClassVar[dict[str, type[Sweep]]] = {"--over": Sweep}
@@ -42,9 +42,9 @@ class ExplainCommand(SourceOptions):
     match: str | None = None
     """Tile to compare with, by its name or its file; by default the source's top match."""
     view_query: Advanced[View] = "drone"
-    """View of a query without a source: the branch that describes it."""
+    """Without a SOURCE, the query's view, which selects its branch."""
     view_match: Advanced[View] = "satellite"
-    """View of the tile, likewise."""
+    """Without a SOURCE, the tile's view."""
     rotate: float = 0.0
     """Degrees counter-clockwise by which the query is rotated first."""
     weights: str | None = None
@@ -166,7 +166,7 @@ class ExplainCommand(SourceOptions):
 
         if not model.contract.has_cells and (self.png is not None or not self.covering):
             raise InputError(
-                f"{verdicts.no_cells(model.contract)} Give --covering and --json to measure places instead."
+                f"{verdicts.no_cells(model.contract)} Give --covering and --json to measure squares of the query instead."
             )
 
 

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 @dataclass(kw_only=True)
 class FailuresCommand(SourceOptions):
-    """List the queries of a source with rank, margin, and the part that decides, and say what fails most."""
+    """List the queries of a source with rank, margin, and the deciding part, and count the failures by their properties."""
 
     where: str = ""
     """Filter of the queries, such as 'rank > 1 and margin < -0.1 and name ~ 0012'; all by default."""
@@ -36,7 +36,7 @@ class FailuresCommand(SourceOptions):
     notes: Advanced[Path | None] = None
     """File of tags and notes; by default notes.csv in the folder of the queries."""
     csv: Path | None = None
-    """File to write all queries that match --where to, with all columns, tags, and notes, as CSV."""
+    """CSV file to write: all queries that match --where, with all columns, tags, and notes."""
     beside: Path | None = None
     """Second trained model on the same queries; adds the columns rank A (of --model) and rank B, also for --where and --sort."""
     beside_kind: Advanced[Kind | None] = None
@@ -59,7 +59,7 @@ class FailuresCommand(SourceOptions):
         table = task.table
         if self.beside is not None:
             second = replace(self, model=self.beside, kind=self.beside_kind, pooling=self.beside_pooling)
-            if {"task", "calibrate"} <= source.takes:  # the other model is ranked alike, whichever calibration ships
+            if {"task", "calibrate"} <= source.takes:  # rank the second model alike, whichever calibration ships
                 second = replace(second, task=cast(TaskName, task.name), calibrate=task.calibration is not None)
             table = table.with_columns(compared_ranks(table, source_of(second).open().task.outcomes.rank))
         rows = table.sort(table.filter(table.rows(), self.where), self.sort, self.descending)

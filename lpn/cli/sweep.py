@@ -50,7 +50,7 @@ class Sweep(SourceOptions):
         task, model = opened.task, opened.model
         if model is None:
             raise InputError(
-                f"No query of {task.model_name} can be changed, as it holds descriptors and no network; sweep a query of a data "
+                f"{task.model_name} has descriptors and no network, so its queries cannot be changed; sweep a query of a data "
                 "set with a model."
             )
         profile = _swept(task, model, self)
@@ -74,7 +74,7 @@ def _swept(task: Task, model: Model, options: Sweep) -> SweepResult:
     changes = [change.for_picture(query) for change in steps]
     ranks = task.ranks_under(position)
     points = sweeps.sweep_points(model, query.load_cropped(), task.query_view, changes, ranks)
-    return sweeps.SweepResult(options.over, tuple(tracked("Describing the query changed", points, len(changes))))
+    return sweeps.SweepResult(options.over, tuple(tracked("Describing the changed query", points, len(changes))))
 
 
 def _print(profile: SweepResult, title: str, views: tuple[View, View], console: Console) -> None:
@@ -109,9 +109,7 @@ def _sentences(profile: SweepResult, views: tuple[View, View]) -> list[str]:
     if profile.points[0].followed.true:
         lines.append(_sentence("The true match scores highest", profile, profile.best))
         lines.append(_sentence("It ranks best", profile, profile.best_rank))
-    lines.append(
-        _sentence("The top score, which is seen without knowing the truth, is highest", profile, profile.best_top_match)
-    )
+    lines.append(_sentence("The top score, which needs no truth, is highest", profile, profile.best_top_match))
     if guess := verdicts.describe_heading(profile, views):
         lines.append(guess)
     return lines
@@ -119,7 +117,7 @@ def _sentences(profile: SweepResult, views: tuple[View, View]) -> list[str]:
 
 def _sentence(begin: str, profile: SweepResult, point: SweepPoint) -> str:
     gain, changed, tile = profile.gain(point), point.change.describe(), point.followed
-    when = f"when {changed}" if changed else "with the query as it is"
+    when = f"when {changed}" if changed else "for the unchanged query"
     subject = "the true match has" if tile.true else "the top match has"
     if gain is None or not changed:
         return f"{begin} {when}: {subject} rank {tile.rank}, score {tile.score:.3f}."

@@ -45,7 +45,7 @@ _OPEN_FILES = 65_536
 _OPEN_FILES_MACOS = 10_240
 # Maximum of folders in a displayed name.
 _MAX_FOLDERS = 8
-# Characters that turn the direction of writing (marks, embeddings, overrides, isolates), so that a text reads as another one,
+# Characters that turn the direction of writing (marks, embeddings, overrides, isolates), so that a text looks like another one,
 # and the two further characters that XML excludes.
 _MISLEADING = "\ufffe\uffff\u061c\u200e\u200f\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069"
 # Categories of Unicode: control characters, bytes that are not UTF-8, separators of lines and of paragraphs.
@@ -139,7 +139,7 @@ def json_bytes(value: object, *, ensure_ascii: bool = True) -> bytes:
 
 
 def portable(value: object) -> object:
-    """Return a JSON value for every reader: null for a number that is not finite, "?" for a byte that is not UTF-8."""
+    """Return a value that every JSON reader accepts: null for a number that is not finite, "?" for a byte that is not UTF-8."""
     match value:
         case str():
             return value.encode("utf-8", "replace").decode()
@@ -231,7 +231,7 @@ def check_outputs(*outputs: tuple[Path | None, *tuple[str, ...]]) -> None:
         outputs: file and its possible endings; None if there is no output.
 
     Raises:
-        InputError: if a name has another ending, see `check_ending`; no folder was created then.
+        InputError: if a name has another ending, see `check_ending`; then no folder is created.
         OutputError: if a file cannot be written.
     """
     files = [(path, endings) for path, *endings in outputs if path is not None]

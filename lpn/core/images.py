@@ -269,7 +269,7 @@ def crop(picture: UInt8Array, box: tuple[float, float, float, float] | None, nam
     cut = picture[max(top, 0) : max(bottom, 0), max(left, 0) : max(right, 0)]
     if cut.size == 0:
         raise PictureError(
-            f"The box {left}, {top}, {right}, {bottom} marks nothing of {name}, which is {width} x {height} pixels; expected "
+            f"The box {left}, {top}, {right}, {bottom} contains no pixel of {name}, which is {width} x {height} pixels; expected "
             "left, top, right, bottom in pixels within it."
         )
     return np.ascontiguousarray(cut)

@@ -27,7 +27,7 @@ _listener: ContextVar[Listener | None] = ContextVar("listener", default=None)
 
 
 def report_progress(stage: str, done: int, total: int) -> None:
-    """Report how far a stage is to the listener of this thread, if there is one."""
+    """Report the progress of a stage to the listener of this thread, if there is one."""
     if (listener := _listener.get()) is not None:
         listener(stage, done, total)
 

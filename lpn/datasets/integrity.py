@@ -1,6 +1,6 @@
 """Check picture files before long work that needs them.
 
-Decoding every file would cost as much as the work itself. A file passes if its header is valid and its end fits its format:
+Decoding every file would cost as much as the work itself. A file passes if its header is valid and its end fits:
 the end-of-image marker of a JPEG, the last chunk of a PNG, the stated length of a WebP. Other files are decoded. Truncated
 and empty files are always found. Damage inside a picture is found only with `decode`, and only if the decoder notices.
 """

@@ -44,7 +44,7 @@ _BRIGHTNESS = (
 
 @dataclass(frozen=True)
 class Weather:
-    """A weather of a picture; the default is none.
+    """A weather of a picture; the default changes nothing.
 
     Attributes:
         name: one of `WEATHERS`.
@@ -192,7 +192,7 @@ def snow(picture: UInt8Array, rng: Generator, flake: tuple[float, float]) -> UIn
 def falling(
     shape: tuple[int, ...], size: float, density: tuple[float, float], evenness: float, rng: Generator
 ) -> UInt8Array:
-    """Draw white points (H, W) uint8, some areas denser than others.
+    """Draw white points (H, W) uint8, denser in some areas.
 
     A share of the pixels, uniform within `density`, has values 127.5 + 127.5 |cos(pi u)| for u uniform (a folded arcsine
     distribution). They are dimmed by 8 x 8 cells of Beta(1, 1 - evenness), cubic, and enlarged from 1 - size of the shape.

@@ -118,8 +118,8 @@ def _check_view(model: Model, view: View, pictures: Sequence[tuple[str, UInt8Arr
         return ModelFinding(view, False, None, message)
     if error > TOLERANCE:
         message = (
-            f"Cells and constants of part {of} miss it by {error:.1g} of its largest value on {at}, and may by "
-            f"{TOLERANCE:g}; the contract leaves something out, such as a bias, a scale, or a layer that is not linear."
+            f"Cells and constants of part {of} miss it by {error:.1g} of its largest value on {at} (allowed: "
+            f"{TOLERANCE:g}); the contract leaves something out, such as a bias, a scale, or a layer that is not linear."
         )
         return ModelFinding(view, False, error, message)
     proof = (

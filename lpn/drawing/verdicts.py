@@ -78,8 +78,7 @@ def describe_evidence(
         text = f"{noun.capitalize()} {names[best]} {verb} the {what} ({share}), {places}."
     if constants > similarity / 2 > 0:
         text += (
-            f" Of the whole {what}, {signed(constants)} is constants: what the network takes both pictures for, rather than "
-            "what they show."
+            f" Of the whole {what}, {signed(constants)} comes from constants, which belong to no place in the pictures."
         )
     if weighted[worst] < 0 and len(names) > 1:
         text += f" {noun.capitalize()} {names[worst]} speaks against the pair ({signed(rounded[worst])})."
@@ -138,8 +137,8 @@ def describe_heading(profile: SweepResult, views: tuple[View, View], known: floa
         return ""
     best = profile.best_top_match
     text = (
-        f"Without knowing the truth, any tile is nearest at {signed_value('rotation', best.change):g}° "
-        f"(d² {distance2(best.top.score):.3f}): by that, the picture's top points {heading:.0f}° clockwise from north"
+        f"Over all turns, the smallest distance to any tile is at {signed_value('rotation', best.change):g}° "
+        f"(d² {distance2(best.top.score):.3f}). So the picture's top should point {heading:.0f}° clockwise from north"
     )
     if known is None:
         return f"{text}, a guess that may be wrong."

@@ -65,7 +65,7 @@ def create_index(where: str | Path, kind: DescriptorKind, engine: str | None = N
     made = _engine(scheme if is_url else engine or "exact")
     if bool(is_url) == issubclass(made, FolderIndex) or (is_url and engine not in (None, scheme)):
         raise InputError(
-            f"The engine {engine or scheme} does not go with this place; milvus takes milvus://host:port/collection, exact and "
+            f"The engine {engine or scheme} does not fit this address; milvus takes milvus://host:port/collection, exact and "
             "faiss a folder."
         )
     index: Index = made.create(where, kind) if issubclass(made, FolderIndex) else made(where, kind)

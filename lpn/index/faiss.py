@@ -21,7 +21,7 @@ from lpn.descriptors.store import CodesEntry, DescriptorKind, Manifest, Part, St
 from lpn.index.base import DegreeBox
 from lpn.index.folder import FolderIndex, chosen_rows, scored
 
-# If at most this many tiles are in a box, all are compared, which is as fast and exact.
+# If at most this many tiles are in a box, all are compared, which is as fast, and exact.
 _FEW = 4096
 # Maximum number of training vectors for each list, and minimum for the codes, if the index has as many.
 _SAMPLE, _LEAST = 64, 16384

@@ -36,7 +36,7 @@ class Gallery:
         view: of the pictures.
         pictures: in the order of their paths.
         descriptors: of the pictures, (G, n, D).
-        calibration: the model's; None without one.
+        calibration: of the model; None without one.
         neighbours: K of CSLS; 0 ranks without it.
         hubness: the pictures' terms of CSLS, see `CslsTerms`, (G, n); None without it.
     """
@@ -68,7 +68,7 @@ class Gallery:
             view: of the pictures, "satellite", "street", or "drone".
             queries: a folder of typical query pictures, for `calibrate` and `csls`; no labels are needed.
             query_view: the view of the queries.
-            calibrate, csls: see `lpn.open_task`; nothing ships with a folder.
+            calibrate, csls: see `lpn.open_task`; a folder has no shipped calibration.
 
         Raises:
             DataError: if there is no such folder, or it holds no picture.

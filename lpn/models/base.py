@@ -37,7 +37,7 @@ class Model(ABC):
         parallel: whether several threads can call it in parallel, each on one core.
         batch: the best batch size for `descriptors`.
         means: the mean descriptor of a view, (n, D), subtracted from each of its descriptors; see `centred`.
-        whitening: the matrix that multiplies each centred part, (n, D, D); None for none.
+        whitening: the matrix that multiplies each centred part, (n, D, D); None without whitening.
         branches: the role of each view in the task of `for_task`; empty before.
     """
 
@@ -215,7 +215,7 @@ class Model(ABC):
 
         Args:
             means: mean descriptors (n, D) by view; a view without one is not centred.
-            whitening: a matrix for each part of all views, (n, D, D); None for none.
+            whitening: a matrix for each part of all views, (n, D, D); None without whitening.
         """
         moved = copy.copy(self)
         moved.means, moved.whitening = dict(means), whitening

@@ -217,7 +217,7 @@ def _behind_trunk(graph: onnx.GraphProto) -> set[str]:
 
 
 def _shrink(proto: onnx.ModelProto, storage: WeightType, kept: Collection[str] = ()) -> None:
-    """Store weights in fewer bits, with nodes that convert them to the graph's float32, except for those named `kept`."""
+    """Store weights in fewer bits, with nodes that convert them to the graph's float32, except for the names in `kept`."""
     graph = proto.graph
     widening: list[onnx.NodeProto] = []
     for weight in list(graph.initializer):

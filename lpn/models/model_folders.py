@@ -18,7 +18,7 @@ log = logging.getLogger(__name__)
 _EPOCH = re.compile(r"net_(last|\d{1,9})\.pth")
 # The models of our own training, the better one first; other files lie beside them.
 _OWN = ("best.safetensors", "last.safetensors")
-# Files beside a model from which a training resumes.
+# Files beside a model, from which a training resumes.
 _STATE = re.compile(
     r"state\.pt|(optimizer|scheduler|scaler|sampler|rng_state|random_states|training_args)(_\d{1,6})?\.(pt|pth|bin)"
 )

@@ -139,7 +139,7 @@ class Engine(Model):
         return parts.reshape(len(parts), self.n_parts, -1)
 
     def for_parallel_inference(self) -> Model:
-        """Return this model with one thread per forward pass; on a GPU, itself."""
+        """Return this model with one thread per forward pass; on a GPU, return it unchanged."""
         if self.parallel or self.device != "cpu":
             return self
         twin = copy.copy(self)
@@ -196,7 +196,7 @@ class Engine(Model):
             raise ModelFileError(f"{self._path.name} cannot be computed, so it is damaged; {_AGAIN}.") from error
         declared = _declared(session)
         if not all(_agrees(array.shape, declared[name]) for name, array in zip(names, outputs, strict=True)):
-            raise ModelFileError(f"{self._path.name} yields other shapes than it says, so it is damaged; {_AGAIN}.")
+            raise ModelFileError(f"{self._path.name} yields other shapes than it declares, so it is damaged; {_AGAIN}.")
         return outputs
 
 

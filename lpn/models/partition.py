@@ -89,7 +89,7 @@ class Partition:
         """Return the weight of each feature map cell in each part: (n, height, width) float32.
 
         `einsum("nhw,chw->nc", weights, map)` is the pooled map. The weights include the bilinear resize of a small map, so
-        they always apply to real cells. With "area" weighting each part sums to one.
+        they always apply to real cells. With "area" weighting, the weights of each part sum to one.
         """
         rows, columns = self.grid(height, width)
         rings = self.kind in ("rings", "whole")
@@ -139,6 +139,6 @@ def _bilinear(source: int, target: int, align_corners: bool) -> Float64Array:
         position = np.arange(target) * ((source - 1) / max(target - 1, 1))
     else:
         position = np.maximum((np.arange(target) + 0.5) * (source / target) - 0.5, 0.0)
-    # A cell's weight falls from 1 at its own position to 0 at its neighbours'.
+    # A cell's weight falls from 1 at its position to 0 at the positions of its neighbours.
     distance = np.abs(np.minimum(position, source - 1)[:, None] - np.arange(source))
     return np.asarray(np.maximum(1 - distance, 0), np.float64)

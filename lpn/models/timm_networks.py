@@ -2,7 +2,7 @@
 
 timm imports torchvision for augmentations and data sets, which are not needed here. Torchvision's compiled operators fit
 only one build of torch; with another one, its import fails. Then timm is imported with empty stand-ins for torchvision's
-modules. They are removed afterwards, so that no other package meets them.
+modules. They are removed afterwards, so that no other package imports them.
 """
 
 from __future__ import annotations

@@ -20,8 +20,8 @@ class Trace:
 
     Attributes:
         embedding: part embeddings, summed over the passes, with `Model.centring` added, whitened, (n, D).
-        features: the map of each of P passes, (P, C, h, w), or of each part of each pass, (P, n, C, h, w); the mirror's is
-            flipped back.
+        features: the map of each of P passes, (P, C, h, w), or of each part of each pass, (P, n, C, h, w); the map of the
+            mirror is flipped back.
         cells: the weight of each cell in each part of each pass, (P, n, h, w).
         weight: the heads, (n, D, C); None for the identity.
         slopes: the activation's slope for each number of each pass's embedding, (P, n, D); None without an activation.
@@ -58,7 +58,7 @@ class Trace:
                 fixed = partition.weights(*size)
             if fixed is None:
                 raise ModelFileError(
-                    f"{contract.method} returns a map of {size[0]} x {size[1]} cells, and not which part each belongs to; "
+                    f"{contract.method} returns a map of {size[0]} x {size[1]} cells without the part of each cell; "
                     "return cells with each picture, or in the heads."
                 )
             check_shapes(contract, {"features": (1, 1, *size), "the heads' cells": fixed.shape}, channels=False)
@@ -157,7 +157,7 @@ class Trace:
             weights: part weights with sum one, (n,).
 
         Raises:
-            InputError: if its shape is not the feature map's, or no cell belongs to a part that counts.
+            InputError: if the region's shape is not that of the feature map, or no cell belongs to a part that counts.
         """
         if cells.shape != self.size:
             raise InputError(f"The region has {cells.shape} cells; the feature map has {self.size}.")
@@ -170,5 +170,5 @@ class Trace:
 
 
 def _upright(values: Float32Array) -> Float32Array:
-    """Flip the columns of the second pass, the mirrored picture's."""
+    """Flip the columns of the second pass, which is of the mirrored picture."""
     return values if len(values) == 1 else np.concatenate([values[:1], values[1:, ..., ::-1]])

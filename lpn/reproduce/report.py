@@ -39,7 +39,7 @@ def markdown(record: TableRecord) -> str:
 def text_table(record: TableRecord) -> TextTable:
     """Return the measured values, and the paper's beside them."""
     any_paper = any(row.paper for row in record.rows)
-    # Title, and the index of a measured column, or of the paper's; the paper's columns without a neighbour come last.
+    # Title, and the index of a measured column, or of the paper's column; the paper's further columns come last.
     cells: list[tuple[str, int | None, int | None]] = []
     for index, (title, beside) in enumerate(zip(record.columns, record.beside, strict=True)):
         cells += [(title, index, None), *([("paper", None, beside)] if any_paper and beside is not None else [])]
@@ -128,7 +128,7 @@ def _verdict(claim: Claim, record: TableRecord) -> str:
 
 
 def _gaps(claim: Claim, rows: dict[str, RowRecord], index: int) -> list[tuple[float, str, str]]:
-    """Return the lead of each pair's first row over the other in a column, the smallest first."""
+    """Return the lead of each pair's first row over its second row in a column, the smallest first."""
     return sorted(
         ((rows[better].mean[index] - rows[worse].mean[index], better, worse) for better, worse in claim.pairs),
         key=lambda gap: gap[0],
@@ -210,7 +210,7 @@ def data_notes(table: PaperTable, data: Sequence[Source], scale: Scale) -> list[
 
 
 def network_notes(own: Sequence[TrainingJob], scale: Scale, seeds: Sequence[int]) -> list[str]:
-    """Describe the trainings of the networks that were not given."""
+    """Describe the trainings of all networks that the user did not supply."""
     notes: list[str] = []
     done = [job for job in own if job.done]
     if done:

@@ -119,7 +119,7 @@ def open_sources(data: Sequence[str]) -> dict[DataRole, list[Source]]:
     """Open the data sets of --data by role: several of landmarks, in the paper's order, at most one of each other role.
 
     Raises:
-        LPNError: when an argument is not a data set, two have one role, or a world is not completely rendered.
+        LPNError: when an argument is not a data set, two have the same role, or a world is not completely rendered.
     """
     roles: dict[DataRole, list[Source]] = {}
     for folder in data:

@@ -85,7 +85,7 @@ class PublishedResult:
             if not (np.abs(norms - 1) <= _TOLERANCE).all():
                 raise InputError(
                     f"The {side} descriptors in {self.name} do not consist of {self.n_parts} parts of norm "
-                    f"1/sqrt({self.n_parts}); give the number of parts they were made with as --n-parts."
+                    f"1/sqrt({self.n_parts}); give their number of parts as --n-parts."
                 )
 
     def check_labels(self) -> None:

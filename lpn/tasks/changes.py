@@ -32,7 +32,7 @@ def why_not(task: Task) -> str:
     if task.model is None:
         return "These are descriptors without their network, so queries cannot be turned."
     if any(picture.cut is not None for picture in task.queries):
-        return "The queries are cut out of other pictures, so descriptors of turned ones are not kept."
+        return "The queries are cut out of other pictures, so descriptors of turned queries are not stored."
     return task.no_truth
 
 
@@ -97,7 +97,7 @@ def calibrated(task: Task, calibration: Calibration | None) -> Task:
     if task.model is None or task.change or not set(task.views) <= set(task.contract.views):
         raise InputError(
             "A calibration centres each view, and needs the view's own branch and our protocol; leave out --centre, another "
-            "branch, and the released protocol, and change pictures after it."
+            "branch, and the released protocol, and change pictures after the calibration."
         )
     model, plain, views = task.model, task.describe, task.views
 

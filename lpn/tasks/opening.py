@@ -87,7 +87,7 @@ def lazy_task(
     if carried:
         contract = replace(contract, n_parts=1, level="one vector", held="", partitions={}, part_names={})
         read, clauses = _carried, [transfer.SENTENCE]
-    clauses += ["queries cropped to the part that is meant"] if any(picture.box for picture in queries) else []
+    clauses += ["queries cropped to their boxes"] if any(picture.box for picture in queries) else []
     if branch:
         contract = replace(contract, views=(branch,), groups=(), roles="view")
         clauses.append(f"both sides described by the {branch} branch")
@@ -315,12 +315,12 @@ def no_task_error(model: Model, dataset: Dataset) -> DataError:
     missing = ", ".join(one for one in wanted if has_views and not listed & {one, one.partition("_")[2]})
     return DataError(
         f"The test split of {name} is for {', '.join(tasks)}, and the model knows only {' and '.join(model.views)} pictures; "
-        f"{f'mend what is missing there ({missing}), or ' if missing else ''}choose another data set or model."
+        f"{f'add the missing pictures ({missing}), or ' if missing else ''}choose another data set or model."
     )
 
 
 def choose_task(model: Model, dataset: Dataset, name: str | None = None) -> str:
-    """Return the given task, or the first of `offered_tasks`.
+    """Return the task `name`, by default the first of `offered_tasks`.
 
     Raises:
         DataError: when there is none.

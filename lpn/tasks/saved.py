@@ -190,7 +190,7 @@ def _listed(file: Path, counts: Mapping[Role, int], below: FilesBelow) -> dict[R
     for side, of in lines.items():
         if len(of) != counts[side]:
             raise DataError(
-                f"{name} has {len(of)} lines of the side {side}, and the array {counts[side]} rows; expected as many."
+                f"{name} has {len(of)} lines of the side {side}, and the array {counts[side]} rows; expected equal numbers."
             )
     positions = [line.position for of in lines.values() for line in of]
     if 0 < (unknown := positions.count(None)) < len(positions):
@@ -224,7 +224,7 @@ def _known(lines: Mapping[Role, Sequence[_Line]]) -> BoolArray:
         return known
     if not told:
         log.warning(
-            "No picture of the gallery has a label, so those of the queries tell nothing; the truth counts as unknown."
+            "No picture of the gallery has a label, so the labels of the queries are of no use; the truth counts as unknown."
         )
         return np.zeros_like(known)
     found = (

@@ -77,10 +77,10 @@ class TestSplit:
 
 
 class HeldOut:
-    """Retrieval among held-out training places: satellite pictures by drone or street pictures, see `TestSplit`.
+    """Retrieval of satellite pictures by drone or street pictures among held-out training places, see `TestSplit`.
 
     Args:
-        places: the files of each set of each place; those without a pair of pictures are not measured.
+        places: the files of each set of each place; places without a pair of pictures are not measured.
         zoom: see `TestSplit`.
     """
 

@@ -144,7 +144,7 @@ class Trainer:
         else:
             what = f"{len(self.places):,} places in {', '.join(self.places.files)}"
             rows = "places" if recipe.sampling == "places" else "pictures of each set"
-        ends = f" ({self.loader.shortest} has the fewest and ends it)" if self.loader.shortest else ""
+        ends = f" (ended by {self.loader.shortest}, which has the fewest pictures)" if self.loader.shortest else ""
         resumed = f", of which {self.updates:,} are left" if self.history else ""
         steps, epochs = _counted(self.steps, "step"), _counted(recipe.epochs, "epoch")
         return (
@@ -325,7 +325,9 @@ class Trainer:
             self.console.print(f"--init {AUTO} takes {init}, of {place}.", soft_wrap=True, markup=False)
         named, init = init, model_file(init, trained=True)
         filled, total, missing = checkpoints.load_backbone(network, init)
-        rest = f"; missing or incomplete, so as initialised: {', '.join(missing)}" if missing else ""
+        rest = (
+            f"; these are missing or incomplete, and start from random values: {', '.join(missing)}" if missing else ""
+        )
         self.console.print(f"{named.name} fills {filled} of the backbone's {total} tensors{rest}.")
         # Windows of a map have no classes, so training starts from the descriptors of a trained model.
         if isinstance(self.places, MapWindows):

@@ -19,7 +19,7 @@ from lpn.tasks.gallery_geometry import GalleryGeometry
 
 # Vertical field of view of the rings in radians; they are seen from far away.
 _APART_FOV = math.radians(16)
-# Pixels of a picture of the scene; the height of a stack of rings, and its turn.
+# Side of the scene's pictures in pixels; the height of a stack of rings, and its turn.
 _PIXELS, _TALL, _TURN = 256, 2.3, math.radians(33)
 
 

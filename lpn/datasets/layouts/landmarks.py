@@ -46,7 +46,7 @@ _QUERY = re.compile(r".+_\d{1,6}_query\.txt")
 class Landmarks(Dataset):
     """Oxford5k, Paris6k, or a data set with such ground truth; its only task is "street-to-street".
 
-    The label of a true match is its landmark's number; every other picture has a label of its own. Labels are for display.
+    The label of a true match is its landmark's number; each further picture has a distinct label. Labels are for display.
     Unreadable pictures are left out.
     """
 

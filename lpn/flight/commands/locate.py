@@ -54,7 +54,7 @@ class LocateCommand(ModelOptions):
     register: bool = True
     """Lay each photo over the map by local features; --no-register measures the rest in a fraction of the time."""
     matcher: Advanced[Literal["auto", "xfeat", "sift"]] = "auto"
-    """Local features: xfeat (extra register), sift, or auto: xfeat where it is installed, and sift for what it cannot place."""
+    """Local features: xfeat (extra register), sift, or auto: xfeat where it is installed, then sift for the remaining photos."""
     prior: float | None = None
     """Metres around each photo's own GPS tag that registration searches without a model; by default the whole map."""
     map_error: MapError = None
@@ -118,7 +118,7 @@ class LocateCommand(ModelOptions):
 
     def resume_hint(self) -> str:
         """Return a sentence about resuming after a stop."""
-        return "Photos that are done are kept; give the same command again."
+        return "The finished photos are stored; give the same command again."
 
     def located(self, console: Console) -> tuple[MatchedSurvey | None, LocatedFlight]:
         """Match the surveyed positions, if there are any, and locate the flight.
@@ -205,7 +205,7 @@ def print_summary(located: LocatedFlight, console: Console) -> None:
     if located.tags_without_lag is not None:
         moved = located.without_lag().errors()
         named = {f"{stage}, tags without their lag": (stage, one) for stage, one in moved.items()} | {
-            f"{stage}, tags as told": told for stage, told in named.items()
+            f"{stage}, tags unchanged": told for stage, told in named.items()
         }
     for name, (stage, one) in named.items():
         accepted = sum(1 for frame in located.frames if stage in frame.stages and frame.stages[stage].accepted)
@@ -242,13 +242,13 @@ def _truth_sentence(located: LocatedFlight, known: bool) -> str:
     from lpn.flight.locate.errors import RIGHT_CALIBRATION, percents
 
     if not known:
-        return "No photo has a GPS tag on the map, or a correction by hand, so how far off the places are is not known."
+        return "No photo has a GPS tag on the map, or a correction by hand, so the errors of the places are unknown."
     corrected = sum(frame.by_hand is not None for frame in located.frames)
     tags = "the GPS tags of the flight"
     truth = f"corrections by hand ({corrected}), and the GPS tags of the other photos" if corrected else tags
     return (
         f"Errors are against {truth}; p90 and p95 are bounds, and so rounded up; shares in metres are of all photos with such a "
-        f"truth. Right radii ({SIGMA}), against an exact truth, hold {percents(RIGHT_CALIBRATION)}."
+        f"truth. Right radii ({SIGMA}), against an exact truth, contain {percents(RIGHT_CALIBRATION)}."
     )
 
 
@@ -276,8 +276,8 @@ def print_surveyed(
         TextTable(("", *columns), rows, title, align="l").print(console)
         sentences = [
             "Each photo counts with its accepted answer of the stage that counts, a contradicted one, too. CE90 and CE95 are "
-            "the distances that hold 90 and 95 % of them, interpolated between photos, so they are vague for few photos. "
-            f"Right radii ({SIGMA}, with the map's error) hold {percents(RIGHT_CALIBRATION)}."
+            "the distances within which 90 and 95 % of them lie, interpolated between photos, so they are vague for few. "
+            f"Right radii ({SIGMA}, with the map's error) contain {percents(RIGHT_CALIBRATION)}."
         ]
         told = {title: one.bias_sentence for title, one in columns.items()}
         sentences += [f"{title.capitalize()}: {sentence}" for title, sentence in told.items() if sentence]

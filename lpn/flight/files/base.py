@@ -38,7 +38,7 @@ class Frame:
         latitude, longitude: of the camera in WGS 84 degrees.
         height_above_ground: of the camera in metres.
         height_above_takeoff: in metres above the point of take-off; on flat land this is the height above ground.
-        altitude: in metres above the sea, or above the ellipsoid where the file's writer means that.
+        altitude: in metres above the sea, or above the ellipsoid if the file's writer counts from it.
         heading: of the picture's top in degrees clockwise from north, 0 <= heading < 360.
         heading_source: "gimbal"; "camera", a direction of the camera in EXIF or XMP; "aircraft", whose camera may look elsewhere;
             or "course", the direction of motion. None without a heading.
@@ -118,7 +118,7 @@ def degrees(frames: Sequence[Frame]) -> Float64Array:
 
 
 def on_earth(latitude: float, longitude: float) -> bool:
-    """Tell whether degrees are a position on the Earth."""
+    """Return whether degrees are a position on the Earth."""
     return abs(latitude) <= 90 and abs(longitude) <= 180
 
 

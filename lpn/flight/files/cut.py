@@ -15,7 +15,7 @@ from lpn.core.arrays import UInt8Array
 from lpn.flight.files.base import Frame
 from lpn.flight.files.cameras import ground_width
 
-# Pictures that a `FrameReader` keeps, and its locks.
+# Numbers of pictures that a `FrameReader` keeps, and of its locks.
 _KEPT, _LOCKS = 8, 16
 # Side of the square as a share of a frame's shorter side. Its corners leave the picture at some headings.
 CUT = 0.85
@@ -32,7 +32,7 @@ def cut_square(picture: UInt8Array, heading: float, share: float, pixels: int) -
 
     Args:
         heading: of the picture's top, degrees clockwise from north.
-        share: of the picture's width that the square's side shows.
+        share: the square's side as a share of the picture's width.
     """
     picture = _reduced(picture, share, pixels)
     height, width = picture.shape[:2]
@@ -58,7 +58,7 @@ def _reduced(picture: UInt8Array, share: float, pixels: int) -> UInt8Array:
 class FrameReader:
     """Cuts squares from frames, see `cut_square`; a frame that is cut at several headings is read and reduced once.
 
-    Threads can share it: it holds the last eight pictures.
+    Threads can share it. It keeps the last eight pictures.
 
     Args:
         pixels: side of the squares.
@@ -82,7 +82,7 @@ class TurnedFrame:
 
     Attributes:
         heading: of its top, degrees clockwise from north.
-        share: of its width that the square shows.
+        share: the square's side as a share of the frame's width.
         pixels: side of the square's picture.
     """
 

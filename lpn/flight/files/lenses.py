@@ -41,7 +41,7 @@ class Lens:
 
     Attributes:
         focal_x, focal_y: focal lengths in widths of the picture.
-        centre_x, centre_y: of the lens from the picture's middle, to the right and down, in widths of the picture.
+        centre_x, centre_y: the optical centre from the picture's middle, to the right and down, in widths of the picture.
         k1, k2, p1, p2, k3: coefficients of distortion.
 
     Raises:
@@ -87,7 +87,7 @@ class Lens:
         return 2 * math.degrees(math.atan(0.5 / self.focal_x))
 
     def undistorted(self, photo: UInt8Array) -> UInt8Array:
-        """Return a photo (H, W, 3) as of a pinhole with the same focal length and its optical centre in the middle."""
+        """Return a photo (H, W, 3) as taken by a pinhole of the same focal length, with the optical centre in the middle."""
         height, width = photo.shape[:2]
         x, y = middle_pixel(width, height)
         pinhole = np.array([[self.focal_x * width, 0, x], [0, self.focal_x * width, y], [0, 0, 1]])
@@ -137,7 +137,7 @@ def read_camera(file: Path) -> tuple[Lens, float]:
             raise ValueError("too many brackets")
         # OpenCV before 5 asks for its own first line.
         head = "" if text.startswith(("%", "{")) else "%YAML:1.0\n---\n"
-        # The storage owns its nodes, so it outlives them here.
+        # Nodes are valid only as long as their storage, so it has a name.
         text = head + _DASHED.sub(r" \1", text.removeprefix("---"))
         storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
         return _camera(_content(storage.root()))
@@ -184,7 +184,7 @@ def _camera(content: dict[str, Any]) -> tuple[Lens, float]:
         cameras = {name: camera for name, camera in content.items() if isinstance(camera, dict)} or {"": content}
         if len(cameras) > 1:
             raise ValueError(
-                f"{len(cameras)} cameras ({first_few(list(cameras), 3)}) and not only the camera of these photos"
+                f"{len(cameras)} cameras ({first_few(list(cameras), 3)}) where one is expected, that of these photos"
             )
         (camera,) = cameras.values()
         width, height = camera["width"], camera["height"]

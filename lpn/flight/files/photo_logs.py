@@ -30,7 +30,7 @@ def with_log(photos: Sequence[Photo], log: Log, clock_offset: float | None = Non
     """Return photos with a log's values, and notes.
 
     Rows are matched by file name if the log has file names, else by time. The log's values replace the photos' values. Two
-    stay: a heading of a better source than the log's, and the field of view of a photo of known lens.
+    stay: a heading of a better source, and the field of view of a photo of known lens.
 
     Args:
         clock_offset: seconds to add to the photos' times to get the log's time; None estimates it.
@@ -87,17 +87,17 @@ def _by_name(
         names = first_few([printable(photos[i].frame.name) for i in sorted(i for _, i in apart)], 3)
         notes.append(
             f"{log.name} names {printable(entry.file or '')}, which {len(apart)} photos are called ({names}), so none of them "
-            "has its values; write their folders in it."
+            "has its values; write the photos' folders into the log."
         )
     if twice:
         notes.append(
             f"{len(twice)} of {len(photos)} photos are listed more than once in {log.name} with different values, such as "
-            f"{twice[0]}; the row nearest to the photo's own position was used, or the first one without such a position."
+            f"{twice[0]}; the row nearest to the photo's position was used, or the first row if that is unknown."
         )
     if moved and (middle := float(np.median(moved))) > _ELSEWHERE:
         notes.append(
-            f"The positions of {log.name} are {distance(middle)} from the photos' own in the median; check that it is of this "
-            "flight, and that its latitude and longitude are not exchanged."
+            f"The positions of {log.name} are {distance(middle)} from those of the photos in the median; check that the log is "
+            "of this flight, and that its latitude and longitude are not exchanged."
         )
     return made
 
@@ -127,7 +127,7 @@ def _with_entry(photo: Photo, entry: TelemetryEntry, utc: bool) -> Photo:
 
 
 def _with_values(photo: Photo, values: dict[str, Any]) -> Photo:
-    """Return a photo with a log's values, made upright; angles of a worse source are left out."""
+    """Return a photo with a log's values, turned like the upright picture; angles of a worse source are left out."""
     frame, oddities = photo.frame, list(photo.oddities)
     if "heading" in values:
         sources = get_args(HeadingSource)  # best first

@@ -74,7 +74,7 @@ def read_subtitles(file: Path, gps_order: GpsOrder | None = None) -> Log:
 def blocks_of(data: bytes) -> list[SubtitleBlock]:
     """Split a file of subtitles at its time codes.
 
-    Without any it is split at lines that hold only an index, and clocks in the text give the times.
+    Without time codes, it is split at lines with only an index, and clocks in the text give the times.
     """
     try:
         text = values.decoded(data, "").replace("\r\n", "\n").replace("\r", "\n")
@@ -156,7 +156,7 @@ def _order(lists: Sequence[list[str]], chosen: GpsOrder | None, name: str) -> tu
         return "lon-lat", []
     return "lat-lon", [
         f"The order of latitude and longitude in GPS(a, b, c) of {name} is ambiguous; latitude first was taken, as the third "
-        "value counts no satellites. If that is wrong, give --gps-order lon-lat."
+        "value is no number of satellites. If that is wrong, give --gps-order lon-lat."
     ]
 
 

@@ -32,7 +32,7 @@ SUBTITLES = (".srt",)
 _UNREADABLE = f"{{}} is not a video that can be read; expected {', '.join(SUFFIXES)}."
 # The sharpest picture of a window of _WINDOW seconds is kept; at most _CANDIDATES of its pictures are compared.
 _WINDOW, _CANDIDATES = 1.0, 12
-# Times in seconds that differ by less are equal.
+# Times in seconds that differ by less count as equal.
 _CLOSE = 1e-6
 # Pictures are compared at this width.
 _COMPARED_WIDTH = 640

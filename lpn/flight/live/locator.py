@@ -1,4 +1,4 @@
-"""A locator of frames in the order of their arrival: windows, sequence, registration, and verdict of a whole flight.
+"""A locator of frames in the order of their arrival, by the stages of a whole flight: windows, sequence, registration, verdict.
 
 The sequence of `lpn.flight.locate.sequence` runs forward only: a frame's answer depends on earlier frames. Frames in quick
 succession show nearly the same ground. So a frame's scores are weighted by the distance flown since the last frame, as a share
@@ -47,11 +47,11 @@ from lpn.flight.locate.verdict import map_misfit
 from lpn.flight.maps import Map
 from lpn.models.base import Model, normalise, whitened
 
-# Most windows that are compared, unless the user sets their sides: a frame taken on the ground would make millions.
+# Maximum of compared windows, unless the user sets their sides: a frame taken on the ground would make millions.
 _MOST_WINDOWS = 200_000
-# Most distinct frames for centring, most frames of other places whose scores are kept, and most frames that prove the map.
+# Maxima of distinct frames for centring, of frames of other places whose scores are kept, and of frames that prove the map.
 _KEPT, _SCORED, _PROVING = 320, 64, 100
-# Most registrations whose turns are kept, the most recent ones that set the usual turn, and the fewest that set it.
+# Maxima of registrations whose turns are kept, and of recent ones that set the usual turn; and the minimum that sets it.
 _TURNED, _RECENT, _TURNS = 20, 7, 3
 # Probability that a registration is false, such as one on an equal building.
 _FALSE = 0.2
@@ -100,12 +100,12 @@ class LiveLocator:
         self._scored: deque[tuple[float, Float64Array, BoolArray]] = deque(maxlen=_SCORED)
         self._time = math.nan
         self._prior = FlightPrior()
-        # Turns of the last registrations, each with True if it stands, and the time of the last registration.
+        # Turns of the last registrations, each with False if it was refused, and the time of the last registration.
         self._turns: deque[tuple[float, bool]] = deque(maxlen=_TURNED)
         self._registered_at = math.nan
         # True if the last registered place lies within a window's side of the map's border.
         self.near_border = False
-        # Flags: the last frame was registered; the user was told of frames of other ground.
+        # Flags: the last frame was registered; the sentence on frames of other ground was sent.
         self._fresh = self._unfit_said = False
 
     def prepare(self, sizes: Sequence[float]) -> None:
@@ -141,8 +141,8 @@ class LiveLocator:
             step = min(sizes) * (1 - self.options.overlap)
             if (count := (east - west) * (north - south) / step**2) > _MOST_WINDOWS:
                 raise InputError(
-                    f"The ground of {min(sizes):.1f} m that the first frame shows makes {count:,.0f} windows of the map, "
-                    f"and {_MOST_WINDOWS:,} are compared at most; fly higher, or give sides with --size."
+                    f"The first frame shows {min(sizes):.1f} m of ground, so the map has {count:,.0f} such windows, "
+                    f"and at most {_MOST_WINDOWS:,} are compared; fly higher, or give sides with --size."
                 )
         self.prepare(self.options.sizes or sizes)
         return True
@@ -191,7 +191,7 @@ class LiveLocator:
     def _described(self, gallery: WindowGallery, views: FrameViews, photo: UInt8Array) -> Float32Array:
         """Describe a frame at its headings, (H, n, D).
 
-        A frame unlike the last kept one is kept, and whenever their number has doubled, descriptors are centred again.
+        A frame unlike the last kept frame is kept. Descriptors are centred again whenever the number of such frames has doubled.
         """
         pixels = max(self.model.input_size)
         squares = [cut_square(photo, heading, views.share, pixels) for heading in views.headings]

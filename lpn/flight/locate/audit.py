@@ -13,9 +13,9 @@ from lpn.core.numbers import upper_bound
 
 # An unknown position.
 UNKNOWN = (math.nan, math.nan)
-# Fewest frames for the estimate of a lag.
+# Minimum of frames for the estimate of a lag.
 MIN_FRAMES = 8
-# Most seconds between neighbours that give a velocity.
+# Maximum of seconds between neighbours that give a velocity.
 _GAP = 30.0
 # Multiples of the robust spread beyond which a frame counts less (Huber).
 _HUBER = 1.345

@@ -29,9 +29,9 @@ class Outline:
 
 
 def outline(located: LocatedFrame) -> Outline | None:
-    """Return the ground of a frame by its registration, else by the camera's model; None without both.
+    """Return the ground of a frame by its registration, else by the camera's model; None with neither.
 
-    The camera's model starts from the tag. Without a tag its middle is at the sequence's answer, if that is accepted.
+    The camera's model starts from the tag. Without a tag, the ground's middle is the sequence's answer, if that is accepted.
     """
     answer = located.stages.get("registration")
     if answer is not None and answer.matrix is not None:
@@ -61,7 +61,7 @@ def corners_of(homography: Float64Array, width: int, height: int) -> Float64Arra
 
 
 def seen_by(outlines: Sequence[Outline | None], x: float, y: float) -> list[int]:
-    """Return the indices of the outlines, borders included, that hold a spot in metres of the map's frame."""
+    """Return the indices of the outlines, borders included, that contain a spot in metres of the map's frame."""
     # Corners are relative to the spot, because OpenCV computes in single precision.
     known = {i: (one.corners - (x, y)).astype(np.float32) for i, one in enumerate(outlines) if one is not None}
     return [i for i, corners in known.items() if cv2.pointPolygonTest(corners, (0.0, 0.0), False) >= 0]

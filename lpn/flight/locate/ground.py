@@ -23,14 +23,14 @@ from lpn.flight.maps import Map, Window
 log = logging.getLogger(__name__)
 
 FORMAT = "lpn-ground/2"
-# Side of a block in pixels, its margin, and the most features of a block.
+# Side of a block in pixels, its margin, and the maximum of its features.
 _SIDE = 1024
 _MARGIN = 24
 _LIMIT = 7500
 # Largest width of a compared photo in pixels, and largest enlargement of a map.
 _PHOTO = 900
 _ENLARGED = 2.0
-# Most blocks that one photo is compared with.
+# Maximum of blocks that one photo is compared with.
 MAX_BLOCKS = 48
 
 # Blocks of all maps of a process in the order of their last use, enough for one photo and two matchers. A block of XFeat takes
@@ -91,7 +91,7 @@ class MapFeatures:
         return ground if centres is None else ground.near(centres, reach)
 
     def holds_map(self, width: float) -> bool:
-        """Tell whether the whole map has at most `MAX_BLOCKS` blocks for a ground width in metres."""
+        """Return whether the whole map has at most `MAX_BLOCKS` blocks for a ground width in metres."""
         return math.prod(self._grid(self.resolution(width))) <= MAX_BLOCKS
 
     def _grid(self, resolution: float) -> tuple[int, int]:
@@ -142,8 +142,8 @@ class MapFeatures:
         except (OSError, OutputError) as error:
             self._is_writable = False  # so that the warning comes once
             log.warning(
-                "Features of the map are not kept for the next run, as %s cannot be written (%s); set LPN_CACHE to a folder that "
-                "can be.",
+                "Features of the map are not kept for the next run, as %s cannot be written (%s); set LPN_CACHE to a "
+                "writable folder.",
                 file.parent,
                 getattr(error, "strerror", None) or error,
             )

@@ -49,7 +49,7 @@ from lpn.models.base import Model
 FORMAT = "lpn-locate/7"
 # Version of poses and matched details in cached answers.
 _POSES = 7
-# Ratio of one tried ground width to the next, where none is known.
+# Ratio of one tried ground width to the next, if the width is unknown.
 _WIDTHS = 1.9
 # Frames whose registered widths correct the next width, and frames whose widths replace it if no height is known.
 _RECENT = 7
@@ -66,7 +66,7 @@ _AGREED = {"similarity": "one place, turn, and scale", "homography": "one place,
 
 @dataclass(eq=False)
 class FlightPrior:
-    """Facts from earlier registered frames for the next one.
+    """Facts from earlier registered frames for the next frame.
 
     Attributes:
         widths: metres of ground across the last pictures.
@@ -98,7 +98,7 @@ def register_frames(
     on_frame: CountProgress,
     shipped: Mapping[str, StageRecord],
 ) -> list[str]:
-    """Enter the answers of the registration, with shipped ones and records of a killed run; return sentences on them.
+    """Add a registration to each frame, computed, shipped, or recorded by a killed run; return sentences on them.
 
     Args:
         on_frame: called after each frame with the numbers of frames done and of all.
@@ -270,10 +270,10 @@ def register_photo(search: PhotoSearch) -> StageRecord:
         with suppress(DataError):  # the map may be damaged away from the photo's middle
             agreement = map_agreement(basemap, search.photo, best.homography, view.size)
     if search.side is None and search.options.prior is not None:
-        parts.append(f"The search used the GPS tag: it saw the map in a square of {2 * reach:.0f} m about it.")
+        parts.append(f"The search used the GPS tag: it saw the map in a square {2 * reach:.0f} m wide about it.")
     if not best.accepted and widths:
         least, most = min(widths) / FREE_FACTOR, max(widths) * FREE_FACTOR
-        parts.append(f"Nothing tells how much ground it shows, so {least:.0f} to {most:.0f} m across were tried.")
+        parts.append(f"The width of its ground is unknown, so {least:.0f} to {most:.0f} m were tried.")
     finding = " ".join(filter(None, parts))
     if place is None or best.homography is None:
         return StageRecord("refused", finding, code=code, numbers=numbers)
@@ -368,7 +368,7 @@ def _guess(located: LocatedFrame, before: float | None) -> float | None:
 
 
 def _reaches_out(answer: Registration, view: PhotoView, centres: Float64Array, reach: float) -> bool:
-    """Tell whether an accepted picture leaves squares of side 2 `reach` about points (K, 2)."""
+    """Return whether an accepted picture extends beyond the squares of side 2 `reach` about points (K, 2)."""
     if not answer.accepted:
         return False
     off = np.abs(answer.to_metres(view.grid())[:, None] - centres).max(axis=2).min(axis=1)

@@ -122,7 +122,7 @@ def _row(numbers: Sequence[float], name: str = "", size: int = 0) -> Row:
 
 
 def _alike(stored: Sequence[Row], wanted: Sequence[Row]) -> bool:
-    """Tell whether rows are of the same pictures, up to rounding."""
+    """Return whether rows are of the same pictures, up to rounding."""
     words, others = (" ".join(row.file for row in rows).split(" ") for rows in (stored, wanted))
     if [row.size for row in stored] != [row.size for row in wanted] or len(words) != len(others):
         return False

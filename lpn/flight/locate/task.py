@@ -1,6 +1,6 @@
 """A flight over a map as a task, and its frames as queries over an index of windows.
 
-Frames are the queries, windows of the map are the gallery. All views of a task then work for a flight: rankings, contributions,
+Frames are the queries, windows of the map are the gallery. So a flight has all that a task offers: rankings, contributions,
 evidence, outcomes, reports. No picture is described again, and windows are cut from the map on demand.
 """
 
@@ -59,12 +59,12 @@ _VERDICTS = {
 def flight_task(model: Model, model_name: str, located: LocatedFlight, root: Path) -> Task:
     """Return the task of a located flight; query i is frame i, and gallery picture j is window j of the retrieval.
 
-    Scores are by the retrieval. If it centred and whitened the descriptors, so does the task's model (`Model.centred`). A frame
-    that was described at several headings is a query at the heading of its best window, and its whole ranking is at this heading.
+    Scores are those of the retrieval. If it centred and whitened the descriptors, so does the task's model (`Model.centred`). A
+    frame that was described at several headings is a query at the heading of its best window, with its whole ranking.
 
-    The true tiles of a frame are the windows that hold the place of `LocatedFlight.photographed` (the tag, or the registration if
-    tags are late). If its width on the ground is known, windows of other sizes are junk, as the retrieval does not rank them. The
-    truth of an unreadable frame, or one without such a place, is unknown.
+    The true tiles of a frame are the windows that contain the place of `LocatedFlight.photographed` (the tag, or the
+    registration if tags are late). If its width on the ground is known, windows of other sizes are junk, as the retrieval does
+    not rank them. The truth of an unreadable frame, or one without such a place, is unknown.
 
     Args:
         model_name: the model's name to display.
@@ -79,7 +79,7 @@ def flight_task(model: Model, model_name: str, located: LocatedFlight, root: Pat
     gallery = retrieval.gallery
     if gallery.turned is not None:
         raise InputError(
-            "The index holds turned windows, in place of turned photos; give the flight as SOURCE with --index."
+            "The index has turned windows, which cannot be explored here; give the flight as SOURCE with --index."
         )
     for view in ("satellite", "drone"):
         model.check_view(view)
@@ -132,7 +132,7 @@ def flight_queries(model: Model, flight: Flight, basemap: Map, index: Index, roo
 
     A frame is turned north-up by its heading. If that is uncertain, the tried heading with the nearest window is taken; turned
     windows of the index replace turns of the frame. A frame of known width on the ground is cut to the nearest size of window in
-    the index. Windows that hold a frame's tag are its true ones. An unreadable frame is logged and noted, and its place is
+    the index. Windows that contain a frame's tag are its true tiles. An unreadable frame is logged and noted, and its place is
     unknown.
 
     Args:
@@ -140,7 +140,7 @@ def flight_queries(model: Model, flight: Flight, basemap: Map, index: Index, roo
         root: folder of the flight, which holds a person's notes.
 
     Raises:
-        InputError: if the model's branches have roles, and it has one view, or the index was made for other tiles than windows
+        InputError: if a model with roles has only one view, or the index was made for other tiles than windows
             of the map.
         StoreError: if the index holds descriptors of another model.
     """

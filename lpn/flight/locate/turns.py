@@ -1,4 +1,4 @@
-"""Registrations that are turned against certain headings unlike the others of their flight.
+"""Registrations whose turn against a reliable heading differs from the usual turn of their flight.
 
 Several photos from beyond the map's edge may fit one equal building on the map, and their turns reveal them. The error of
 headings may change from leg to leg, so turns that many frames share count as right.
@@ -15,7 +15,7 @@ from lpn.core.numbers import wrap_degrees
 from lpn.flight.locate.located import LocatedFrame
 from lpn.flight.locate.retrieval import heading_is_certain
 
-# Fewest turns that tell the usual one.
+# Minimum of turns that define the usual turn.
 _FEWEST = 8
 # A turn differs from others if its distance from their median exceeds these degrees, and this multiple of their spread.
 _TURNED, _TURNED_SPREADS = 5.0, 2.0
@@ -43,7 +43,7 @@ def refuse_turned(frames: Sequence[LocatedFrame]) -> list[str]:
         return []
     by = " to ".join(dict.fromkeys(f"{f(found.values()):.1f}°" for f in (min, max)))
     return [
-        f"Refused, as equal buildings may be shown: {len(found)} of {len(turned)} registrations, turned by {by} against their "
+        f"Refused, as they may lie on equal buildings: {len(found)} of {len(turned)} registrations, turned by {by} against their "
         "headings, unlike the others. They may be right where the headings of a whole leg are off."
     ]
 
@@ -52,7 +52,7 @@ def other_turn(turn: float, turns: Float64Array) -> float | None:
     """Return the degrees, 0 .. 180, between a turn and the median of others, (N,) with N > 0; None if it fits them.
 
     A turn fits within 5 degrees, or within twice the spread of the others. The comparison ignores half turns, as files may be
-    saved upside down. The returned degrees include half turns, against the way up of most others.
+    saved upside down. The returned degrees include half turns, and count from the way up of most other turns.
     """
     from_first = _half_turn(turns - turns[0])
     usual = turns[0] + float(np.median(from_first))

@@ -33,9 +33,9 @@ _WORDS: Mapping[Code, str] = {
     "no detail": "The map has no detail where the photo may be.",
     "no match": "Fewer than four features of the photo match the map.",
     "support": "Only {support:.0f} of {matches:.0f} matches agree on a place beyond chance, and {needed:.0f} are needed.",
-    "rival": "Two places of the map fit the photo, so neither counts: beyond chance, {support:.0f} details agree with the one, "
-    "and {other:.0f} with the other, {metres:,.0f} m away.",
-    "anywhere": "Its best place has a support of {support:.0f}, and a photo of anywhere needs {needed:.0f}.",
+    "rival": "Two places of the map fit the photo, so neither counts: beyond chance, {support:.0f} details agree with one, "
+    "and {other:.0f} with the second, {metres:,.0f} m away.",
+    "anywhere": "Its best place has a support of {support:.0f}, and a photo of unknown place needs {needed:.0f}.",
     "turned far": "The picture would be turned by {degrees:.0f} degrees against its heading, which needs a support of "
     "{needed:.0f}, and this place has {support:.0f}.",
     "cells": "All {inliers:.0f} agreeing matches lie in {cells:.0f} of {all:.0f} cells of the photo, too few to trust its "
@@ -47,13 +47,13 @@ _WORDS: Mapping[Code, str] = {
     "beyond": "Where the drone can have been, the map resembles this photo and its neighbours too little. By these scores it was "
     "beyond the map's edge, or so near it that no piece of the map shows the photo whole, with a probability of "
     "{probability:.2f}.",
-    "unproven": "Nothing shows that the map is of this place: that takes steps along the headings that are more probable than "
-    "others, or registrations that agree with the sequence more often than by chance.",
-    "few": "Only {photos:.0f} of {all:.0f} photos fit this map (different views: {views:.0f}), as by chance on a map of another "
-    "place, and nothing confirms it.",
-    "turned": f"The photo fits the map here, but turned by {{degrees:.1f}}° from where its heading and those of the other frames "
-    f"have it: {_EQUAL}",
-    "unreachable": "The photo fits the map here, but the drone hardly can have flown here since the last registered frame: "
+    "unproven": "Nothing shows that the map is of this place. A proof takes steps along the headings that are more probable "
+    "than others, or registrations that agree with the sequence more often than by chance.",
+    "few": "Only {photos:.0f} of {all:.0f} photos fit this map (different views: {views:.0f}). So few may fit a map of another "
+    "place by chance, and nothing else confirms this map.",
+    "turned": f"The photo fits the map here, but turned by {{degrees:.1f}}° from the direction that its heading and the other "
+    f"frames imply: {_EQUAL}",
+    "unreachable": "The photo fits the map here, but the drone can hardly have flown here since the last registered frame: "
     f"{_EQUAL}",
 }
 

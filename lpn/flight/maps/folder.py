@@ -1,4 +1,4 @@
-"""The folder of a map, which holds all that is needed to read it.
+"""The folder of a map, with everything that is needed to read it.
 
     map.json            format, frame, and for each sheet its file, CRS, and transform
     coverage.png        share of each cell that is valid, 0 to 255
@@ -51,7 +51,7 @@ class SheetRecord(msgspec.Struct, frozen=True):
         file: path of the pixels in the folder.
         crs: EPSG code or WKT.
         transform: from column and row to coordinates, row by row.
-        notes: sentences about how the user's file is shown.
+        notes: sentences about how the user's file is read.
     """
 
     name: str
@@ -161,7 +161,7 @@ def build_map(
             about = f", which takes some {minutes:.0f} minutes" if minutes >= 2 else ""
             on_progress(f"Copying {printable(sheet.name)} into the map{about}.")
             sheets.append(_copied(sheet, folder, f"{_SHEETS}/{number:02d}.tif"))
-        on_progress("Looking where the map has data.")
+        on_progress("Reading the map for pixels without data.")
         if not whole.coverage().any():
             raise DataError(f"{printable(whole.name)} has no valid pixel; expected a map.")
         heights = None

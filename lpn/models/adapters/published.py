@@ -185,7 +185,7 @@ def check_option(entries: Entries, option: str, held: int) -> None:
     """Raise ModelFileError if an option contradicts the number in the entries."""
     stated = entries.options.get(option, held)
     if stated != held:
-        what = "networks describe as many views" if option == "views" else "of these heads"
+        what = "views" if option == "views" else "heads of parts"
         raise ModelFileError(
             f"{entries.name} has {held} {what}, but the opts.yaml beside it says {option}: {stated}; correct or remove it."
         )

@@ -155,7 +155,7 @@ class ConvNeXt(Trunk):
     """A ConvNeXt, also V2, with timm's names, up to its map: (B, 3, H, W) -> (B, C, H/32, W/32).
 
     Attributes:
-        norm: of the mean over the map.
+        norm: the norm after the mean over the map.
     """
 
     def __init__(self, entries: Entries) -> None:

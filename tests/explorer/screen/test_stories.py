@@ -70,7 +70,7 @@ def test_a_photo_of_one_s_own_is_no_step(tab: Tab, file: Path, workspace: Worksp
     tab.socket.send(photo)
     tab.until(lambda last: last["state"]["own"])
     tab.act("stories.keep")
-    tab.error("your own photo leaves with this tab")
+    tab.error("your own photo exists in this tab alone")
     assert not file.exists()
 
 

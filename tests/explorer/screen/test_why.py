@@ -185,7 +185,7 @@ def test_photos_whose_ranks_differ_most_are_listed() -> None:
 @pytest.mark.parametrize("over", ["zoom", "shift", "rotation"])
 def test_a_sweep_begins_at_the_photo_as_it_is_and_its_shares_add_up(workspace: Workspace, tab: Tab, over: Any) -> None:
     tab.open(f"?query=~1&panel=sweep&sweep={over}")
-    told = panel_until(tab, "As it is, the truth is")
+    told = panel_until(tab, "For the unchanged photo, the truth is")
     charts = [json.loads(unescape(one)) for one in re.findall("data-chart='(.*?)'", told)]
     rank, distance, shares = ([line["values"] for line in chart["lines"]] for chart in charts)
     x = charts[0]["x"]

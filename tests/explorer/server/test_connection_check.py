@@ -23,12 +23,12 @@ def socket(host: str, upgrade: bool = True, protocol: str = "lpn-json", origin: 
 @pytest.mark.parametrize(
     ("arrived", "saw"),
     [
-        (socket(SERVER), f"for {SERVER}, and another web site may not use this server"),
+        (socket(SERVER), f"for {SERVER}, which is another web site"),
         (socket(HOST, upgrade=False), "without the header Upgrade"),
         (socket(HOST, protocol=""), "without the header Sec-WebSocket-Protocol"),
         (
             socket(SERVER, upgrade=False),
-            f"for {SERVER}, and another web site may not use this server, and without the header Upgrade",
+            f"for {SERVER}, which is another web site, and without the header Upgrade",
         ),
         (socket(HOST, origin="null"), "from a frame that hides its address"),
     ],

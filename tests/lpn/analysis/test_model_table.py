@@ -272,7 +272,7 @@ def test_results_are_compared_by_their_models_and_scorings(data: Path, model_fil
     assert [one.name for one in found.models] == [model_file.name, f"{model_file.name}, CSLS"]
     assert [of["R@1"].value for of in found.figures] == pytest.approx([plain.recall["1"], moved.recall["1"]])
     for wrong in ([plain, None], [plain, "a"], 3):
-        with pytest.raises(InputError, match=r"One of the results is of the type .*expected those of lpn\.evaluate"):
+        with pytest.raises(InputError, match=r"One of the results is of the type .*expected results of lpn\.evaluate"):
             lpn.compare(wrong)
     with pytest.raises(InputError, match="takes two models or more; found 1"):
         lpn.compare(plain)

@@ -89,8 +89,7 @@ def test_a_list_that_univ_lacks_is_named_when_a_model_has_no_task(
     shutil.rmtree(root / "45" / "2fps" / "test" / "query_satellite")
     assert main(["evaluate", str(root), "--model", str(model_file)]) == 2
     assert (
-        "mend what is missing there (query_satellite, query_drone), or choose another data set"
-        in capsys.readouterr().err
+        "add the missing pictures (query_satellite, query_drone), or choose another data set" in capsys.readouterr().err
     )
 
 

@@ -27,7 +27,7 @@ def test_reweighting_states_its_effect_on_all_queries() -> None:
 @pytest.mark.parametrize(
     ("known", "judged"),
     [
-        (None, "(d² 1.200): by that, the picture's top points 0° clockwise from north, a guess that may be wrong."),
+        (None, "(d² 1.200). So the picture's top should point 0° clockwise from north, a guess that may be wrong."),
         (350.0, "That guess is right, 10° off: the top really points 350° clockwise from north."),
         (30.0, "That guess is roughly right, 30° off: the top really points 30° clockwise from north."),
         (200.0, "That guess is wrong, 160° off: the top really points 200° clockwise from north."),
@@ -40,7 +40,7 @@ def test_a_guessed_heading_is_judged_by_the_known_one(known: float | None, judge
     ]
     sweep = SweepResult("rotation", tuple(points))
     said = verdicts.describe_heading(sweep, ("drone", "satellite"), known)
-    assert "any tile is nearest at 0°" in said
+    assert "the smallest distance to any tile is at 0°" in said
     assert said.endswith(judged)
     assert not verdicts.describe_heading(sweep, ("satellite", "drone"), known)
 
@@ -71,7 +71,7 @@ def test_a_score_of_constants_is_not_said_to_be_of_places() -> None:
     found = Evidence(np.array([0.5, 0.6]), part_weights(2), *(SideEvidence(cells, np.array([0.6, 0.7])),) * 2)
     said = verdicts.describe_evidence(found, ["1 centre", "2 outer"], "drone", "satellite")
     assert "most of it by a constant that comes from no cell" in said
-    assert "Of the whole score, +0.650 is constants" in said
+    assert "Of the whole score, +0.650 comes from constants" in said
     assert "north-east" not in said
 
 

@@ -323,7 +323,7 @@ def test_an_index_of_another_model_or_kind_is_refused(tmp_path: Path) -> None:
         open_index(tmp_path / "index", "fedc")
     with pytest.raises(StoreError, match="choose another folder"):
         create_index(tmp_path / "index", DescriptorKind("fedc", 4, 16))
-    with pytest.raises(InputError, match="does not go with this place"):
+    with pytest.raises(InputError, match="does not fit this address"):
         create_index(tmp_path / "other", KIND, "milvus")
     with pytest.raises(InputError, match="no engine 'lance'; expected one of exact, faiss, milvus"):
         create_index("lance://elsewhere/tiles", KIND)

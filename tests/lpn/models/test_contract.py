@@ -151,7 +151,7 @@ def test_the_fingerprint_of_a_model_without_a_file_is_that_of_its_answers() -> N
         ({"features": np.zeros((1, 2, 6, 8, 8))}, "features of shape 1 x 2 x 6 x 8 x 8; .* 1 x 4 x 6 x 8 x 8"),
         ({"cells": np.zeros((1, 4, 8, 7))}, "cells of shape 1 x 4 x 8 x 7; .* 1 x 4 x 8 x 8"),
         ({"constants": np.zeros((4, 5))}, "constants of shape 4 x 5; .* 1 x 4 x 5"),
-        ({"cells": None}, "a map of 8 x 8 cells, and not which part"),
+        ({"cells": None}, "a map of 8 x 8 cells without the part of each cell"),
     ],
 )  # fmt: skip
 def test_shapes_that_contradict_the_contract_are_refused_with_the_shapes(change: dict[str, Any], message: str) -> None:

@@ -15,7 +15,7 @@ from explorer.screen.result import ScreenResult
 from lpn.analysis.comparison import effect_on
 from lpn.tasks.task import Task
 
-# True if the weights that put the truth first apply to all photos.
+# "yes" to try the weights that put the truth first on all photos.
 TRIED = PanelField("compare_tried", OneOf(("no", "yes")), "no", "tried", of_query=True)
 
 

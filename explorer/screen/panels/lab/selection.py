@@ -24,7 +24,7 @@ from lpn.tasks.task import Task
 _LONGEST = 1000
 # Maximum of characters of picked queries in an address; a longer text is left out.
 _LONGEST_PICKED = 1500
-# A near miss has its truth among this many first tiles.
+# A near miss is a failure whose truth is among this many first tiles.
 _NEAR = 5
 _FIXED = ("name", RANK_A, RANK_B, "rank", "margin", "part", "answer", "distance")
 # Columns shown until the user chooses others; columns without any value are left out.

@@ -28,7 +28,7 @@ def keep(tab: Tab) -> None:
     """Add the screen's state as a step to the chosen story of the user, or to a new one."""
     if tab.state.own:
         raise InputError(
-            "A story shows photos of the data set, and your own photo leaves with this tab; choose one of the list."
+            "A story shows photos of the data set, and your own photo exists in this tab alone; choose one of the list."
         )
     workspace = tab.base
     stories = files.stories_of(workspace)
@@ -37,7 +37,7 @@ def keep(tab: Tab) -> None:
     kept = files.change(files.own_stories(workspace), Story(name), lambda now: replace(now, steps=(*now.steps, step)))
     assert kept is not None
     tab.set({STORY.name: name})
-    tab.note(f"Step {len(kept.steps)} of {name} is kept.")
+    tab.note(f"Step {len(kept.steps)} of {name} is saved.")
 
 
 def _free(names: Collection[str]) -> str:
@@ -118,7 +118,7 @@ class StoriesPart(PanelPart):
         return act
 
     def _picture(self, shows: str) -> str:
-        """Return the address of a step's photo; empty if its place is another one, or no longer exists."""
+        """Return the address of a step's photo; empty if it is of another place, or does not exist any more."""
         if shows not in self._pictures:
             given, workspace = fields.parsed(shows), self.tab.base
             state, problems = fields.from_values(given, workspace)

@@ -96,7 +96,7 @@ class PhotoSweep:
     def _said(self, profile: SweepResult) -> list[str]:
         best, ranked, before = profile.best, profile.best_rank, profile.unchanged
         assert before is not None
-        said = [f"As it is, the {self.follows} is {_standing(before)}."]
+        said = [f"For the unchanged photo, the {self.follows} is {_standing(before)}."]
         if best is not before:
             said.append(f"It is nearest at {self._at(best)}: {_standing(best)}.")
         if ranked.followed.rank < best.followed.rank:
@@ -114,7 +114,7 @@ class PhotoSweep:
         return said
 
     def _worst(self, profile: SweepResult, before: SweepPoint) -> list[str]:
-        """Name the weather that costs most, and the part that loses most in it."""
+        """Name the weather of the lowest score, and the part whose share grows most in it."""
         worst = min(profile.points, key=lambda point: point.followed.score)
         if worst is before:
             return []
@@ -136,7 +136,7 @@ class PhotoSweep:
         said = f"By the nearest tile alone, the photo's top points {guess:.0f}° clockwise from north"
         if known is None:
             return f"{said}, a guess."
-        return f"{said}; truly {known % 360:.0f}°."
+        return f"{said}; its true heading is {known % 360:.0f}°."
 
     def _at(self, point: SweepPoint) -> str:
         return swept_label(self.over, signed_value(self.over, point.change))

@@ -42,9 +42,9 @@ _HIDDEN = ("4", "6", "8")
 def planes(side: int) -> list[list[list[Int64Array]]]:
     """Return the places of the ten parts at each shift for a map of `side` x `side` cells, cut as in the released code.
 
-    A part's places are one or two arrays (P,) of the map's cells, row * S + column, or S * S for none. A place has the sum of its
-    cells. Each shift sets the box of its third ring to zero. The released code does that in the map itself, so this box is also
-    zero in later shifts. Checkpoints were trained with this, and need it.
+    A part's places are one or two arrays (P,) of the map's cells, row * S + column, or S * S for none. Cells at
+    equal positions of two arrays are added. Each shift sets the box of its third ring to zero. The released code does that in the
+    map itself, so this box is also zero in later shifts. Checkpoints were trained with this, and need it.
     """
     unit, centre, none = side // 8, side // 2, side * side
     rest = np.arange(none).reshape(side, side)
@@ -170,8 +170,8 @@ def build(entries: Entries) -> PublishedParts:
     size = size_of(entries, (512, 512))
     if size[0] != size[1] or size[0] % _SIDE_STEP or size[0] < _SMALLEST:
         raise ModelFileError(
-            f"The opts.yaml beside {entries.name} says {size[0]} x {size[1]} pixels; SDPL takes squares of a multiple of "
-            f"{_SIDE_STEP} pixels from {_SMALLEST}."
+            f"The opts.yaml beside {entries.name} says {size[0]} x {size[1]} pixels; SDPL takes squares with a side that "
+            f"is a multiple of {_SIDE_STEP} pixels, {_SMALLEST} or more."
         )
     heads = entries.heads([f"classifier{number}" for number in range(len(_RINGS))], 2048)
     branches = by_role([Sdpl(branch, heads, size) for branch in numbered(entries)])

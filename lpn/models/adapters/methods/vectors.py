@@ -42,7 +42,7 @@ def _on_map(entries: Entries, trunk: ConvNeXt | ResNetMap) -> _Network:
 
 
 def _of_timm(entries: Entries) -> _Network:
-    """Build a ConvNeXt or a rotary vision transformer from the shapes of its entries, or the network of the options."""
+    """Build a ConvNeXt or a rotary vision transformer from the shapes of its entries, or the network that the options name."""
     stated = entries.options.get("model")
     if "stages.0.blocks.0.conv_dw.weight" in entries.state:
         made = _on_map(entries, ConvNeXt(entries))

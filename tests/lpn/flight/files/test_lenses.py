@@ -174,7 +174,7 @@ def test_a_camera_without_coefficients_has_no_distortion(tmp_path: Path) -> None
         (OPENCV.replace(" 700.", " 7.").replace(" 710.", " 7.1"), "has focal lengths of 0.007 and 0.0071 widths"),
         (OPENCV.replace("image_width: 1000\n", ""), "lacks 'image_width'"),
         (OPENCV.replace("width: 1000", "width: 0"), "has a width of 0"),
-        (json.dumps({"v2 dji": {}, "zoom": {"width": 1}}), "has 2 cameras (v2 dji, zoom) and not only"),
+        (json.dumps({"v2 dji": {}, "zoom": {"width": 1}}), "has 2 cameras (v2 dji, zoom) where one is"),
     ],
 )
 def test_a_file_that_is_no_camera_s_gets_one_sentence(tmp_path: Path, text: str, sentence: str) -> None:

@@ -61,8 +61,8 @@ def waypoint(name: str) -> str:
 
 
 ONE, TWO = "100MEDIA/DJI_0001.JPG", "101MEDIA/DJI_0001.JPG"
-NOT_TOLD = "so none of them has its values; write their folders in it."
-FAR = "km from the photos' own in the median; check that it is of this flight"
+NOT_TOLD = "so none of them has its values; write the photos' folders into the log."
+FAR = "km from those of the photos in the median; check that the log is of this flight"
 TWICE = (
     "1 of 1 photos are listed more than once in log.csv with different values, such as a.jpg in lines 2 and 3 and 4;"
 )

@@ -243,7 +243,7 @@ def test_bad_frames_get_a_sentence_and_the_run_goes_on(town: Map, flight: Flight
     assert [answer.accepted for answer in answers] == [False, False, True]
     assert "not a picture that can be read" in answers[0].sentence
     assert "leave --prior out" in answers[1].sentence
-    assert f"it saw the map in a square of {2 * (40 + 0.75 * WIDTH):.0f} m about it" in answers[2].sentence
+    assert f"it saw the map in a square {2 * (40 + 0.75 * WIDTH):.0f} m wide about it" in answers[2].sentence
     assert found.notes[0].startswith("1 of 3 photos has no GPS tag, so how far off its place is cannot")
     assert [point["state"] for point in full_track(found)] == ["refused", "refused", "accepted"]
     assert "Registration searched around the GPS tags only (prior 40 m)" in found.notes[1]

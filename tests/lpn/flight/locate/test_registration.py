@@ -111,7 +111,7 @@ def _forced(monkeypatch: pytest.MonkeyPatch, given: dict[float, float], others: 
     ("other", "east", "reason"),
     [
         (16.0, 0, ""),
-        (25.0, 90, "beyond chance, 25 details agree with the one, and 20 with the other, 90 m away."),
+        (25.0, 90, "beyond chance, 25 details agree with one, and 20 with the second, 90 m away."),
         (40.0, 90, ""),
     ],
 )

@@ -95,7 +95,7 @@ def test_the_head_that_fsra_of_one_block_does_not_use_may_be_missing(tmp_path: P
     bare = {key: value for key, value in state.items() if "classifier_heat" not in key}
     expected = opened(state, tmp_path, "block: 1").part_embeddings(pictures, "drone")
     np.testing.assert_array_equal(opened(bare, tmp_path, "block: 1").part_embeddings(pictures, "drone"), expected)
-    with pytest.raises(ModelFileError, match=r"has 0 of these heads, .* block: 3"):
+    with pytest.raises(ModelFileError, match=r"has 0 heads of parts, .* block: 3"):
         opened(bare, tmp_path, "block: 3")
 
 
@@ -164,11 +164,12 @@ def test_the_branches_of_sdpl_follow_the_role() -> None:
         bound = model.for_task(query, gallery)
         for view, value in ((query, 0.0), (gallery, 1.0)):
             assert bound.network(view).get_submodule("trunk.bn1").bias[0] == value
-    with pytest.raises(ModelFileError, match=r"has 2 networks .* says views: 3"):
+    with pytest.raises(ModelFileError, match=r"has 2 views, .* says views: 3"):
         sdpl.build(Entries("net_350.pth", state, {"h": 256, "w": 256, "views": 3}))
     for height, width in ((320, 320), (512, 256), (128, 128)):
         with pytest.raises(
-            ModelFileError, match=f"{height} x {width} pixels; SDPL takes squares of a multiple of 128 pixels from 256"
+            ModelFileError,
+            match=f"{height} x {width} pixels; SDPL takes squares with a side that is a multiple of 128 pixels, 256 or more",
         ):
             sdpl.build(Entries("net_350.pth", state, {"h": height, "w": width}))
 
@@ -186,8 +187,8 @@ def narrow_denseuav() -> State:
         (FSRA, {"model_1.classifier1.add_block.0.weight": (512, 8)}, "", r"has shape \(512, 8\); expected \(512, 16\)"),
         (FSRA, {"model_1.transformer.pos_embed": (1, 50, 16)}, "", "positions for 49 patches of 16"),
         (FSRA, {}, "block: 3", "block: 3; correct or remove it"),
-        (small_mccg(1), {}, "views: 3\nh: 64\nw: 64", "has 2 networks .* says views: 3; correct or remove"),
-        (small_mccg(1, 2), {}, "views: 2\nh: 64\nw: 64", "has 3 networks .* says views: 2; correct or remove"),
+        (small_mccg(1), {}, "views: 3\nh: 64\nw: 64", "has 2 views, .* says views: 3; correct or remove"),
+        (small_mccg(1, 2), {}, "views: 2\nh: 64\nw: 64", "has 3 views, .* says views: 2; correct or remove"),
         (small_mccg(1), {}, "h: 100\nw: 64", "multiples of 32"),
         (narrow_denseuav(), {}, "", "1 blocks of the width 40; expected .* heads of 64 numbers"),
         (DENSEUAV, {"head.head.netvlad.centroids": (4, 64)}, "", r"unsupported head \(found head\.head\.netvlad\.centroids\)"),
