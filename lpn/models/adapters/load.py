@@ -61,7 +61,7 @@ def load_file(
         return _model(made, path, device, options)
     if pooling is not None:
         raise InputError(
-            f"{path.name} is no network by itself; name its network for --pooling, as timm:NAME:{path.name}, or leave it out."
+            f"{path.name} is no network by itself; name its network, as timm:NAME:{path.name}, or leave --pooling out."
         )
     adapter, state = choose(kind, state, options, path.name)
     if adapter.build is None:

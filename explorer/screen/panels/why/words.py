@@ -149,7 +149,7 @@ def _judged(result: ScreenResult, ranking: RankingJob) -> list[str]:
 
 
 def _answer(result: ScreenResult, ranking: RankingJob) -> dict[str, Any]:
-    """Return how far the lead of this answer can be trusted; that needs no truth."""
+    """Return sentences that compare the lead of this answer with other leads, and the lead."""
     analysis, workspace, state = result.analysis, result.workspace, result.state
     own = bool(state.own)
     gap, said = result.first.shown_gap, list[str]()
@@ -227,7 +227,7 @@ def _scored(result: ScreenResult) -> list[str]:
         said.append(f"All photos are drawn {workspace.weather.describe()}.")
     if state.weights:
         shown = ", ".join(f"{weight:g}" for weight in state.weights)
-        said.append(f"Part weights of this photo: {shown}. The figures are of equal ones.")
+        said.append(f"Part weights of this photo: {shown}. The figures are for equal weights.")
     return [*said, task.no_map] if task.no_map else said
 
 
@@ -241,5 +241,5 @@ def _pictures(result: ScreenResult) -> list[dict[str, str]]:
     elif shows_rendered(workspace.root):
         said.append({"text": "Pictures: drawn by a computer from a plan; the place does not exist."})
     else:
-        said.append({"text": "Pictures: under the licence of their data set, which its authors tell."})
+        said.append({"text": "Pictures: under the licence of their data set, which its authors state."})
     return [*said, *({"text": text} for text in _PROJECTS), {"text": f"LPN Explorer {__version__}, MIT licence."}]
