@@ -69,7 +69,7 @@ class ScreenResult:
 
     @property
     def own(self) -> OwnPicture | None:
-        """The own photo that is shown; None for a query."""
+        """The user's photo that is shown; None for a query."""
         return self.question.query if isinstance(self.question.query, OwnPicture) else None
 
     @cached_property

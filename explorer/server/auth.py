@@ -147,7 +147,7 @@ class Authenticator:
             return Refusal(
                 403,
                 "This address leads elsewhere",
-                f"It asks the page to show what {source} sends. Open the server's own address, without that part.",
+                f"It asks the page to load data from {source}. Open the server's own address, without that part.",
             )
         return None if self.token is None else self._check_token(request, self.token, port)
 

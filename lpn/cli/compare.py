@@ -220,7 +220,7 @@ class CompareCommand:
 
         if self.table is not None:
             raise InputError(
-                "--table and --page are both given, and a page has tables of its own; leave one of them out."
+                "--table and --page are both given, and a page contains the tables; leave one of them out."
             )
         if self.task or self.without_distractors:
             raise InputError("A page has all tasks and galleries; leave --task and --without-distractors out.")

@@ -23,7 +23,7 @@ class TrainCommand:
     """Train an LPN by a named recipe; every number of the recipe is a flag."""
 
     out: Path
-    """Folder of the run: last.safetensors, best.safetensors, log.csv, run.json, and what --resume needs."""
+    """Folder of the run: last.safetensors, best.safetensors, log.csv, run.json, and the state for --resume."""
     data: Path | None = None
     """Data set with pictures to train on, in any layout of docs/data.md."""
     map: Path | None = None

@@ -7,7 +7,7 @@
         path,weather,battery
         test/query_drone/0005/image-01.jpeg,rain,81.5
 
-A column of metadata.csv holds numbers if all its values are numbers, else texts. Values may be empty, and lines missing.
+A column of metadata.csv holds numbers if all its values are numbers, else texts. Values may be empty, and lines may be missing.
 """
 
 from __future__ import annotations

@@ -99,7 +99,7 @@ class DescriptorKind:
         fingerprint: fingerprint of the model; descriptors of different models cannot be compared.
         n_parts, embedding: n and D.
         windows: the record of a map's windows; None for other pictures.
-        view: the branch used; empty if the store does not say.
+        view: the branch used; empty if it is unknown.
         change: the transform of the pictures; its scale includes their zoom.
         precision: of the numbers on disk.
         role: of the branch, if branches have roles.

@@ -33,7 +33,7 @@ _WEIGHTS = (
 _MAX_DEPTH = 4
 # torch's message about the first forbidden name in a pickle.
 _NAMED = re.compile(r"GLOBAL ([\w.]+)")
-# Types of the tensors that are read; others, such as DTensor and torchao's, have no values of their own.
+# Types of the tensors that are read; others, such as DTensor and torchao's, do not contain their values.
 _PLAIN = ("torch.Tensor", "torch.nn.parameter.Parameter", "torch.nn.parameter.Buffer")
 # torch has one list of allowed names for the whole process.
 _ALLOWING = threading.Lock()

@@ -187,7 +187,7 @@ def calibrate(
             once.
 
     Raises:
-        InputError: if there is one view only, one has fewer than 20 pictures, or the model lacks one.
+        InputError: if there is only one view, a view has fewer than 20 pictures, or the model lacks a view.
     """
     if len(lists) < 2:
         raise InputError(

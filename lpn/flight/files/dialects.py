@@ -387,7 +387,7 @@ def columns_of(header: Sequence[str], name: str) -> tuple[Dialect, dict[str, Log
         columns.pop("position", None)
     read = {what: header[column.place] for what, column in columns.items()}
     if _plain(read.get("height_above_takeoff", "")) == "height":
-        notes.append(f"The column height of {name} does not say above what; it counts as height above take-off.")
+        notes.append(f"The column height of {name} does not state its reference; it counts as height above take-off.")
     if {"omega", "phi", "kappa"} <= names:
         notes.append(f"The columns omega, phi, and kappa of {name} are angles of photogrammetry, and were not read.")
     if "ellips" in read.get("altitude", "").casefold():

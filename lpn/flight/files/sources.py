@@ -151,7 +151,7 @@ def read_any_log(file: Path) -> Log:
 
 
 def _read_logs(inputs: _Files) -> tuple[dict[Path, Log], list[str]]:
-    """Return the logs and tracks, and a note for each file that is nearly a log; move other files to "others"."""
+    """Return the logs and tracks, and a note for each damaged .txt or .log; move unused files to "others"."""
     read: dict[Path, Log] = {}
     notes = []
     for file in list(inputs["logs"]):

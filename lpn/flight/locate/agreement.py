@@ -30,7 +30,7 @@ _BLUR = 8.0
 # A place counts if its correlation is at least _LEAST, exceeds all others more than _BESIDE pixels away by _STANDS_OUT, and the
 # match back ends within _BACK pixels.
 _LEAST, _STANDS_OUT, _BESIDE, _BACK = 0.55, 0.15, 5, 3.0
-# Least share of a place that photo and map show, and its least contrast in grey levels.
+# Minimum share of a place that photo and map show, and its minimum contrast in grey levels.
 _SHOWN, _CONTRAST = 0.98, 2.0
 # Minimum number of places that are evidence on the rest of the photo.
 _FEW_PLACES = 3

@@ -3,7 +3,7 @@
     frame,latitude,longitude,top left,top right,bottom right,bottom left
     DJI_0018.JPG,46.84260512,-91.99455804,46.84281 -91.99501,46.84297 -91.99430,46.84240 -91.99410,46.84224 -91.99481
 
-`latitude` and `longitude` are of the picture's middle on the ground, the other columns of its corners, in WGS 84 degrees. The
+`latitude` and `longitude` are of the picture's middle on the ground; the other columns have its corners, in WGS 84 degrees. The
 file may be edited by hand, and by several programs at once: each change replaces one line under a lock. It is UTF-8, and other
 bytes of a file's name are preserved. Text that a spreadsheet would compute is quoted by an apostrophe, such as '-33.4 -70.6; see
 `lpn.core.csv_cells`.

@@ -177,7 +177,7 @@ def vrt_name(path: Path, driver: str) -> str:
     """Return a name for a file in a VRT that makes GDAL use one driver; GDAL would try all of them.
 
     Raises:
-        DataError: if a VRT cannot hold the path.
+        DataError: if a VRT cannot contain the path.
     """
     if _OTHER_FILE.search(str(path.absolute())):
         raise DataError(

@@ -103,7 +103,7 @@ CASES = (
     by("https://github.com/IntelliSensing/UAV-VisLoc", "visloc.csv",
        "num,filename,date,lat,lon,height,Omega,Kappa,Phi1,Phi2\n"
        "1,a.JPG,2018-09-13 10:00:00,47.301,8.501,405.25,1.5,-2.5,-170.0,10\n",
-       "does not say above what", **HERE, height_above_takeoff=405.25, heading=190.0, heading_source="aircraft", pitch=-88.5,
+       "does not state its reference", **HERE, height_above_takeoff=405.25, heading=190.0, heading_source="aircraft", pitch=-88.5,
        roll=-2.5),
     by("https://github.com/TIERS/wildnav", "wildnav.csv",
        "Filename,Latitude,Longitude,Altitude,Gimball_Roll,Gimball_Yaw,Gimball_Pitch,Flight_Roll,Flight_Yaw,Flight_Pitch\n"
