@@ -195,7 +195,7 @@ def stream_pictures(source: Path | str, say: Say, fov: float | None = None) -> P
         raise InputError(f"{name} cannot be opened as a video or stream; check the name, and that it sends.")
     turns = turns_of(capture)
     if turns:
-        say(f"The file {name} asks for a turn by {90 * turns}°, which turns the heading of its telemetry, too.")
+        say(f"{name} is turned by {90 * turns}° by its file, and the heading of its telemetry with it.")
 
     def read(stop: threading.Event) -> Iterator[ArrivedPicture]:
         nonlocal capture

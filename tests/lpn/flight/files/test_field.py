@@ -114,7 +114,7 @@ CASES = (
        "counts as height", **HERE, heading=273.2, heading_source="aircraft", pitch=None),
     by("https://www.rtklib.com/prog/manual_2.4.2.pdf", "ppk.pos",
        "% program   : RTKPOST\n%\n%  GPST                  latitude(deg) longitude(deg)  height(m)   Q  ns\n"
-       "2024/05/01 12:00:18.000   47.301000000    8.501000000   512.5000   1  12\n", "18 s were taken off",
+       "2024/05/01 12:00:18.000   47.301000000    8.501000000   512.5000   1  12\n", "18 s were subtracted",
        **HERE, altitude=512.5, clock=1714564800.0),
     by("https://www.rtklib.com/prog/manual_2.4.2.pdf, Q of 5 is a single solution", "failed.pos",
        "%  UTC  latitude(deg) longitude(deg)  height(m)   Q  ns\n2024/05/01 12:00:00.000 47.301 8.501 512.5 5 12\n",

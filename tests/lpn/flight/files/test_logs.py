@@ -289,11 +289,11 @@ ANGLES: tuple[tuple[str, list[str], list[float | None], str], ...] = (
     ("yaw", ["9000", "9010", "120"], [None] * 3, "name another unit behind a column, as in (cdeg)."),
     ("gimbal_pitch", ["270", "275", "285.5"], [-90.0, -85.0, -74.5], ""),
     ("gimbal_pitch", ["90", "85"], [None, None],
-     "looks up by 85 degrees and more, where -90 should be straight down; give it with --pitch"),
+     "all its angles look up, by 85 degrees or more, and -90 should be straight down; give the pitch with --pitch"),
     ("gimbal_pitch", ["-60"], [-60.0], ""),
     ("fov", ["0", "0"], [None] * 2, "column fov of log.csv was left out: it holds 0; expected angles from 0.1 to 170"),
     ("fov", ["70"] * 10 + ["170", "0.1", "175"], [70.0] * 10 + [170.0, 0.1, None],
-     "1 of 13 values of the column fov of log.csv are"),
+     "1 of 13 values of the column fov of log.csv, first in line"),
 )  # fmt: skip
 
 

@@ -404,7 +404,7 @@ def test_frames_of_a_video_have_their_times_and_its_turn(tmp_path: Path) -> None
     pictures = list(stream_pictures(video, said.append, fov=70.0)(threading.Event()))
     assert [picture.frame.time for picture in pictures] == pytest.approx([0.0, 0.1, 0.2, 0.3, 0.4])
     assert {(one.frame.width, one.frame.height, one.frame.fov, one.turns) for one in pictures} == {(48, 64, 70.0, 1)}
-    assert said == ["The file v.mp4 asks for a turn by 90°, which turns the heading of its telemetry, too."]
+    assert said == ["v.mp4 is turned by 90° by its file, and the heading of its telemetry with it."]
 
 
 @pytest.mark.parametrize("source", ["nowhere", "udp://127.0.0.1:1/?timeout=1000", "text.mp4", "notes.txt"])
@@ -536,7 +536,7 @@ def test_the_command_locates_what_a_vehicle_sends(
 
 def test_what_is_neither_a_folder_nor_a_video_nor_a_stream_is_refused(tmp_path: Path) -> None:
     (tmp_path / "notes.txt").touch()
-    for source, said in ((tmp_path / "notes.txt", "no video that is read"), ("0", "There is no 0; give a folder")):
+    for source, said in ((tmp_path / "notes.txt", "is not a supported video"), ("0", "There is no 0; give a folder")):
         with pytest.raises(InputError, match=said):
             lpn.flight.live.frames.open_source(str(source), print)
 
