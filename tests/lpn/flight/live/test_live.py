@@ -413,7 +413,7 @@ def test_a_source_that_cannot_be_opened_is_refused_in_a_sentence(tmp_path: Path,
         (tmp_path / name).write_text("no video")
     assert shown_name("rtsp://me:secret@cam:8554/drone?key=secret") == "rtsp://cam:8554/drone"
     path = source if "nowhere" in source or "://" in source else str(tmp_path / source)
-    with pytest.raises(InputError, match=r"There is no|cannot be opened|is no video"):
+    with pytest.raises(InputError, match=r"There is no|cannot be opened|is not a supported video"):
         open_source(path, print)
 
 
