@@ -151,7 +151,7 @@ def json_text(value: object) -> str:
     """Return a value as JSON, with "?" for each control character in its texts, see `lpn.core.files.printable`.
 
     Raises:
-        TypeError, ValueError: if it is no value of JSON.
+        TypeError, ValueError: if the value has no form in JSON.
     """
     text = json.dumps(value, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
     return printable(_CONTROL.sub(lambda match: match[1] or "?", text), TYPED)

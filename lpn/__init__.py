@@ -281,7 +281,7 @@ def explore(
     The server ends with the page's `close()`, or with the process, such as the notebook's kernel.
 
     Args:
-        model: a model, an argument of `load`, or an opened task with its data and scoring; by default city-lpn, which ships.
+        model: a model, an argument of `load`, or an opened task with its data and scoring; by default the shipped city-lpn.
         data: a data set in any layout of docs/data.md; by default the demo's.
         host, port: the address to listen on; 0 is any free port.
         calibrate, csls: how the page ranks when it opens, see `open_task`.

@@ -186,7 +186,7 @@ def test_the_model_that_ships_is_told_once(options: Options, capsys: pytest.Capt
     for source in CompareCommand(source=tuple(sources))._sources().values():
         assert source.options.load().n_parts == 4
     told = capsys.readouterr()
-    assert (told.out + told.err).count("The model is city-lpn, which ships") == 1
+    assert (told.out + told.err).count("The model is city-lpn, which is shipped") == 1
 
 
 @pytest.mark.parametrize("source", SOURCES)

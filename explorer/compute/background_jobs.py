@@ -139,7 +139,7 @@ class BackgroundJobs:
 
 
 def run_in_process(report: ReportProgress, function: Callable[..., T], *arguments: object) -> T:
-    """Call a function in a process of its own, and kill the process when `report` raises.
+    """Call a function in a separate process, and kill the process when `report` raises.
 
     Use it for functions that never report progress and could not be cancelled otherwise.
 
@@ -176,7 +176,7 @@ def run_in_process(report: ReportProgress, function: Callable[..., T], *argument
 def _sigint_blocked() -> Iterator[None]:
     """Block SIGINT in this thread and in the processes that it starts.
 
-    Ctrl-C in the terminal does not end these processes then. This process ends them.
+    Ctrl-C in the terminal then does not end these processes; this process ends them.
     """
     if not hasattr(signal, "pthread_sigmask"):
         yield

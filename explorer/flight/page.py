@@ -20,7 +20,7 @@ from lpn.flight.locate.coverage import seen_by
 from lpn.flight.locate.located import LocatedFrame
 from lpn.retrieval import Ranking
 
-# The longest list of photos.
+# Maximum of photos in the list of doubtful ones.
 _MOST = 200
 _COLOURS = ("tag", "retrieval", "sequence", "registration", "right", "contradicted", "unknown", "accent")
 _STATES = {"accepted": 0, "not verified": 1, "refused": 2}
@@ -132,7 +132,7 @@ def chosen(seen: FlightSnapshot, frame: int, addresses: Mapping[str, Any], saves
 
 
 def card(seen: FlightSnapshot, frame: int) -> dict[str, Any]:
-    """Return a photo's verdict and its reasons, by line."""
+    """Return a photo's verdict, and its reasons line by line."""
     flight, located, verdict = seen.flight, seen.flight.frames[frame], seen.verdicts[frame]
     answer = located.stages.get(verdict.stage or "")
     at = None if answer is None else answer.place

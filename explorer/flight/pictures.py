@@ -41,7 +41,7 @@ class TilePyramid:
     Attributes:
         west, north: corner of the square in metres of the map's frame.
         side: side of the square in metres.
-        levels: the finest level, unless limited, has the map's resolution or less than twice that.
+        levels: the finest level. Unless limited, its pixels are as large as the map's, or more than half as large.
     """
 
     west: float

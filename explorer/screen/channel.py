@@ -1,4 +1,4 @@
-"""The channel of the screen, JSON over one websocket: the page sends `set` and `do`, the server one result per answer."""
+"""The channel of the screen, JSON over one websocket: the page sends `set` and `do`; the server sends one result per answer."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ class Tabs(Protocol):
 class Outbox:
     """Messages that wait for one page: the newest of each kind, so that a slow page never falls further behind.
 
-    The kinds of a message are its keys without `kind`. Messages with different values of `kind` never replace each other.
+    The kinds of a message are its keys. The key `kind` is not sent; messages that differ in it never replace each other.
     `put` may be called from any thread.
     """
 

@@ -1,4 +1,4 @@
-"""Slow files: a tab makes one of each kind at a time, and notes show the progress; the browser then saves it."""
+"""Slow files: a tab makes one of each kind at a time, and notes show the progress; the browser saves the file."""
 
 from __future__ import annotations
 

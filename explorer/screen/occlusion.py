@@ -46,7 +46,7 @@ class Occlusion:
         self._worker = Worker(self._work)
 
     def follow(self, covering: Covering | None) -> None:
-        """Measure a result from now on; None measures nothing."""
+        """Measure a result from now on; with None, measure nothing."""
         self._covering = covering
         if covering is not None:
             self._worker.wake()

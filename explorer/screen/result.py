@@ -29,7 +29,7 @@ from lpn.tasks.task import Task
 
 # Tiles of the strip; the truth takes the last place if it is farther away.
 STRIP = 6
-# For the scale of all bars: most sampled queries, most descriptor values read for them, and the percentage of bars that fit.
+# For the scale of all bars: maxima of the sampled queries and of their descriptor values, and the percentage of bars that fit.
 _SAMPLE, _MOST_NUMBERS, _FITS = 200, 2_000_000_000, 99
 # A gain below this is called even.
 _EVEN = 0.005
@@ -69,7 +69,7 @@ class ScreenResult:
 
     @property
     def own(self) -> OwnPicture | None:
-        """The own photo that is shown; None for a query."""
+        """The user's photo that is shown; None for a query."""
         return self.question.query if isinstance(self.question.query, OwnPicture) else None
 
     @cached_property
@@ -249,7 +249,7 @@ class ScreenResult:
     ) -> dict[str, Any]:
         """Return the parts of a picture and the values of its cells, turned by quarters, row by row as base64 of bytes.
 
-        Activation has bytes from 0 to 255. `signed` values from -1 to 1 replace it; 0 has 128.
+        Activation is scaled to bytes from 0 to 255. `signed` values from -1 to 1 replace it; the byte of 0 is 128.
         """
         areas = self.workspace.areas(view, described)
         if areas is None:

@@ -147,7 +147,7 @@ class Authenticator:
             return Refusal(
                 403,
                 "This address leads elsewhere",
-                f"It asks the page to show what {source} sends. Open the server's own address, without that part.",
+                f"It asks the page to load data from {source}. Open the server's own address, without that part.",
             )
         return None if self.token is None else self._check_token(request, self.token, port)
 
@@ -244,7 +244,7 @@ def _ip_address(text: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | No
 
 
 def _foreign_source(query: str, host: str) -> str | None:
-    """Return the foreign source that viser's page would open by a query, a server or a recording; None without one.
+    """Return the foreign source, a server or a recording, that viser's page would open for a query; None without one.
 
     The page runs scripts from this source. The page rewrites its address without escapes, so the unescaped query is checked, too.
     """

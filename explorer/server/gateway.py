@@ -45,7 +45,7 @@ PageServer = Callable[[ServerConnection, WebsocketRequest], Response | None]
 
 # Bounds on connections without an answer yet, from one address and in total; each times out after 10 s.
 MAX_PENDING, MAX_ALL_PENDING = 64, 256
-# Maximum of characters of an address, which has a page's state, and of bytes of a request. The limit of websockets is 8,192
+# Maximum of characters of an address, which contains a page's state, and of bytes of a request. The limit of websockets is 8,192
 # bytes a line. Longer lines, such as the cookies of a proxy with a login, would close the connection without an answer.
 MAX_ADDRESS, MAX_REQUEST_HEAD = 20_000, 1 << 16
 # Limits on control frames and small message fragments: tokens per second, and the size of the token bucket.
@@ -104,7 +104,7 @@ class Screen:
     """The served page, with viser's page in a frame.
 
     Attributes:
-        respond: returns the page or one of its files, zipped if the browser reads that; None for other addresses.
+        respond: returns the page or one of its files, as gzip if the browser accepts it; None for other addresses.
         scene_of: returns the tab of a scene's path, or None.
         serve: serves the channel of a tab.
     """
@@ -352,7 +352,7 @@ class _Connection(ServerConnection):
             super().process_event(event)
 
     async def drain(self) -> None:
-        """Wait for the browser to read; on a timeout websockets aborts the connection. Otherwise the wait would have no end."""
+        """Wait for the browser to read; on a timeout websockets aborts the connection. Without one, the wait may never end."""
         async with asyncio.timeout(READ_TIMEOUT):
             await super().drain()
 

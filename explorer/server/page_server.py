@@ -69,14 +69,14 @@ def open_server(
     # Otherwise any page could open a public tunnel to this machine.
     server.request_share_url = _refuse_share  # type: ignore[method-assign]
     server.scene.world_axes.visible = False
-    # Pictures and lines need no light. A page with an environment map hides its stage until the map is decoded.
+    # Pictures and lines need no light. A page with an environment map hides its scene until the map is decoded.
     server.scene.configure_environment_map(None)
     server.scene.configure_default_lights(cast_shadow=False)
     return server, gateway
 
 
 def close_server(server: viser.ViserServer) -> None:
-    """Stop viser's server, in at most `CLOSE_TIMEOUT` seconds; after that it ends by itself."""
+    """Stop viser's server, and wait for its end, at most `CLOSE_TIMEOUT` seconds."""
     stopping = threading.Thread(target=server.stop, name="explorer-stop", daemon=True)
     with redirect_stdout(io.StringIO()), no_cell_output():
         stopping.start()

@@ -40,8 +40,8 @@ class SendBuffer(AsyncMessageBuffer):
     """A thread-safe queue of messages to one browser.
 
     viser sets the buffer's `asyncio.Event` from the sending thread, then again from the event loop. The first call is a race: it
-    raises "deque mutated during iteration", or sets the event unseen. Then the second call wakes nobody, and the message stays
-    unsent. `_LoopEvent` ignores the first call. Messages to a closed connection are dropped without viser's warning.
+    raises "deque mutated during iteration", or sets the event without waking the loop. Then the second call has no effect, and
+    the message stays unsent. `_LoopEvent` ignores the first call. A closed connection drops messages without viser's warning.
     """
 
     def __post_init__(self) -> None:

@@ -18,7 +18,7 @@ from lpn.tasks.query_outcomes import Outcomes, picture_columns
 # answers than `FEWEST_GRADED` have none.
 _ALIKE, _ALIKE_SHARE = 50, 0.1
 FEWEST_GRADED = 2 * _ALIKE
-# Fewest answers whose share is stated.
+# Minimum number of answers whose share is stated.
 _FEWEST = 20
 # Significance level of a difference.
 _BY_CHANCE = 0.05

@@ -54,14 +54,14 @@ class CompareCommand:
     """
 
     source: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="SOURCE")] = ()
-    """Sources, each as lpn evaluate takes it; each is opened with each model, if it takes one."""
+    """Sources, each as lpn evaluate takes it; one that takes a model is opened with each model."""
     model: tuple[Path, ...] = ()
-    """Models (.onnx, .safetensors, .pth, or a name of lpn models); by default city-lpn, which ships."""
+    """Models (.onnx, .safetensors, .pth, or a name of lpn models); by default the shipped city-lpn."""
     kind: Advanced[Annotated[tuple[Kind | Literal["auto"], ...], tyro.conf.arg(metavar="KIND")]] = ()
     """Methods of the models in their order: auto, or a method such as dac for a published .pth without entries that
     identify it; by default auto for all (docs/models.md)."""
     pooling: Advanced[tuple[str, ...]] = ()
-    """Pooling of the tokens of each model in their order, such as rings:4, or auto for a model that has parts of its own; by
+    """Pooling of the tokens of each model in their order, such as rings:4, or auto for a model that defines its parts; by
     default auto for all (docs/models.md)."""
     provider: ProviderOption = "auto"
     data: Path | None = None
@@ -84,15 +84,15 @@ class CompareCommand:
     without_distractors: bool = False
     """Leave the gallery's distractors out, as Sample4Geo and DAC do; by default all rank the full gallery, as LPN and FSRA do."""
     group: tuple[str, ...] = ()
-    """Group of each model in their order, such as LPN LPN LPN SAFA SAFA SAFA for three runs (seeds) of either: they are one row
-    with mean and standard deviation, and groups are compared; by default each model by itself."""
+    """Group of each model in their order, such as LPN LPN LPN SAFA SAFA SAFA for three runs (seeds) of each. A group is one
+    row with mean and standard deviation, and groups are compared; by default each model is one."""
     seed: Advanced[int] = 0
     """Seed of the bootstrap."""
     resamples: Advanced[int] = 1000
     """Number of bootstrap resamples."""
     table: Path | None = None
-    """File to write the printed figures and paired tests to, as its name ends: Markdown (.md), LaTeX (.tex, which needs its
-    package booktabs), HTML (.html), or one line a model or group (.csv)."""
+    """File to write the printed figures and paired tests to. Its ending chooses Markdown (.md), LaTeX with the package
+    booktabs (.tex), HTML (.html), or one line for each model or group (.csv)."""
     json: Path | None = None
     """File to write everything to, as JSON."""
     page: Path | None = None
@@ -220,7 +220,7 @@ class CompareCommand:
 
         if self.table is not None:
             raise InputError(
-                "--table and --page are both given, and a page has tables of its own; leave one of them out."
+                "--table and --page are both given, and a page contains the tables; leave one of them out."
             )
         if self.task or self.without_distractors:
             raise InputError("A page has all tasks and galleries; leave --task and --without-distractors out.")

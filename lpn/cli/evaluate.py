@@ -36,8 +36,8 @@ class EvaluateCommand(SourceOptions):
     scale: Advanced[float] = 1.0
     """Zoom factor of each query about its centre; below 1 with a black border."""
     weather: WeatherName | Literal["all"] = "normal"
-    """Weather of University-WX in drone or street pictures, on either side; all measures the ten of them in both
-    directions and prints the leaderboard's table."""
+    """Weather of University-WX in drone or street pictures, on either side. With all, the ten weathers are measured in both
+    directions, and the leaderboard's table is printed."""
     parts: str | None = None
     """Parts to use, numbered from 1 and separated by commas, such as 1,2 (Table V); by default all parts."""
     centre: Advanced[bool] = False

@@ -21,11 +21,11 @@ class ExportCommand:
     model: Path
     """Trained LPN: .safetensors or .pth; with --compute int8 also an .onnx that was exported with --storage float32."""
     out: Path
-    """File to write, ending in .onnx; views with weights of their own get files beside it."""
+    """File to write, ending in .onnx; views with separate weights get files beside it."""
     kind: KindOption = None
     pooling: PoolingOption = None
     storage: Literal["float32", "float16", "int8"] = "float32"
-    """Precision of the weights in the file: float16 halves it, int8 reduces it to about a third; all compute in float32."""
+    """Precision of the weights in the file: float16 halves the file, int8 leaves about a third; all compute in float32."""
     compute: Literal["float32", "int8"] = "float32"
     """Numbers that convolutions and linear layers compute in: int8 is the quickest on a CPU, and needs --data."""
     data: Path | None = None
@@ -33,7 +33,7 @@ class ExportCommand:
     pictures: int = _PICTURES
     """With --compute int8: number of these pictures, spread evenly over the training split, else over the test split."""
     least_cosine: float = _LEAST_COSINE
-    """With --compute int8: least mean cosine with float32 descriptors, of each view, below which nothing is written."""
+    """With --compute int8: if a view's mean cosine with float32 descriptors is below this number, nothing is written."""
 
     def run(self) -> None:
         if self.compute == "int8":
@@ -41,7 +41,7 @@ class ExportCommand:
             return
         if self.data or (self.pictures, self.least_cosine) != (_PICTURES, _LEAST_COSINE):
             raise InputError(
-                "--data, --pictures, and --least-cosine are of --compute int8; give it, or leave them out."
+                "--data, --pictures, and --least-cosine belong to --compute int8; give it, or leave them out."
             )
         files = self._export(self.out)
         self._report(files)
@@ -79,4 +79,4 @@ class ExportCommand:
                 f"Both models rank the same of {agreement.gallery} pictures first for {100 * agreement.same_first:.1f} % of "
                 f"{agreement.queries} queries among them."
             )
-        print("Measure what it costs on your data: lpn evaluate with either model.")
+        print("Measure the loss on your data: run lpn evaluate with each of the two models.")

@@ -26,7 +26,7 @@ from lpn.core.shutdown import WRITE_SECONDS, StopSignals, exit_now, writes_finis
 
 @cache  # it looks through all installed packages
 def commands() -> dict[str, type[Any]]:
-    """Return each subcommand by its name, in their order: entry points `lpn.commands`, then classes NameCommand in `lpn.cli`."""
+    """Return the subcommands, sorted by name: entry points `lpn.commands`, and classes NameCommand in `lpn.cli`."""
     found = {point.name: point.load() for point in entry_points(group="lpn.commands")}
     for module in iter_modules(lpn.cli.__path__):
         if module.name != "main":

@@ -23,7 +23,7 @@ class TrainCommand:
     """Train an LPN by a named recipe; every number of the recipe is a flag."""
 
     out: Path
-    """Folder of the run: last.safetensors, best.safetensors, log.csv, run.json, and what --resume needs."""
+    """Folder of the run: last.safetensors, best.safetensors, log.csv, run.json, and the state for --resume."""
     data: Path | None = None
     """Data set with pictures to train on, in any layout of docs/data.md."""
     map: Path | None = None
@@ -43,7 +43,7 @@ class TrainCommand:
     """Print the settings in which two recipes differ, each with its source, and train nothing."""
     init: Path | None = None
     """Weights of the backbone trained on ImageNet (.safetensors or .pth, torchvision's names), or a model, such as a name of lpn
-    models, loaded as far as they fit; auto finds weights of the backbone here, in the folders of torch and timm."""
+    models, of which fitting weights are loaded; auto looks for the backbone's in the folders of torch and timm."""
     from_scratch: bool = False
     """Start from random weights instead of --init."""
     calibrate: bool = False
@@ -51,7 +51,7 @@ class TrainCommand:
     resume: bool = False
     """Resume the run in --out; its data and settings need not be given again."""
     evaluate_every: int = 0
-    """Evaluate every so many epochs, and keep the best model; 0 for the end only."""
+    """Epochs from one evaluation to the next; the best evaluated model is kept. 0 evaluates only at the end."""
     validate: float = 0.0
     """Share of the training places held out to select the best epoch; at 0 the test split selects it."""
     workers: Advanced[int] = 0
@@ -94,7 +94,7 @@ class TrainCommand:
             model = lpn.load(self.init)
         except LPNError as error:
             raise InputError(
-                f"--calibrate measures ground_ratio by a trained model, such as city-lpn, and --init {self.init} opens as none; "
+                f"--calibrate measures ground_ratio by a trained model, such as city-lpn, and --init {self.init} is not one; "
                 "give another --init, or --ground-ratio in place of --calibrate."
             ) from error
         measure = import_module("lpn.retrieval.calibration").ground_ratio
@@ -127,10 +127,10 @@ class TrainCommand:
         return cast(TrainCommand, parse(cls, arguments, program, cls(folder, **named)))
 
     def resume_hint(self) -> str:
-        """Return how to resume after a stop."""
+        """Return a sentence on the remedy after a stop."""
         if not (self.out / "state.pt").is_file():
-            return "No epoch was whole yet, so nothing is kept; give the same command again."
-        return f"The whole epochs in {self.out} are kept; go on with lpn train --out {self.out} --resume."
+            return "No epoch was finished yet, so nothing is kept; give the same command again."
+        return f"The finished epochs in {self.out} are kept; go on with lpn train --out {self.out} --resume."
 
 
 # The options that run.json records beside the settings.

@@ -67,7 +67,7 @@ def plain_streams(colours: bool = False) -> Iterator[None]:
     """Let no control character from a name, a path, or an error message reach the terminal while the context is open.
 
     Args:
-        colours: let colours through, for a library that prints its own.
+        colours: let colours through, for a library that prints them.
     """
     out, err = (stream and _PlainStream(stream, colours) for stream in (sys.stdout, sys.stderr))
     with redirect_stdout(out), redirect_stderr(err):

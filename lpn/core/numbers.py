@@ -25,7 +25,7 @@ def signed(value: float, digits: int = _DIGITS) -> str:
 def rounded_to_sum(values: Sequence[float], total: float | None = None) -> list[float]:
     """Round numbers to three decimal places so that they add up to their rounded sum, by the largest remainders.
 
-    If any is not finite, each is rounded on its own.
+    If any is not finite, each is rounded separately.
 
     Args:
         total: the displayed sum if it is rounded in another way; it may differ by one unit of the last decimal place.

@@ -1,7 +1,7 @@
 """Data sets in their published layouts, read as lists of pictures with places, tasks, and true matches.
 
-It imports `core` only. `open_dataset` recognises the layouts in `lpn.datasets.layouts`, those of other packages, and a plain
-folder of pictures; docs/data.md shows each.
+This package imports `core` only. `open_dataset` recognises the layouts in `lpn.datasets.layouts`, those of other packages, and
+a plain folder of pictures; docs/data.md shows each.
 """
 
 from __future__ import annotations
@@ -120,7 +120,7 @@ def _unmarked(root: Path) -> Dataset:
     if inner := _below(root):
         listed = first_few([printable(folder.relative_to(root).as_posix()) for folder in inner], 5)
         give = printable(str(inner[0]))
-        raise DataError(f"{shown} holds data sets in folders of its own: {listed}; give {give}.")
+        raise DataError(f"{shown} holds folders of data sets: {listed}; give {give}.")
     for layout in known_layouts():
         if layout.deep and layout.recognises(root):
             return layout(root)

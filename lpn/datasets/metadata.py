@@ -7,7 +7,7 @@
         path,weather,battery
         test/query_drone/0005/image-01.jpeg,rain,81.5
 
-A column of metadata.csv holds numbers if all its values are numbers, else texts. Values may be empty, and lines missing.
+A column of metadata.csv holds numbers if all its values are numbers, else texts. Values may be empty, and lines may be missing.
 """
 
 from __future__ import annotations
@@ -128,14 +128,14 @@ def _custom(root: Path, paths: Sequence[str], taken: Sequence[str]) -> list[Colu
                 f"{NAME} has a column called {name!r}; expected a name without any of {signs}, so rename it."
             )
         if name.casefold() in used:
-            raise DataError(f"{NAME} has a column called {name!r}, which there is already; rename it.")
+            raise DataError(f"{NAME} has a column called {name!r}, which exists already; rename it.")
         used.add(name.casefold())
     rows: dict[str, list[str]] = {}
     for where, row in lines:
         text, *rest = map(unescape, row.values())
         path = plain_path(text)
         if path in rows:
-            raise DataError(f"{where} is a second one for {printable(path)!r}; keep one.")
+            raise DataError(f"{where} is the second line for {printable(path)!r}; keep one.")
         rows[path] = [printable(" ".join(value.splitlines())) for value in rest]
     everywhere = list(rows.values())
     rows = rows if all(path in rows for path in paths) else by_name(rows, paths, NAME)

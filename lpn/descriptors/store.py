@@ -99,8 +99,8 @@ class DescriptorKind:
         fingerprint: fingerprint of the model; descriptors of different models cannot be compared.
         n_parts, embedding: n and D.
         windows: the record of a map's windows; None for other pictures.
-        view: the branch used; empty if the store does not say.
-        change: the transform of the pictures; their own zoom is part of its scale.
+        view: the branch used; empty if it is unknown.
+        change: the transform of the pictures; its scale includes their zoom.
         precision: of the numbers on disk.
         role: of the branch, if branches have roles.
     """
@@ -260,7 +260,7 @@ class PartRows(msgspec.Struct, kw_only=True):
             NewerStoreError: if a later version wrote them.
             OSError, ValueError, RecursionError: if they cannot be read, or are damaged.
         """
-        # Names of files may be no UTF-8, and msgspec's decoder refuses the lone surrogates that Python writes for them.
+        # Names of files need not be UTF-8, and msgspec's decoder refuses the lone surrogates that Python writes for them.
         values: Any = json.loads((part / ROWS).read_bytes())
         stated = values.get("format") if isinstance(values, dict) else None
         if is_newer(stated, FORMAT):
@@ -320,7 +320,7 @@ class Part:
 
 
 class Store:
-    """The parts that store.json names, at the time when it was read.
+    """The parts that store.json named when it was read.
 
     Attributes:
         folder, manifest: its folder, and the contents of store.json.
@@ -405,7 +405,7 @@ class Store:
         return self._places_from(0)
 
     def take_names(self, before: Store) -> None:
-        """Take over the names of an earlier version, if parts were only added to it, so that adds need not read all again."""
+        """Take over the names of an earlier version if parts were only added to it, so that not all are read again."""
         known = len(before.parts)
         if "place_of" in before.__dict__ and self.parts[:known] == before.parts:
             places = before.place_of | self._places_from(known)
@@ -422,7 +422,7 @@ class Store:
         return places
 
     def check(self) -> int:
-        """Compare all files with their checksums; return the number of unfinished parts beside the store's.
+        """Compare all files with their checksums; return the number of unfinished parts beside the store's parts.
 
         Raises:
             StoreError: if a file is damaged, or holds values that are not finite.

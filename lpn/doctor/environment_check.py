@@ -53,7 +53,7 @@ class Finding:
 
 
 def check_environment(demo: Path) -> Iterator[Finding]:
-    """Run all checks; a check that fails is a finding, not an exception. Works without any installed package.
+    """Run all checks; a check that fails is a finding, not an exception. No installed package is needed.
 
     Args:
         demo: the demo's folder.
@@ -133,7 +133,7 @@ def _torch() -> Iterator[Finding]:
     torch: Any = importlib.import_module("torch")
     if not torch.cuda.is_available():
         built = f", though built for CUDA {torch.version.cuda}" if torch.version.cuda else ""
-        remedy = "trainings take long; where this machine has one, install its driver and a torch for CUDA"
+        remedy = "trainings take long; if this machine has a GPU, install its driver and a torch for CUDA"
         yield Finding("GPU", "note", f"torch {torch.__version__} finds none{built}", remedy)
         return
     devices = [torch.cuda.get_device_properties(number) for number in range(torch.cuda.device_count())]
@@ -171,7 +171,7 @@ def _cache() -> Iterator[Finding]:
     except OutputError as error:
         message, _, remedy = str(error).rstrip(".").partition("; ")
         if "LPN_CACHE" not in remedy:
-            remedy = "make it writable, or set LPN_CACHE to a folder that is"
+            remedy = "make it writable, or set LPN_CACHE to a writable folder"
         yield Finding("cache", "problem", message, remedy)
         return
     free = shutil.disk_usage(folder).free

@@ -13,7 +13,7 @@ from lpn.descriptors import open_store
 from lpn.descriptors.store import MANIFEST, UNFINISHED, parts_of
 
 _MODELS = (".onnx", ".safetensors", ".pth", ".pt")
-_AGAIN = "copy it again from where it came, or make it again"
+_AGAIN = "copy it again from its source, or make it again"
 
 
 @dataclass(frozen=True)
@@ -64,8 +64,8 @@ def _verify_store(folder: Path) -> VerifiedFile:
     unfinished = store.check()
     left = "an unfinished run has left parts beside it, so give its command again" if unfinished else ""
     if len(store):
-        return VerifiedFile(folder, f"is what was written{f'; {left}' if left else ''}", True)
-    again = "see that the disk has space, and add tiles again with lpn index"
+        return VerifiedFile(folder, f"matches its checksums{f'; {left}' if left else ''}", True)
+    again = "check that the disk has space, and add tiles again with lpn index"
     return VerifiedFile(folder, f"is empty: {left or 'no tile was added'}; {again}.", False)
 
 
@@ -78,9 +78,9 @@ def _find(folder: Path) -> Iterator[Path]:
 
 def _verify(path: Path) -> str:
     if path.suffix in (".onnx", ".safetensors") and check_seal(path, _AGAIN):
-        return "is what was written"
+        return "matches its checksum"
     if path.suffix in (".pth", ".pt") and check_entries(path, _AGAIN):
-        return "is what was written, as far as its entries have checksums"
+        return "matches the checksums of its entries"
     # A truncated file has lost its checksum, so it must be opened.
     if path.suffix == ".onnx":
         from lpn.models.onnx_engine import open_session

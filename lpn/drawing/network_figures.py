@@ -39,7 +39,7 @@ class PictureOfView(NamedTuple):
 
 
 def network(model: Model, pictures: Sequence[PictureOfView]) -> bytes:
-    """Draw Figure 3 as a PNG: a row for each view, from the picture over its map and each part to the descriptor."""
+    """Draw Figure 3 as a PNG: a row for each view, with the picture, its map, each part, and the descriptor."""
     figure, axes = _panels(len(pictures), 3 + model.n_parts)
     for cells, (view, picture, activation, descriptor) in zip(axes, pictures, strict=True):
         areas = PartAreas.of(model.contract, view, model.map_size(view), None)

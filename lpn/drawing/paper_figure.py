@@ -1,6 +1,6 @@
 """The figure of a paper: a query and its tiles, the heat of each part, and the parts' shares of d², as PNG, SVG, or PDF.
 
-It is as wide as one column of a page or as both, with letters legible at that size. Matplotlib draws it, so that SVG and PDF
+It is as wide as one column of a page or as two, with letters legible at that size. Matplotlib draws it, so that SVG and PDF
 have real lines and texts.
 """
 

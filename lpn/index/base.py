@@ -135,7 +135,7 @@ class Index(ABC):
         return self._tiles(ids, rows)[1:]
 
     def holds(self, ids: Sequence[str]) -> BoolArray:
-        """Return which names are in the index, (B,)."""
+        """Return a mask of the names that are in the index, (B,)."""
         there = self._rows(ids, vectors=False)
         return np.array([name in there for name in ids], np.bool_)
 
@@ -229,7 +229,7 @@ def checked(kind: DescriptorKind, descriptors: npt.ArrayLike) -> Float32Array:
 def scores_of(vectors: FloatingArray, wanted: Float64Array) -> Float64Array:
     """Score vectors (B, n D) under a rescaled query (n D,): (B,) float64.
 
-    Each row is summed on its own: in a matrix product, the order of summation would depend on the row's place in a block.
+    Each row is summed separately: in a matrix product, the order of summation would depend on the row's place in a block.
     """
     scores = np.empty(len(vectors))
     for start in range(0, len(vectors), _ROWS):
@@ -295,7 +295,7 @@ def check_box(box: Sequence[float] | None) -> DegreeBox | None:
 
 
 def within(positions: Float64Array, box: DegreeBox) -> BoolArray:
-    """Return which positions (N, 2) are in a box, (N,); NaN is in no box."""
+    """Return a mask of the positions (N, 2) in a box, (N,); NaN is in no box."""
     south, west, north, east = box
     latitude, longitude = positions[:, 0], positions[:, 1]
     both = np.logical_and if west <= east else np.logical_or

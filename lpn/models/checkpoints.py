@@ -46,7 +46,7 @@ FORMAT = "lpn-explorer/1"
 WeightType = Literal["float32", "float16", "int8"]
 # The scales of 8-bit kernels have the kernels' name with this suffix.
 _SCALE = ".scale"
-_AGAIN = "copy it again from where it came, or make it again"
+_AGAIN = "copy it again from its source, or make it again"
 
 
 class TorchModel(Model):

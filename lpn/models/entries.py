@@ -109,7 +109,7 @@ class Entries:
             )
         if tensor.ndim != sides or 0 in tensor.shape:
             raise ModelFileError(
-                f"In {self.name}, {self.prefix}{key} has shape {tuple(tensor.shape)}; expected {sides} sides above 0."
+                f"In {self.name}, {self.prefix}{key} has shape {tuple(tensor.shape)}; expected {sides} dimensions, none 0."
             )
         return tuple(tensor.shape)
 

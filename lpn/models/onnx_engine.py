@@ -41,7 +41,7 @@ _PASS_OUTPUTS = ("features", "cells", "constants", "slopes")
 _CONSTANT_OUTPUTS = ("head_weight", "head_bias", "cells")
 # Maximum of pixels of a batch of fixed size, far beyond any sensible network; see `MAX_SIDE`.
 _MAX_PIXELS = 1 << 26
-_AGAIN = "copy it again from where it came, or export the model again"
+_AGAIN = "copy it again from its source, or export the model again"
 # ONNX Runtime's messages about a file for a later version.
 _NEWER = re.compile(r"Unsupported model IR version: \d+, max supported IR version: \d+|Opset \d+ is under development")
 

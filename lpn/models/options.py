@@ -19,7 +19,7 @@ from lpn.models.contract import MAX_SIDE
 log = logging.getLogger(__name__)
 
 NETWORK, PICTURES = "config.json", "preprocessor_config.json"
-# The largest opts.yaml in bytes (usual ones have some forty lines), and the most characters of a value.
+# The largest opts.yaml in bytes (usual ones have some forty lines), and the maximum of characters of a value.
 _MOST_BYTES, _SHOWN = 100_000, 1000
 # The largest configuration of transformers in bytes.
 _MOST_JSON = 1_000_000
@@ -89,7 +89,7 @@ def picture_size(
     height, width = int(options.get("h", default[0])), int(options.get("w", default[1]))
     if tell and not {"h", "w"} <= options.keys():
         log.warning(
-            "%s does not tell the whole size of its pictures, so %d x %d pixels are assumed; if it was trained at another size, "
+            "%s does not state the whole size of its pictures, so %d x %d pixels are assumed; if it was trained at another size, "
             "write h: and w: into an opts.yaml beside it.",
             printable(name),
             height,

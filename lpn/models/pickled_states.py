@@ -21,7 +21,7 @@ from lpn.core.files import first_few, printable
 
 log = logging.getLogger(__name__)
 
-_AGAIN = "copy it again from where it came, or make it again"
+_AGAIN = "copy it again from its source, or make it again"
 _SAVE_AGAIN = "save the network's state_dict by torch.save where it was trained"
 # Keys of the weights in checkpoints, in order of preference. Averaged weights (EMA) come last, because the released test code of
 # the known methods does not use them.
@@ -33,7 +33,7 @@ _WEIGHTS = (
 _MAX_DEPTH = 4
 # torch's message about the first forbidden name in a pickle.
 _NAMED = re.compile(r"GLOBAL ([\w.]+)")
-# Types of the tensors that are read; others, such as DTensor and torchao's, have no values of their own.
+# Types of the tensors that are read; others, such as DTensor and torchao's, do not contain their values.
 _PLAIN = ("torch.Tensor", "torch.nn.parameter.Parameter", "torch.nn.parameter.Buffer")
 # torch has one list of allowed names for the whole process.
 _ALLOWING = threading.Lock()
@@ -71,7 +71,7 @@ def unpickle(path: Path) -> Any:
         ModelFileError: if it is damaged, or contains other objects; the message names the first of them.
     """
     check_entries(
-        path, f"{_AGAIN}, or save it again where it was saved with torch.serialization.set_crc32_options(False)"
+        path, f"{_AGAIN}; if saved with torch.serialization.set_crc32_options(False), save it again without that"
     )
     stand_ins: Any = [(type("StandIn", (_StandIn,), {}), name) for name in _of_numpy()]
     try:
@@ -84,7 +84,7 @@ def unpickle(path: Path) -> Any:
         named = _NAMED.search(str(error))
         if named is None:
             raise ModelFileError(
-                f"{path.name} is truncated or no PyTorch file of tensors alone, so it was not opened; copy it again, or "
+                f"{path.name} is truncated or not a PyTorch file of tensors alone, so it was not opened; copy it again, or "
                 f"{_SAVE_AGAIN}."
             ) from error
         raise ModelFileError(

@@ -198,7 +198,7 @@ def _trained_on(options: dict[str, Any]) -> str:
 
 
 def _held(state: StateDict) -> tuple[View, ...]:
-    """Return the views that have a branch of their own."""
+    """Return the views that have a separate branch."""
     return tuple(view for view, branch in BRANCH.items() if any(k.startswith(branch + ".model.") for k in state))
 
 

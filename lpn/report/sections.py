@@ -200,7 +200,7 @@ def _rows(case: Case) -> list[_Row]:
 
 
 def _full(case: Case) -> float:
-    """Return the end of the bars of shares, a tenth or more."""
+    """Return the value at the end of the bars of shares: the largest share, rounded up to tenths."""
     shares = [tile.match.contributions.max() for tile in case.tiles if tile.match is not None]
     return max(math.ceil(round(10 * float(max(shares)), 6)), 1) / 10
 

@@ -124,7 +124,7 @@ class Reproduction:
             starting.add(self.scale.base.backbone)
         for backbone in self._starts.keys() - starting:
             self._say(
-                f"{self._starts[backbone].name} of --init is left aside: no requested row starts from a {backbone}."
+                f"{self._starts[backbone].name} of --init is not used: no requested row starts from a {backbone}."
             )
         for table in wanted:
             self._say(self._planned_rows(table))
@@ -139,7 +139,7 @@ class Reproduction:
         for name in names:
             if (role := SHOWN[name][0].role) not in self._sources:
                 absent.setdefault(role, []).append(name)
-        # Without places a figure has nothing; without panoramas it lacks a part.
+        # Without places a figure is empty; without panoramas it lacks a part.
         if "places" in absent and not self.partial:
             raise InputError(f"{absent['places'][0]} needs {LAYOUTS['places']}; give them with --data.")
         for role, without in absent.items():
@@ -196,8 +196,8 @@ class Reproduction:
             if found != needed:
                 raise InputError(
                     f"{file.name} has {what} {found}, and {name} needs {what} {needed} in {use.used_by}; give it under the name "
-                    "of a network of its own kind, or leave it out. Without an opts.yaml beside it a .pth is read as 256 x 256; "
-                    "--size changes the size of all networks without one of their own."
+                    "of a network of the same kind, or leave it out. Without an opts.yaml beside it a .pth is read as 256 x 256; "
+                    "--size changes the size of all networks whose table states none."
                 )
 
     def _check_data(self, wanted: Sequence[PaperTable], drawn: Sequence[str]) -> None:

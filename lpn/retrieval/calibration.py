@@ -35,7 +35,7 @@ STEP = 2**0.25
 PRIOR = 0.02
 # Bounds in steps: of the common ratio from 1, and of one picture's ratio from the common ratio.
 _MOST_STEPS, _OWN_STEPS = 8, 2
-# Fewest pictures of a view for a mean; and most pictures of a view for the choice of the common ratio.
+# Minimum number of pictures of a view for a mean, and maximum of each view for the choice of the common ratio.
 MIN_PICTURES = 20
 _MOST_DRONES, _MOST_TILES = 200, 1000
 _SEED = 0
@@ -187,7 +187,7 @@ def calibrate(
             once.
 
     Raises:
-        InputError: if there is one view only, one has fewer than 20 pictures, or the model lacks one.
+        InputError: if there is only one view, a view has fewer than 20 pictures, or the model lacks a view.
     """
     if len(lists) < 2:
         raise InputError(

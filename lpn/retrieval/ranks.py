@@ -115,8 +115,8 @@ class Ranked:
         true: its nearest true tile, on ties the first in gallery order, (B,).
         false: its nearest tile that is neither true nor junk, with ties as for `true`, (B,).
         precision: its average precision, 0 .. 1, (B,).
-        gap: d² of its second nearest tile minus d² of its nearest one, junk excluded, in single precision, (B,); NaN if
-            there are not two.
+        gap: d² of its second nearest tile minus d² of its nearest one, junk excluded, in single precision, (B,); NaN
+            without two tiles.
     """
 
     first: Int64Array

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 SIDE = 1024
 SENTENCE = (
-    f"pictures of at most {SIDE} pixels in their own aspect ratio, the mean over the last feature map, neither mirrored nor "
+    f"pictures of at most {SIDE} pixels in their original aspect ratio, the mean over the last feature map, neither mirrored nor "
     "normalised, as released"
 )
 

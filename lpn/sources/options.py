@@ -72,7 +72,7 @@ def shipped_model() -> Path:
     """Return the default model of commands, and print its name on the terminal."""
     from lpn.core.consoles import terminal
 
-    sentence = f"The model is {SHIPPED_MODEL}, which ships and knows a rendered city alone; --model takes another."
+    sentence = f"The model is {SHIPPED_MODEL}, which is shipped and knows only a rendered city; --model takes another."
     terminal().print(sentence, highlight=False, markup=False, soft_wrap=True)
     return SHIPPED_MODEL
 
@@ -114,7 +114,7 @@ class ModelOptions:
     """A trained model."""
 
     model: Path | None = None
-    """Trained model: .onnx (needs no torch), .safetensors, .pth, or a name of lpn models; by default city-lpn, which ships."""
+    """Trained model: .onnx (needs no torch), .safetensors, .pth, or a name of lpn models; by default the shipped city-lpn."""
     kind: KindOption = None
     pooling: PoolingOption = None
     provider: ProviderOption = "auto"
@@ -153,7 +153,7 @@ class SourceOptions(ModelOptions):
     calibrate: CalibrateOption = None
     csls: CslsOption = 0
     gallery: Advanced[Path | None] = None
-    """Of arrays: descriptors of the gallery, in such a file as those of the queries."""
+    """Of arrays: descriptors of the gallery, in a file like that of the queries."""
     paths: Advanced[Path | None] = None
     """Of arrays: list of the pictures, a .csv with file, side, label, latitude, longitude (docs/data.md); without it rows are
     numbered, and the truth is unknown."""

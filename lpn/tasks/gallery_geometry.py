@@ -66,7 +66,7 @@ class GalleryGeometry:
     def answer_errors_m(self, answers: Int64Array) -> Float64Array:
         """Return metres from each query's place to its answer, (Q,).
 
-        Infinite for the answer -1, which means no answer; NaN for a query of unknown place.
+        The answer -1 means no answer, and gives infinity. A query of unknown place gives NaN.
         """
         metres = geo.geodesic(geo.degrees(self._known_or_nan), self._degrees[answers])
         return np.where((answers < 0) & ~np.isnan(metres), np.inf, metres)

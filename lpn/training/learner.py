@@ -73,7 +73,7 @@ class Learner:
     def outputs(self, sets: Mapping[str, Tensor]) -> dict[str, tuple[Tensor, Tensor]]:
         """Compute part embeddings (b, n, D) and class scores (b, n, classes) of each set of pictures (b, 3, H, W).
 
-        By default each set is a batch of its own, as in the published code. With `joint_views`, sets with equal weights and
+        By default each set is a separate batch, as in the published code. With `joint_views`, sets with equal weights and
         partition form one batch, so that BatchNorm sees them together.
         """
         groups = self.network.spec.groups()

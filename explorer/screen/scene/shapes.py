@@ -111,7 +111,7 @@ def ribbon(
     length: float, share: float, rival: float | None, text: str, colour: Colour, soft: Colour
 ) -> tuple[UInt8Array, float]:
     """Draw a part's share as a ribbon, and the rival's share as dashes: RGBA pixels, and their height in units of the scene."""
-    share = max(share, 0.0)  # calibrated shares may be less
+    share = max(share, 0.0)  # calibrated shares may be negative
     thin = _WIDTH * share < _LETTERS  # its text stands above it
     height = max(_WIDTH * max(share, rival or 0.0, 0.12) + 0.12, (_WIDTH * share + 2.4 * _LETTERS) * thin)
     unit = _RIBBON * _FINER

@@ -5,7 +5,7 @@
     train/satellite/000001/{H80,H90,H100}.tif and {H80,H90,H100}_old.tif
     test/{query,gallery}_{drone,satellite}/000001/*
 
-Each line of the text file gives the position of a place, the last folder of <path>; a later line replaces an earlier one.
+Each line of the text file has the position of the place that is the last folder of <path>; later lines replace earlier ones.
 The gallery also contains the training places.
 """
 
@@ -30,7 +30,7 @@ _POINT = re.compile(r"([EW])(\d+(?:\.\d+)?)\s+([NS])(\d+(?:\.\d+)?)")
 
 
 class DenseUAV(University):
-    """A folder of DenseUAV; true matches are tiles of the same folder.
+    """A folder of DenseUAV; true matches are tiles in the folder of the same number.
 
     Queries are grouped by the height in their names.
     """

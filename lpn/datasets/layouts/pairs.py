@@ -52,7 +52,7 @@ class PairsCSV(Dataset):
             for view, file in files.items():
                 row = PictureRow(f"{split}/{view}", file, place, Path(file).with_suffix("").as_posix())
                 if (before := rows.setdefault((row.of, file), row).label) != place:
-                    raise DataError(f"{where} gives {printable(file)} the place {place}, after {before}; keep one.")
+                    raise DataError(f"{where} has {printable(file)} at place {place}, earlier at {before}; keep one.")
         # The lists follow the order of the columns, even if the first lines lack a view.
         return sorted(rows.values(), key=lambda row: views.index(row.of.partition("/")[2]))
 

@@ -47,7 +47,7 @@ class LiveInput(ModelOptions):
     model: Path | None = None
     """Trained LPN (.onnx, .safetensors, .pth); an .onnx of lpn export --compute int8 is the quickest on a CPU."""
     telemetry: str | None = None
-    """Heading and height: a MAVLink address such as udp:127.0.0.1:14550, or a log or track; by default the photos' own."""
+    """Heading and height: a MAVLink address such as udp:127.0.0.1:14550, or a log or track; by default those in the photos."""
     register: bool = True
     """Lay each photo over the map near the prediction."""
     matcher: Advanced[Literal["auto", "xfeat", "sift"]] = "auto"
@@ -55,7 +55,7 @@ class LiveInput(ModelOptions):
     size: Advanced[tuple[float, ...] | None] = None
     """Sides of the map's windows in metres; by default the ground that the first frame of known height shows."""
     speed: Advanced[float] = 10.0
-    """Metres a second that the flight moves, one standard deviation."""
+    """Speed of the flight in metres a second, as one standard deviation."""
     map_error: MapError = None
     fov: Advanced[float | None] = None
     """Horizontal field of view in degrees, for frames of videos and streams."""

@@ -36,18 +36,18 @@ class MapCommand:
     """GeoTIFF of heights of the map's ground, any CRS: a surface model (with roofs and trees) rather than one of the bare ground.
     lpn locate solves the camera's pose with it."""
     elevation_unit: Literal["metre", "foot", "us-foot"] | None = None
-    """Unit of these heights, instead of the one that the file says."""
+    """Unit of these heights, instead of the one that the file states."""
 
     from_flight: tuple[Path, ...] | None = None
-    """Photos with GPS tags that look straight down, or folders of them, in place of files: an orthophoto is made of them, as if
-    the ground were flat. Place and scale are those of the tags."""
+    """Photos that look straight down and have GPS tags, or folders of them, in place of files. An orthophoto is made of them,
+    as if the ground were flat. Place and scale are those of the tags."""
 
     error: float | None = None
-    """Error of the map's places on earth in metres, 1 sigma along each axis, as check points showed it. It is kept in the map,
+    """Error of the map's places on earth in metres, 1 sigma along each axis, as measured at check points. It is kept in the map,
     and replaces the default: 3 pixels, at least 1 m. --map-error of lpn locate and lpn explore replaces it for one run."""
 
     place: str = ""
-    """Name of the place, such as "Dripping Springs, Texas"; lpn explore says it."""
+    """Name of the place, such as "Dripping Springs, Texas"; lpn explore displays it."""
     photographed: str = ""
     """Day of the map's pictures, such as 2014-10-19, or their season; by default that of the photos of --from-flight."""
 
@@ -70,7 +70,7 @@ class MapCommand:
             f"{written.resolution:.3g} m per pixel."
         )
         if written.surveyed_error is not None:
-            print(f"Its places count with the surveyed error of {written.surveyed_error:g} m ({SIGMA}).")
+            print(f"The surveyed error of its places is {written.surveyed_error:g} m ({SIGMA}).")
         if written.elevation is not None:
             known = written.heights(probes(written.bounds))
             known = known[np.isfinite(known)]

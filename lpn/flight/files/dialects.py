@@ -39,7 +39,7 @@ _BRACKETED = re.compile(r"(.*?)\s*[\[(](.*)[\])]\s*", re.DOTALL)
 # The group of tags that exiftool -G writes before a name.
 _GROUP = re.compile(r"(?:EXIF|XMP|GPS|File|Composite|IFD0|ExifIFD)[\w-]*:(?=\w)")
 _COMMENT = ("#", "%")
-# Most comments that are searched for the header, and most names in it.
+# Maximum number of comments that are searched for the header, and of names in it.
 _MOST_COMMENTS, _MOST_NAMES = 200, 1000
 # The first line of OpenDroneMap's lists is a projection; only projections of `_DEGREES` give degrees.
 _PROJECTION = re.compile(r"EPSG:\s*\d+|\+proj=.*|WGS84 UTM \d+[NS]?", re.IGNORECASE)
@@ -115,7 +115,7 @@ DIALECTS = (
         "file": "image_name", "longitude": "geo_x", "latitude": "geo_y", "altitude": "geo_z",
         "direction": "yaw", "nose": "pitch", "bank": "roll",
     }, "https://docs.opendronemap.org/geo/",
-        "{name} has no line of column names; longitude before latitude was taken, as in geo.txt of OpenDroneMap."),
+        "{name} has no line of column names; longitude was read before latitude, as in geo.txt of OpenDroneMap."),
     Dialect("UAV-VisLoc", ("Omega", "Kappa", "Phi1"), {
         "height_above_takeoff": "height", "heading": "Phi1", "nose": "Omega", "bank": "Kappa",
     }, "https://github.com/IntelliSensing/UAV-VisLoc"),
@@ -267,7 +267,7 @@ def table_of(text: str, name: str) -> LogTable:
     if delimiter == "," and header is not _PIX4D and "geo_x" not in header and len(longer) * 2 > len(rows):
         line, cells = longer[0]
         raise DataError(
-            f"Line {line} of {name} has {len(cells)} values below {len(header)} names, as decimal commas between commas give; "
+            f"Line {line} of {name} has {len(cells)} values below {len(header)} names, perhaps by decimal commas between commas; "
             "save it with decimal points, or with semicolons between the values."
         )
     # Some programs write an apostrophe before a minus sign, against formulas in spreadsheets.
@@ -327,7 +327,7 @@ def _without_header(lines: Sequence[_Line], name: str) -> _Header:
     line = lines[0][1].strip()
     delimiter = _delimiters(line)[0]
     if _is_picture_row(row := _rows(lines[:1], delimiter, name)[0][1]):
-        note = f"{name} has no line of column names; latitude before longitude was taken, as in Pix4D's files."
+        note = f"{name} has no line of column names; latitude was read before longitude, as in Pix4D's files."
         more = " Further numbers in it were not read." if len(row) > len(_PIX4D) else ""
         return _Header(lines, delimiter, _PIX4D, [note + more])
     second: Sequence[str] = ()
@@ -336,8 +336,8 @@ def _without_header(lines: Sequence[_Line], name: str) -> _Header:
         second = _rows(lines[1:2], delimiter, name)[0][1]
     if len(second) > 5 and picture_name(second[5]):
         raise DataError(
-            f"{name} is a list of ground control points, which tells where points on the ground are seen, and not where photos "
-            "were taken; give a geo.txt, or a log with latitude and longitude."
+            f"{name} is a list of ground control points: it has positions of points in the photos, and none of the photos "
+            "themselves; give a geo.txt, or a log with latitude and longitude."
         )
     if _is_picture_row(second):
         if not _DEGREES.fullmatch(line):
@@ -387,7 +387,7 @@ def columns_of(header: Sequence[str], name: str) -> tuple[Dialect, dict[str, Log
         columns.pop("position", None)
     read = {what: header[column.place] for what, column in columns.items()}
     if _plain(read.get("height_above_takeoff", "")) == "height":
-        notes.append(f"The column height of {name} does not say above what; it counts as height above take-off.")
+        notes.append(f"The column height of {name} does not state its reference; it counts as height above take-off.")
     if {"omega", "phi", "kappa"} <= names:
         notes.append(f"The columns omega, phi, and kappa of {name} are angles of photogrammetry, and were not read.")
     if "ellips" in read.get("altitude", "").casefold():

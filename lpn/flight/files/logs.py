@@ -1,7 +1,7 @@
 """Logs of a flight as tables and tracks: one row a picture, or one row a moment.
 
 `lpn.flight.files.dialects` has the formats of tables. Positions must be degrees on the Earth; without a unit, values are metres,
-degrees, and seconds. Tracks are GPX, whose waypoints named like pictures are rows of these pictures.
+degrees, and seconds. Tracks are GPX. A waypoint that is named like a picture is the row of this picture.
 """
 
 from __future__ import annotations
@@ -140,17 +140,17 @@ def _clean(table: LogTable, columns: dict[str, Float64Array], what: str) -> Iter
         del columns[what]
         worst = max(angles[beyond].tolist(), key=abs)
         hint = "" if what == "fov" else "; name another unit behind a column, as in (cdeg)"
-        yield f"The {column} was left out: it holds {worst:g}, and expected are angles {expected}{hint}."
+        yield f"The {column} was left out: it holds {worst:g}; expected angles {expected}{hint}."
         return
     if len(beyond):
         line = table.lines[beyond[0]]
-        yield f"{len(beyond)} of {known} values of the {column} are not {expected} and were not used, first in line {line}."
+        yield f"{len(beyond)} of {known} values of the {column}, first in line {line}, were not used; expected {expected}."
         angles[beyond] = np.nan
     if what == "gimbal_pitch" and known and (lowest := np.nanmin(angles)) > _LOOKS_UP:
         del columns[what]
         yield (
-            f"The {column} was left out: it looks up by {lowest:g} degrees and more, where -90 should be straight down; give "
-            "it with --pitch."
+            f"The {column} was left out: all its angles look up, by {lowest:g} degrees or more, and -90 should be straight "
+            "down; give the pitch with --pitch."
         )
 
 
@@ -171,9 +171,9 @@ def _clocks(table: LogTable, notes: list[str]) -> tuple[list[float | None], bool
     day_first = any(one > 12 for one, _ in days)
     if days and not day_first and all(other <= 12 for _, other in days):
         first = next(text for text in texts if text)
-        notes.append(f"The dates of {table.name}, such as {first}, count as month first; nothing in it rules that out.")
+        notes.append(f"The dates of {table.name}, such as {first}, count as month first; no date in it rules that out.")
     if late:
-        notes.append(f"The times of {table.name} are GPS time; {late:g} s were taken off for UTC.")
+        notes.append(f"The times of {table.name} are GPS time; {late:g} s were subtracted for UTC.")
     parsed = [values.moment(text, day_first) for text in texts]
     clocks = [None if one is None else one.seconds - (late or 0.0) for one in parsed]
     return clocks, utc or any(one is not None and one.zoned for one in parsed)
@@ -319,7 +319,7 @@ def for_video(log: Log, number: int, began: float | None = None) -> tuple[list[T
     elif began is not None and log.utc and known and known[0][0] <= began <= known[-1][0]:
         clock, time = min(known, key=lambda pair: abs(pair[0] - began))
         start = time + began - clock
-        notes.append(f"The time in the video's file says where in {log.name} it began; that clock may be wrong.")
+        notes.append(f"The video's start in {log.name} follows from the video file's time; that clock may be wrong.")
     else:
         notes.append(f"{log.name} does not say when the video began; its first row counts as the beginning.")
     entries, twice = _distinct([replace(entry, time=entry.time - start) for entry in timed], log.name)

@@ -151,7 +151,7 @@ def read_any_log(file: Path) -> Log:
 
 
 def _read_logs(inputs: _Files) -> tuple[dict[Path, Log], list[str]]:
-    """Return the logs and tracks, and a note for each file that is nearly a log; move other files to "others"."""
+    """Return the logs and tracks, and a note for each damaged .txt or .log; move unused files to "others"."""
     read: dict[Path, Log] = {}
     notes = []
     for file in list(inputs["logs"]):
@@ -199,7 +199,7 @@ def photos_of(paths: Sequence[Path], name: str) -> Flight:
     """
     inputs = _sorted_files(paths)
     if not inputs["photos"]:
-        where = ", ".join(printable(str(path)) for path in paths) or "what was named"
+        where = ", ".join(printable(str(path)) for path in paths) or "the named paths"
         instead = f"expected {', '.join(PHOTOS)}, or a folder that lpn flight wrote"
         if inputs["videos"]:
             filmed = printable(inputs["videos"][0].name)
@@ -287,7 +287,7 @@ def _left_out_notes(inputs: _Files) -> list[str]:
 
 
 def _is_map(file: Path) -> bool:
-    """Tell whether a picture is a GeoTIFF or has a world file: survey programs write such files below the photos' folder."""
+    """Return whether a picture is a GeoTIFF or has a world file: survey programs write such files below the photos' folder."""
     world = f".{file.suffix[1:2]}{file.suffix[-1:]}w".lower()
     if any(file.with_suffix(suffix).is_file() for suffix in (world, world.upper(), ".wld")):
         return True
@@ -366,7 +366,7 @@ def _flight_of_videos(
 
 
 def _telemetry(video: Path, files: _Files, flight_logs: Sequence[Log], options: FlightOptions, notes: list[str]) -> Log:
-    """Return a video's telemetry from a log, else from its `.SRT` file, else from inside, else without entries; add notes."""
+    """Return a video's telemetry from a log, else its `.SRT` file, else the video itself, else without entries; add notes."""
     for log in flight_logs:
         try:
             entries, notes_of_log = logs.for_video(log, files["videos"].index(video), videos.began(video))

@@ -31,7 +31,7 @@ _PX4_GPS = ("vehicle_gps_position", "sensor_gps")
 _PX4 = ("vehicle_global_position", "vehicle_local_position", "vehicle_attitude", "gimbal_device_attitude_status")
 # Seconds for which an angle or a height counts; a filtered position suppresses raw ones for twice as long.
 _HOLD = 1.0
-# Least seconds between two entries, enough for pictures and small for a log of an hour.
+# Minimum seconds between two entries: short enough for pictures, and long enough to keep a log of an hour small.
 _LEAST_STEP = 0.1
 # Values of MAVLink's enumerations: a gimbal's yaw from north (lock, or in the earth's frame), a sensor that looks down, a fix in
 # three dimensions.
@@ -65,7 +65,7 @@ class Vehicle:
     """A converter of one vehicle's messages to entries.
 
     Args:
-        needs_position: whether an attitude alone does not select the vehicle.
+        needs_position: whether only a position selects the vehicle; otherwise an attitude does, too.
 
     Attributes:
         system: MAVLink id of the vehicle: of the first system that sends a position, or an attitude.
@@ -123,7 +123,7 @@ class Vehicle:
             return None
         elif kind not in _RECEIVERS:
             self._filtered = time
-        # A clock that steps back starts again. A position does not wait for an entry without a position.
+        # After a clock steps back, entries start anew. A position does not wait for an entry without a position.
         last = self._last if entry.latitude is None else self._placed
         if 0 <= time - last < _LEAST_STEP - 1e-6:
             return None
@@ -200,7 +200,7 @@ def mavlink_package() -> Any:
 
 
 def is_vehicle_log(file: Path) -> bool:
-    """Tell whether a file has the suffix of an autopilot's log, or is ArduPilot's log as text."""
+    """Return whether a file has the suffix of an autopilot's log, or is ArduPilot's log as text."""
     suffix = file.suffix.lower()
     return suffix in SUFFIXES or (suffix == ".log" and _beginning(file).startswith(_KINDS[suffix][0]))
 

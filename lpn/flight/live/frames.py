@@ -67,7 +67,7 @@ class LiveSource:
     """A source of pictures, read in a separate thread; the newest picture waits.
 
     Args:
-        read: of the pictures.
+        read: yields the pictures.
         say: receives sentences about oddities.
 
     Attributes:
@@ -100,7 +100,7 @@ class LiveSource:
             return picture
 
     def replaced(self) -> bool:
-        """Tell whether a newer picture waits; if so, count the last one that was taken as dropped."""
+        """Return whether a newer picture waits; if so, count the last one that was taken as dropped."""
         with self._changed:
             self.dropped += self._waiting is not None
             return self._waiting is not None
@@ -172,7 +172,7 @@ def _photos(folder: Path) -> Iterator[Path]:
 
 
 def stream_pictures(source: Path | str, say: Say, fov: float | None = None) -> PictureReader:
-    """Return a reader of the frames of a video file at their own pace, or of an RTSP, UDP, or HTTP stream.
+    """Return a reader of the frames of a video file at its recorded pace, or of an RTSP, UDP, or HTTP stream.
 
     A stream that stalls is opened again; a video ends.
 
@@ -250,7 +250,7 @@ def open_source(source: str, say: Say, fov: float | None = None) -> LiveSource:
         return LiveSource(stream_pictures(source, say, fov), say)
     if path.is_file():
         if path.suffix.lower() not in VIDEOS:
-            raise InputError(f"{printable(path.name)} is no video that is read; expected {', '.join(VIDEOS)}.")
+            raise InputError(f"{printable(path.name)} is not a supported video; expected {', '.join(VIDEOS)}.")
         return LiveSource(stream_pictures(path, say, fov), say)
     raise InputError(
         f"There is no {printable(source)}; give a folder that fills, a video, or the address of a stream, such as "

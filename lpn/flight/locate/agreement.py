@@ -23,18 +23,18 @@ from lpn.flight.maps import Map, Window
 _PHOTO, _PLACE, _REACH = 456, 56, 64
 # Side in pixels of the compared square of ground, with room for the search from photo to map and back.
 _SIDE = _PHOTO + 4 * _REACH
-# The most metres that a photo's square may hold.
+# Maximum side in metres of a photo's square on the ground.
 _LARGEST = 5000.0
 # Standard deviation in pixels of the blur that is subtracted: light and season differ more than edges.
 _BLUR = 8.0
 # A place counts if its correlation is at least _LEAST, exceeds all others more than _BESIDE pixels away by _STANDS_OUT, and the
 # match back ends within _BACK pixels.
 _LEAST, _STANDS_OUT, _BESIDE, _BACK = 0.55, 0.15, 5, 3.0
-# Least share of a place that photo and map show, and its least contrast in grey levels.
+# Minimum share of a place that photo and map show, and its minimum contrast in grey levels.
 _SHOWN, _CONTRAST = 0.98, 2.0
-# Fewest places that are evidence on the rest of the photo.
+# Minimum number of places that are evidence on the rest of the photo.
 _FEW_PLACES = 3
-# Most matched details in a sample, as a person cannot distinguish more, and rows in which they are numbered from left to right.
+# Maximum of matched details in a sample, as a person cannot distinguish more; and their rows, numbered from left to right.
 _SAMPLE, _ROWS = 24, 4
 # From this share of the reach on, larger offsets may lie outside of the search.
 _BORDER = 0.9

@@ -1,9 +1,9 @@
-"""A person's corrected places of frames, in `corrections.csv` beside a flight; the flight's own files stay as they are.
+"""A person's corrected places of frames, in `corrections.csv` beside a flight, whose other files are not changed.
 
     frame,latitude,longitude,top left,top right,bottom right,bottom left
     DJI_0018.JPG,46.84260512,-91.99455804,46.84281 -91.99501,46.84297 -91.99430,46.84240 -91.99410,46.84224 -91.99481
 
-`latitude` and `longitude` are of the picture's middle on the ground, the other columns of its corners, in WGS 84 degrees. The
+`latitude` and `longitude` are of the picture's middle on the ground; the other columns have its corners, in WGS 84 degrees. The
 file may be edited by hand, and by several programs at once: each change replaces one line under a lock. It is UTF-8, and other
 bytes of a file's name are preserved. Text that a spreadsheet would compute is quoted by an apostrophe, such as '-33.4 -70.6; see
 `lpn.core.csv_cells`.
@@ -70,7 +70,7 @@ def ground_middle(corners: Float64Array) -> Float64Array:
 
 
 def _possible(corners: Float64Array, slack: float = 1.0) -> bool:
-    """Tell whether a camera above the ground could see these corners in metres, (4, 2); `slack` >= 1 loosens the limits."""
+    """Return whether a camera above the ground could see these corners in metres, (4, 2); `slack` >= 1 loosens the limits."""
     after, before = np.roll(corners, -1, axis=0) - corners, corners - np.roll(corners, 1, axis=0)
     turns = before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0]
     sides = np.linalg.norm(after, axis=1)
@@ -145,7 +145,7 @@ def _decode(content: bytes, file: Path) -> dict[str, Correction]:
                 "or remove the line."
             )
         if name in by_name:
-            raise DataError(f"{line} is a second one of the photo {photo}; remove one of them.")
+            raise DataError(f"{line} is the second line for the photo {photo}; remove one of them.")
         by_name[name] = Correction(middle, corners)
     return by_name
 

@@ -16,9 +16,9 @@ from lpn.core.arrays import Float64Array
 WITHIN = (5, 10, 25, 50, 100)
 # Percent of errors within k standard deviations, 1 - exp(-k^2 / 2), if errors are normal along both axes.
 RIGHT_CALIBRATION = {k: 100 * (1 - math.exp(-(k**2) / 2)) for k in (1, 2, 3)}
-# Least percent of errors within three radii, ideally 99; fewer show that radii or truths are wrong.
+# Minimum percentage of errors within three radii, ideally 99; a lower one shows that radii or truths are wrong.
 CONFIRMED_SHARE = 90.0
-# Fewest independent photos for a statement on the bias, and the multiple of the standard error that makes it systematic.
+# Minimum number of independent photos for a bias, and the multiple of the standard error that makes it systematic.
 _LEAST_FOR_BIAS, _SYSTEMATIC = 8, 3.0
 _AXES = ("east", "north")
 # Metres below which errors count as equal.
@@ -67,12 +67,12 @@ class Errors:
 
     @property
     def ce90(self) -> float:
-        """The circular error that holds 90 % of the distances."""
+        """The circular error: 90 % of the distances are at most this."""
         return self.quantile(0.9)
 
     @property
     def ce95(self) -> float:
-        """The circular error that holds 95 % of the distances."""
+        """The circular error: 95 % of the distances are at most this."""
         return self.quantile(0.95)
 
     @property

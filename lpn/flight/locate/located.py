@@ -343,7 +343,7 @@ class LocatedFlight:
 
     @cached_property
     def radii_confirmed(self) -> dict[str, bool]:
-        """Tell for each stage whether tags confirm the radii: at least 90 % of the errors are within three radii.
+        """Whether tags confirm the radii of each stage: at least 90 % of the errors are within three radii.
 
         A search with a prior finds nothing far from the tags, so tags can refute its radii, but not confirm them.
         """

@@ -27,13 +27,13 @@ from lpn.flight.maps import Map
 # A place is accepted if the windows around it, within this share of a side, together have this probability.
 OVERLAP = 0.75
 CONFIDENCE = 0.98
-# Log odds of steps along the headings from which the map counts as of the flight's place.
+# If steps along the headings have at least these log odds, the map counts as one of the flight's place.
 EVIDENCE = 4.0
 # A frame counts as beyond the map if places there have more than this probability.
 _LEFT = 0.5
 # A place within the map's bounds counts as beyond the map if the map shows less than this share of its window.
 _SHOWN = 0.5
-_UNREAD = "The photo cannot be read; the position is a guess of its neighbours."
+_UNREAD = "The photo cannot be read; the position is a guess from its neighbours."
 
 
 def enter_retrieval(retrieval: MapRetrieval, frames: list[LocatedFrame], k: int) -> None:
@@ -68,7 +68,7 @@ def enter_sequence(
 ) -> None:
     """Enter the answers of the sequence.
 
-    A frame with a heading has this one as its only state, and each window has its best score over the tried turns. Other frames
+    A frame with a heading has only this heading as a state, and each window has its best score over the tried turns. Other frames
     have all tried headings as states. Unless the direction of flight proves that the map is of the flight's place, answers are
     refused until `judge_map`.
 

@@ -7,7 +7,7 @@ Speed, kind of motion, and temperature maximise the probability of the flight's 
 score from frames of other places. So a window that resembles many frames, such as a ploughed field, proves little.
 
 A drone may leave the map, so places beyond its edge are states, too. They have no window, so a frame has one emission for all of
-them. A frame lies there if the flight's way leads there, and windows on it fit no better than others. Leaving the map is rare.
+them. A frame lies there if the flight's way leads there, and no window along it fits better than others. Leaving the map is rare.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ OfFrame = Callable[[int], Float64Array]
 
 # Frames of unit score that are added to the frames of other places in a window's mean square.
 PRIOR_FRAMES = 30
-# Tried speeds in metres a second, tried temperatures, and most frames for these trials.
+# Tried speeds in metres a second, tried temperatures, and maximum of frames for these trials.
 SPEEDS = (4.0, 6.0, 9.0, 13.0, 19.0, 28.0)
 TEMPERATURES = (0.25, 0.33, 0.4, 0.5, 0.67, 1.0)
 _FIRST_TEMPERATURE = 0.4
@@ -60,7 +60,7 @@ _LEAVE, _BEGIN = 1e-3, 0.1
 _JUMP = 1e-3
 # Metres within which coordinates are equal: an index's names round them to about 1 cm.
 _ONE_COORDINATE = 0.02
-# Most bytes of steps in memory: a flight uses each several times, and equal ones are shared.
+# Maximum of bytes of steps in memory: a flight uses each several times, and equal ones are shared.
 _HELD_STEPS = 1 << 26
 
 
@@ -107,7 +107,7 @@ class MotionModel:
         if np.isnan(change).any() or np.isnan(deviation):
             return np.full(change.shape, 1 / len(after))
         likely = sum(np.exp(-((change + turn) ** 2) / (2 * deviation**2)) for turn in (-360, 0, 360))
-        # Headings all far from the one before are equally likely.
+        # If all headings are far from the one before, they are equally likely.
         likely = np.maximum(likely, 1e-12)
         shares = likely / likely.sum(axis=1, keepdims=True)
         return cast(Float64Array, (1 - _ANY_HEADING) * shares + _ANY_HEADING / len(after))
@@ -167,7 +167,7 @@ def emissions(
     """Return log emissions of one frame: log of (softmax of score / temperature + floor / (N K)), normalised.
 
     Places beyond the map follow the windows. Their share is 1 / (N K), times up to e^1.5 if the frame resembles the last one. A
-    frame of equal scores, such as an unreadable photo, tells nothing.
+    frame of equal scores, such as an unreadable photo, is no evidence.
 
     Args:
         scores: of windows at headings, (N, K).
@@ -238,7 +238,7 @@ class ForwardFilter:
         places: centres of the windows, then places beyond the map, in metres, (N + B, 2). Fewer distinct x and y take less time.
         motion: of the flight.
         beyond: number of places beyond the map, B.
-        held: most bytes of steps in memory, for equal steps that follow.
+        held: maximum of bytes of steps in memory, for equal steps that follow.
 
     Attributes:
         belief: probability of each place at each heading, (N + B, K), by all likelihoods so far; None before the first frame.

@@ -37,7 +37,7 @@ class OpenedFlight(OpenedSource):
     located: LocatedFlight | None = None
 
     def graded(self) -> tuple[Task, Collection[int]]:
-        """Register each photo; contradicted GPS tags do not grade. See `OpenedSource.graded`."""
+        """Register each photo; a contradicted GPS tag grades no photo. See `OpenedSource.graded`."""
         import numpy as np
 
         from lpn.flight.locate.grades import doubtful_photos

@@ -219,7 +219,7 @@ def placed_errors(frames: Sequence[LocatedFrame], verdicts: Sequence[FrameVerdic
 
 
 def on_what(answer: StageRecord) -> str:
-    """Return the reference of an answer's radius: earth if the map's own error is known, else this map."""
+    """Return the reference of an answer's radius: earth if the error of the map's place is known, else this map."""
     return "on earth" if answer.on_earth else "on this map"
 
 

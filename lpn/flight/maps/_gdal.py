@@ -30,7 +30,7 @@ _GRIDS = re.compile(r'grids\s*=(?!@null(?:["\s]|$))|(?:file|model|init)\s*=|PROJ
 _PATH = re.compile(r"(?<! )[/\\]|[/\\](?! )")
 # GDAL takes a name with one of these for the address of another file, or for a list of files.
 _OTHER_FILE = re.compile(r"\?|<(?:VRT|GDAL|WCS|WM[ST]|TileMap|Services|Capabilities)", re.IGNORECASE)
-# Variables that are set already take precedence. GDAL_CACHEMAX is in megabytes; GDAL's default is 5 % of the memory. The others
+# Variables set before take precedence. GDAL_CACHEMAX is in megabytes; GDAL's default is 5 % of the memory. The others
 # keep GDAL from servers, from code in a VRT, and from databases (GeoPackage, MBTiles) that open other files as tables.
 _ENVIRONMENT = {
     "GDAL_CACHEMAX": "192",
@@ -42,7 +42,7 @@ _ENVIRONMENT = {
 }
 # A hyperspectral camera has some hundred bands. A damaged header may name 65,535, and rasterio takes seconds to list these.
 _MAX_BANDS = 4096
-# Pixels a minute, measured while overviews of an empty file of three bands were built, and the most minutes of work on a file.
+# Pixels a minute, measured while overviews of an empty file of three bands were built, and the maximum of minutes for a file.
 _PIXELS_PER_MINUTE, _MOST_MINUTES = 1.3e9, 10
 # `warnings.catch_warnings` changes the filters of all threads, so one thread at a time uses it.
 _opening = threading.Lock()
@@ -92,7 +92,7 @@ def opened(path: Path) -> Iterator[Any]:
     name = printable(str(path))
     if not path.is_file():
         raise DataError(f"There is no file {name}; check the path.")
-    # GDAL opens these by any of its drivers.
+    # GDAL opens these files with any of its drivers.
     for beside in named(path.parent, [f"{path.name}{end}".lower() for end in (".ovr", ".msk", ".aux")]):
         if not beside.is_file() or _head(beside).lstrip().startswith(b"<"):
             raise DataError(f"{printable(str(beside))} holds no overviews and no mask; delete it, or make it again.")
@@ -147,23 +147,23 @@ def _flaw(file: Any, path: Path) -> str | None:
         return f"would have {file.count} bands; it is damaged, so copy it again."
     if not file.count:
         names = [printable(name.rpartition(":")[2]) for name in file.subdatasets]
-        return f"holds {len(names)} rasters ({first_few(names, 3)}), and a map is one; export the right one as GeoTIFF."
+        return f"holds {len(names)} rasters ({first_few(names, 3)}); a map has one, so export the right one as GeoTIFF."
     if file.driver == "MBTiles" and file.tags().get("scheme", "").lower() == "xyz":
-        return "counts its rows from the north (scheme xyz), and an .mbtiles from the south; make it anew, such as with QGIS."
+        return "counts rows from the north (scheme xyz); expected from the south, so make it anew, such as with QGIS."
     if file.tags(ns="OVERVIEWS"):
-        return "names a file of its overviews; make a copy without, such as with gdal_translate."
+        return "names a file of its overviews; make a copy without that file, such as with gdal_translate."
     systems = [crs for crs in (file.crs, file.gcps[1]) if crs]
     if any(names_a_path(crs.to_wkt(version=version)) for version in (None, "WKT2_2019") for crs in systems):
         return "has a CRS that names a file by its path; give it another one, such as with gdal_edit -a_srs EPSG:32632."
     folder = os.path.normpath(path.absolute().parent)
-    # Pixels of a file of Imagine may lie elsewhere.
+    # A file of ERDAS Imagine may store its pixels elsewhere.
     if other := next((name for name in file.files if not Path(os.path.normpath(name)).is_relative_to(folder)), None):
         return f"takes pixels from another folder ({printable(other)}); make one file of it with gdal_translate."
     return None
 
 
 def names_a_path(crs: str) -> bool:
-    """Tell whether the text of a CRS makes PROJ open a path or an address."""
+    """Return whether the text of a CRS makes PROJ open a path or an address."""
     return bool(_GRIDS.search(crs) and _PATH.search(crs))
 
 
@@ -177,7 +177,7 @@ def vrt_name(path: Path, driver: str) -> str:
     """Return a name for a file in a VRT that makes GDAL use one driver; GDAL would try all of them.
 
     Raises:
-        DataError: if a VRT cannot hold the path.
+        DataError: if a VRT cannot contain the path.
     """
     if _OTHER_FILE.search(str(path.absolute())):
         raise DataError(

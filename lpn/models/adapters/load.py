@@ -56,12 +56,12 @@ def load_file(
     state = read_state(path)
     if network is not None:
         if kind is not None:
-            raise InputError(f"A network of timm has no parts of its own; leave --kind {kind} out.")
+            raise InputError(f"A network of timm defines no parts; leave --kind {kind} out.")
         made = tokens.of_timm(Entries(path.name, state, options), _told(pooling, path), network)
         return _model(made, path, device, options)
     if pooling is not None:
         raise InputError(
-            f"{path.name} is no network by itself; name its network for --pooling, as timm:NAME:{path.name}, or leave it out."
+            f"{path.name} is no network by itself; name its network, as timm:NAME:{path.name}, or leave --pooling out."
         )
     adapter, state = choose(kind, state, options, path.name)
     if adapter.build is None:
@@ -75,9 +75,7 @@ def load_file(
 def _told(pooling: TokenPooling | None, path: Path) -> TokenPooling:
     """Return the pooling of a network without parts; the default, the mean, is logged."""
     if pooling is None:
-        log.warning(
-            "%s has no parts of its own; its tokens are pooled by their mean (--pooling).", printable(path.name)
-        )
+        log.warning("%s defines no parts; its tokens are pooled by their mean (--pooling).", printable(path.name))
     return pooling or TokenPooling()
 
 

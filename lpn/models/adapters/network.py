@@ -121,7 +121,7 @@ class MeanVector(PartBranch):
 
 
 class FirstToken(PartBranch):
-    """One vector without cells, plain or under a head: the first token, or the network's own pooled vector.
+    """One vector without cells, plain or under a head: the first token, or the network's pooled vector.
 
     Args:
         trunk: returns tokens (B, T, C) or the pooled vector (B, C); a ViT's class token comes first.

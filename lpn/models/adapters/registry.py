@@ -91,8 +91,8 @@ def choose(
             return next(iter(best.values())), inner
         if best:
             raise ModelFileError(
-                f"{name} has the entries of {' and of '.join(best)}, and nothing decides between them; say which with --kind, of "
-                "a second model with --beside-kind."
+                f"{name} has the entries of {' and of '.join(best)}, and nothing decides between them; choose one with --kind, "
+                "or for a second model with --beside-kind."
             )
         prefix = next((prefix for prefix in _WRAPPERS if inner and all(key.startswith(prefix) for key in inner)), None)
         if prefix is None:

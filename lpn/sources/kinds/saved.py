@@ -104,7 +104,7 @@ class ArraySource(SavedSource):
         by_metres = places is not None and None not in places.queries
         if known is not None and (known.any() or not by_metres):
             raise InputError(
-                f"{int((~known).sum())} of {len(known)} queries have no label in {paths.name} that tells what is right; add "
+                f"{int((~known).sum())} of {len(known)} queries have no label in {paths.name}, so their truth is unknown; add "
                 "their labels."
             )
         return [weighted(task, None, self.options.csls)]

@@ -53,7 +53,7 @@ def test_without_a_model_the_one_that_ships_is_measured_and_named(
         out = tmp_path / f"{len(options)}.json"
         assert main.main(["evaluate", str(data), *options, "--json", str(out)]) == 0
         printed = capsys.readouterr()
-        assert ("The model is city-lpn, which ships and knows a rendered city alone" in printed.err) is said
+        assert ("The model is city-lpn, which is shipped and knows only a rendered city" in printed.err) is said
         assert "city-lpn (LPN" in printed.out
         figures.append({key: value for key, value in json.loads(out.read_text()).items() if key != "seconds"})
     assert figures[0] == figures[1]

@@ -71,7 +71,7 @@ def test_a_training_keeps_whole_epochs_and_says_how_to_go_on(tmp_path: Path) -> 
         status, _ = process.ended()
         assert status == 130
         assert last_line(process) == (
-            f"lpn: Stopped. The whole epochs in {out} are kept; go on with lpn train --out {out} --resume."
+            f"lpn: Stopped. The finished epochs in {out} are kept; go on with lpn train --out {out} --resume."
         )
         assert not half_written(out)
         assert all(verdict.healthy for verdict in verify(out))
@@ -169,7 +169,7 @@ def test_afterwards_signals_do_what_they_did(tmp_path: Path, monkeypatch: pytest
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["train", "--data", "x", "--out", "OUT"], "No epoch was whole yet, so nothing is kept; give the same command"),
+        (["train", "--data", "x", "--out", "OUT"], "No epoch was finished yet, so nothing is kept; give the same"),
         (["reproduce", "table1", "--data", "x", "--out", "OUT"], "Whole epochs and measurements in OUT are kept"),
         (
             ["describe", "--model", "m", "--images", "s", "--view", "drone", "--out", "OUT"],

@@ -67,7 +67,7 @@ def test_a_folder_around_a_data_set_names_the_one_inside(tmp_path: Path, around:
     for name in ("Thumbs.db", "desktop.ini", "._University-Release", "readme.txt"):
         (top / name).write_bytes(b"\0")
     inside = root.relative_to(top).as_posix()
-    assert refusal(top) == f"{top} holds data sets in folders of its own: {inside}; give {root}."
+    assert refusal(top) == f"{top} holds folders of data sets: {inside}; give {root}."
 
 
 def test_what_systems_leave_in_a_data_set_is_no_part_of_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

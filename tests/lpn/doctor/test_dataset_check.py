@@ -175,7 +175,7 @@ def test_an_index_says_if_it_is_empty_whole_or_has_unfinished_parts_beside_it(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     place = tmp_path / "index"
-    empty = "no tile was added; see that the disk has space, and add tiles again with lpn index."
+    empty = "no tile was added; check that the disk has space, and add tiles again with lpn index."
     with create_index(place, KIND) as index:
         assert said(capsys, tmp_path) == (1, f"DAMAGED: {place}: is empty: {empty}")
         with monkeypatch.context() as patched:
@@ -184,11 +184,11 @@ def test_an_index_says_if_it_is_empty_whole_or_has_unfinished_parts_beside_it(
                 index.add(NAMES, VECTORS)
         assert [path.name for path in place.iterdir()] == ["store.json"]
         index.add(NAMES, VECTORS)
-        assert said(capsys, place) == (0, f"{place} is what was written.")
+        assert said(capsys, place) == (0, f"{place} matches its checksums.")
         (part,) = place.glob("part-*")
         shutil.copytree(part, place / "part-0000002-abcdef")
         left = "an unfinished run has left parts beside it, so give its command again"
-        assert said(capsys, place) == (0, f"{place} is what was written; {left}.")
+        assert said(capsys, place) == (0, f"{place} matches its checksums; {left}.")
     (place / "store.json").unlink()
     (verdict,) = verify(tmp_path)
     unfinished = "its description was not finished; give the same lpn describe command again, without --part."

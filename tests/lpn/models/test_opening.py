@@ -288,7 +288,7 @@ FOREIGN: dict[str, tuple[bytes, str]] = {
     "zeros": (b"\0" * 70_000, "is full of zeros; its download or copy broke off"),
     "cut": (saved({"a": torch.zeros(99)})[:-60], "is truncated: it has "),
 }
-ALONE = "is truncated or no PyTorch file of tensors alone, so it was not opened; copy it again, or save the"
+ALONE = "is truncated or not a PyTorch file of tensors alone, so it was not opened; copy it again, or save the"
 # A file's name, its bytes, and a part of the sentence.
 BYTES: dict[str, tuple[str, Callable[[State], bytes], str]] = {
     "zipped": ("net.pth.zip", zipped, "is not a PyTorch file: it begins with 'PK\\x03\\x04"),

@@ -147,7 +147,7 @@ def test_the_log_says_that_a_size_is_assumed_where_no_option_states_it(caplog: p
     assert infer_spec(state, {"h": 128}, "net.pth").input_size == (128, 256)
     (record,) = caplog.records
     assert record.getMessage().startswith(
-        "net.pth does not tell the whole size of its pictures, so 128 x 256 pixels are assumed;"
+        "net.pth does not state the whole size of its pictures, so 128 x 256 pixels are assumed;"
     )
     caplog.clear()
     infer_spec(state, {"h": 128, "w": 128})

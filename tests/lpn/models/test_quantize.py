@@ -113,7 +113,7 @@ def test_the_command_says_how_close_it_is(
     for options, refused in (
         ([], "give a data set as --data"),
         (["--data", str(data), "--storage", "int8"], "leave --storage out"),
-        (["--data", str(data), "--compute", "float32"], "are of --compute int8; give it, or leave them out"),
+        (["--data", str(data), "--compute", "float32"], "belong to --compute int8; give it, or leave them out"),
     ):
         assert main.main([*given, str(model_file), *options]) == 2
         assert refused in capsys.readouterr().err

@@ -136,7 +136,7 @@ def test_a_training_measures_the_ratio_of_its_pictures_and_records_it(
     assert main(["train", *options, *start, "--out", str(tmp_path / "twice"), "--ground-ratio", "2"]) == 2
     untrained = [*options, "--init", "auto", "--calibrate", "--out", str(tmp_path / "twice")]
     assert main(["train", *untrained]) == 2
-    assert "such as city-lpn, and --init auto opens as none" in capsys.readouterr().err
+    assert "such as city-lpn, and --init auto is not one" in capsys.readouterr().err
     assert main(["train", *options, "--from-scratch", "--calibrate", "--out", str(tmp_path / "none")]) == 2
     assert not (tmp_path / "twice").exists()
 

@@ -80,7 +80,7 @@ class _Card:
         codes: picked queries of all possible lines, see `encode`; the card ignores such a choice, too.
 
     Attributes:
-        rows: the selected queries of any outcome, without the card's own choices.
+        rows: the selected queries of any outcome, without the choices made in this card.
     """
 
     def __init__(

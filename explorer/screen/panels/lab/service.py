@@ -90,7 +90,7 @@ class LabFindings:
             LPNError: when the data set changed before the other model was opened.
         """
         if [one.path for one in self.task.queries] != [one.path for one in other.task.queries]:
-            raise LPNError(f"The queries of {names[1]} are others: the data set changed; start the app again.")
+            raise LPNError(f"The queries of {names[1]} differ, because the data set changed; start the app again.")
         columns = query_outcomes.compared_ranks(self.table, other.ranks)
         hits = self.outcomes.known & (other.ranks == 0)
         second = OtherRanks(names, hits, (self.task.scoring, other.task.scoring))

@@ -100,7 +100,7 @@ def change(file: Path, story: Story, edit: Callable[[Story], Story | None]) -> S
             try:
                 msgspec.convert(msgspec.to_builtins(made), Story)
             except msgspec.ValidationError as error:
-                raise InputError(f"A story cannot hold that ({error}); shorten it, or begin another one.") from error
+                raise InputError(f"The story cannot be stored ({error}); shorten it, or begin another one.") from error
             if made.name in (*names[:at], *names[at + 1 :]):
                 raise InputError(f"There is a story {printable(made.name)!r} already; give another name.")
         changed.append(made)

@@ -149,7 +149,7 @@ def _judged(result: ScreenResult, ranking: RankingJob) -> list[str]:
 
 
 def _answer(result: ScreenResult, ranking: RankingJob) -> dict[str, Any]:
-    """Return how far the lead of this answer can be trusted; that needs no truth."""
+    """Return sentences that compare the lead of this answer with other leads, and the lead."""
     analysis, workspace, state = result.analysis, result.workspace, result.state
     own = bool(state.own)
     gap, said = result.first.shown_gap, list[str]()
@@ -159,7 +159,7 @@ def _answer(result: ScreenResult, ranking: RankingJob) -> dict[str, Any]:
     if own and rendered:
         said.append("Computers drew this place, so a photo of yours has no true tile here.")
     elif state.weights:
-        said.append("No other photo was ranked under these part weights, so nothing tells how typical that is.")
+        said.append("No other photo was ranked under these part weights, so it is unknown how typical that is.")
     elif ranking.result is not None:
         graded = workspace.graded(ranking)
         of_lead = result.first.gap
@@ -179,7 +179,7 @@ def _answer(result: ScreenResult, ranking: RankingJob) -> dict[str, Any]:
                 said.append(f"It leads the nearest wrong tile by {analysis.verdict.lead:.3f}.")
             said.append(answer_context.describe_lead(known[0], analysis.verdict.lead))
         if result.question.change:
-            said.append("That counts photos as they were taken; this one is turned.")
+            said.append("Those photos are not turned; this one is.")
     return {
         "said": [one for one in said if one],
         "lead": None if result.first.gap is None else round(result.first.gap, 4),
@@ -187,12 +187,12 @@ def _answer(result: ScreenResult, ranking: RankingJob) -> dict[str, Any]:
 
 
 def _names_junk(result: ScreenResult) -> bool:
-    """Return whether the truth lists tiles that do not count; an own photo has no such list."""
+    """Return whether the truth lists tiles that do not count; a user's photo has no such list."""
     return any(len(of.junk) or of.among is not None for of in result.task.truth or ())
 
 
 def _far(result: ScreenResult) -> list[str]:
-    """Compare the distance of an own photo's answer with those of photos whose place is, and is not, in the gallery."""
+    """Compare the answer's distance from a user's photo with distances of photos whose place is, and is not, in the gallery."""
     measured, ranking = result.workspace.answer_distances(result.task), result.analysis.ranking
     if measured is None:
         return []
@@ -203,7 +203,7 @@ def _far(result: ScreenResult) -> list[str]:
     nearer, absent = (f"{100 * share:.0f} %" for share in shares)
     return [
         f"Of {len(measured.right):,} found photos here, {nearer} are nearer to their tiles.",
-        f"With their true tiles taken away, {absent} of all photos would be this far off.",
+        f"Without their true tiles, {absent} of all photos would be at least this far from the nearest.",
     ]
 
 
@@ -227,7 +227,7 @@ def _scored(result: ScreenResult) -> list[str]:
         said.append(f"All photos are drawn {workspace.weather.describe()}.")
     if state.weights:
         shown = ", ".join(f"{weight:g}" for weight in state.weights)
-        said.append(f"Part weights of this photo: {shown}. The figures are of equal ones.")
+        said.append(f"Part weights of this photo: {shown}. The figures are for equal weights.")
     return [*said, task.no_map] if task.no_map else said
 
 
@@ -241,5 +241,5 @@ def _pictures(result: ScreenResult) -> list[dict[str, str]]:
     elif shows_rendered(workspace.root):
         said.append({"text": "Pictures: drawn by a computer from a plan; the place does not exist."})
     else:
-        said.append({"text": "Pictures: under the licence of their data set, which its authors tell."})
+        said.append({"text": "Pictures: under the licence of their data set, which its authors state."})
     return [*said, *({"text": text} for text in _PROJECTS), {"text": f"LPN Explorer {__version__}, MIT licence."}]

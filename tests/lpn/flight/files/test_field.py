@@ -89,21 +89,21 @@ CASES = (
     by("https://photogrammetrycommunity.github.io/metashape-expert-manual/", "photoscan.csv",
        "#Label,X/East,Y/North,Z/Altitude,Yaw,Pitch,Roll\nDJI_1.JPG,8.501,47.301,450,40,3,1\n", **HERE, heading=40.0, pitch=-87.0),
     by("https://support.pix4d.com/hc/en-us/articles/202558539", "pix4d.csv",
-       "DJI_0001.JPG,47.301,8.501,512.5\nDJI_0002.JPG,47.302,8.501,512.5\n", "latitude before longitude was taken",
+       "DJI_0001.JPG,47.301,8.501,512.5\nDJI_0002.JPG,47.302,8.501,512.5\n", "latitude was read before longitude",
        **HERE, altitude=512.5),
     by("https://support.pix4d.com/hc/en-us/articles/360056389172", "pix4dmatic.csv",
        "#imagename,coordinate1,coordinate2,z,yaw,pitch,roll\nIMG_1.JPG,47.301,8.501,512.5,38.6,3.5,8.3\n",
        "The columns pitch and roll of pix4dmatic.csv do not say whether they are the camera's",
        **HERE, altitude=512.5, heading=38.6, pitch=None),
-    by(GEO, "geo.txt", "EPSG:4326\na.jpg 8.501 47.301 102.5 45.0 0.5 -0.3 1.5 3.0\n", "longitude before latitude was taken",
+    by(GEO, "geo.txt", "EPSG:4326\na.jpg 8.501 47.301 102.5 45.0 0.5 -0.3 1.5 3.0\n", "longitude was read before latitude",
        **HERE, altitude=102.5, heading=45.0, heading_source="camera", pitch=-89.5, roll=-0.3),
-    by(GEO, "geo_angles_of_zero.txt", "EPSG:4326\na.jpg 8.501 47.301 102.5 0 0 0 1.5 3.0\n", "longitude before latitude",
+    by(GEO, "geo_angles_of_zero.txt", "EPSG:4326\na.jpg 8.501 47.301 102.5 0 0 0 1.5 3.0\n", "read before latitude",
        **HERE, heading=None, pitch=None, roll=None),
-    by(GEO, "geo_longlat.txt", "+proj=longlat +datum=WGS84\na.jpg 8.501 47.301\n", "longitude before latitude", **HERE),
+    by(GEO, "geo_longlat.txt", "+proj=longlat +datum=WGS84\na.jpg 8.501 47.301\n", "read before latitude", **HERE),
     by("https://github.com/IntelliSensing/UAV-VisLoc", "visloc.csv",
        "num,filename,date,lat,lon,height,Omega,Kappa,Phi1,Phi2\n"
        "1,a.JPG,2018-09-13 10:00:00,47.301,8.501,405.25,1.5,-2.5,-170.0,10\n",
-       "does not say above what", **HERE, height_above_takeoff=405.25, heading=190.0, heading_source="aircraft", pitch=-88.5,
+       "does not state its reference", **HERE, height_above_takeoff=405.25, heading=190.0, heading_source="aircraft", pitch=-88.5,
        roll=-2.5),
     by("https://github.com/TIERS/wildnav", "wildnav.csv",
        "Filename,Latitude,Longitude,Altitude,Gimball_Roll,Gimball_Yaw,Gimball_Pitch,Flight_Roll,Flight_Yaw,Flight_Pitch\n"
@@ -114,7 +114,7 @@ CASES = (
        "counts as height", **HERE, heading=273.2, heading_source="aircraft", pitch=None),
     by("https://www.rtklib.com/prog/manual_2.4.2.pdf", "ppk.pos",
        "% program   : RTKPOST\n%\n%  GPST                  latitude(deg) longitude(deg)  height(m)   Q  ns\n"
-       "2024/05/01 12:00:18.000   47.301000000    8.501000000   512.5000   1  12\n", "18 s were taken off",
+       "2024/05/01 12:00:18.000   47.301000000    8.501000000   512.5000   1  12\n", "18 s were subtracted",
        **HERE, altitude=512.5, clock=1714564800.0),
     by("https://www.rtklib.com/prog/manual_2.4.2.pdf, Q of 5 is a single solution", "failed.pos",
        "%  UTC  latitude(deg) longitude(deg)  height(m)   Q  ns\n2024/05/01 12:00:00.000 47.301 8.501 512.5 5 12\n",
@@ -239,7 +239,7 @@ def test_every_dialect_has_a_case_and_a_source() -> None:
 
 
 GRID = "Eastings and northings of a map are not read; export degrees of WGS 84."
-GROUND = "is a list of ground control points, which tells where points on the ground are seen, and not where photos were taken"
+GROUND = "is a list of ground control points: it has positions of points in the photos, and none of the photos"
 BEGINS = "log.csv begins with {!r}; expected a line of column names with latitude and longitude."
 
 
@@ -271,7 +271,7 @@ BEGINS = "log.csv begins with {!r}; expected a line of column names with latitud
         ("EPSG:32632\n500100.5 5205000.2 412.3 800.0 600.0 a.jpg\n", GROUND),
         ("EPSG:4326\n8.1,47.1,400,10,20,a.jpg,gcp1\n", GROUND),
         ("name,lat,lon" + ",x" * 200_000, "log.csv begins with 'name,lat,lon,x"),
-        ("lat,lon,a,b,c\n47,301,8,501,1,2,3,4\n", "has 8 values below 5 names, as decimal commas between commas give"),
+        ("lat,lon,a,b,c\n47,301,8,501,1,2,3,4\n", "has 8 values below 5 names, perhaps by decimal commas between commas"),
         ("name,lat,Longitude (W)\na.jpg,33.4,70.5\n", "The column Longitude (W) of log.csv is in an unknown unit"),
         ("\x00\x01\x02binary", "log.csv is no text"),
     ],

@@ -201,7 +201,7 @@ def test_each_video_has_its_own_recording_of_a_log(tmp_path: Path) -> None:
         ("log.csv", AIRDATA, None, 47.0003, ""),
         ("log.csv", "filename,lat,lon\n1.jpg,60.4,22.4\n", None, None, "log.csv has no times"),
         ("track.gpx", TRACK, None, 47.3, "track.gpx does not say when the video began; its first row counts as the beginning"),
-        ("track.gpx", TRACK, 10, 47.31, "The time in the video's file says where in track.gpx it began"),
+        ("track.gpx", TRACK, 10, 47.31, "The video's start in track.gpx follows from the video file's time"),
     ],
 )  # fmt: skip
 def test_a_video_takes_its_positions_from_a_log(
@@ -283,17 +283,17 @@ def test_a_file_of_a_kind_that_is_not_read_is_refused_wherever_it_is_named(
 ANGLES: tuple[tuple[str, list[str], list[float | None], str], ...] = (
     (
         "yaw", ["10"] * 15 + ["-9999"] + ["20"] * 4, [10.0] * 15 + [None] + [20.0] * 4,
-        "1 of 20 values of the column yaw of log.csv are not from -360 to 360 degrees and were not used, first in line 17.",
+        "1 of 20 values of the column yaw of log.csv, first in line 17, were not used; expected from -360 to 360 degrees.",
     ),
-    ("yaw", ["10", "-9999", "20"], [None] * 3, "was left out: it holds -9999, and expected are angles from -360 to 360 degrees"),
+    ("yaw", ["10", "-9999", "20"], [None] * 3, "was left out: it holds -9999; expected angles from -360 to 360 degrees"),
     ("yaw", ["9000", "9010", "120"], [None] * 3, "name another unit behind a column, as in (cdeg)."),
     ("gimbal_pitch", ["270", "275", "285.5"], [-90.0, -85.0, -74.5], ""),
     ("gimbal_pitch", ["90", "85"], [None, None],
-     "looks up by 85 degrees and more, where -90 should be straight down; give it with --pitch"),
+     "all its angles look up, by 85 degrees or more, and -90 should be straight down; give the pitch with --pitch"),
     ("gimbal_pitch", ["-60"], [-60.0], ""),
-    ("fov", ["0", "0"], [None] * 2, "column fov of log.csv was left out: it holds 0, and expected are angles from 0.1 to 170"),
+    ("fov", ["0", "0"], [None] * 2, "column fov of log.csv was left out: it holds 0; expected angles from 0.1 to 170"),
     ("fov", ["70"] * 10 + ["170", "0.1", "175"], [70.0] * 10 + [170.0, 0.1, None],
-     "1 of 13 values of the column fov of log.csv are"),
+     "1 of 13 values of the column fov of log.csv, first in line"),
 )  # fmt: skip
 
 
@@ -324,7 +324,7 @@ def test_dates_of_every_spelling_are_read_for_the_file_as_a_whole(
 ) -> None:
     log = read_log(written(tmp_path, "date,lat,lon\n" + "".join(f"{date},47.3,8.5\n" for date in dates)))
     assert log.entries[0].clock == clock
-    assert any("nothing in it rules that out" in note for note in log.notes) == says
+    assert any("no date in it rules that out" in note for note in log.notes) == says
 
 
 def test_the_first_row_of_a_moment_counts_and_fractions_of_seconds_come_from_the_elapsed_time(tmp_path: Path) -> None:

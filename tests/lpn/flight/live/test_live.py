@@ -413,7 +413,7 @@ def test_a_source_that_cannot_be_opened_is_refused_in_a_sentence(tmp_path: Path,
         (tmp_path / name).write_text("no video")
     assert shown_name("rtsp://me:secret@cam:8554/drone?key=secret") == "rtsp://cam:8554/drone"
     path = source if "nowhere" in source or "://" in source else str(tmp_path / source)
-    with pytest.raises(InputError, match=r"There is no|cannot be opened|is no video"):
+    with pytest.raises(InputError, match=r"There is no|cannot be opened|is not a supported video"):
         open_source(path, print)
 
 
@@ -536,7 +536,7 @@ def test_the_command_locates_what_a_vehicle_sends(
 
 def test_what_is_neither_a_folder_nor_a_video_nor_a_stream_is_refused(tmp_path: Path) -> None:
     (tmp_path / "notes.txt").touch()
-    for source, said in ((tmp_path / "notes.txt", "no video that is read"), ("0", "There is no 0; give a folder")):
+    for source, said in ((tmp_path / "notes.txt", "is not a supported video"), ("0", "There is no 0; give a folder")):
         with pytest.raises(InputError, match=said):
             lpn.flight.live.frames.open_source(str(source), print)
 

@@ -86,7 +86,7 @@ def test_names_that_are_not_utf_8_survive(tmp_path: Path) -> None:
         ("{head}\na,48,9,48.1 9,48 9.1,48.1 9.1,48 9\n", "Line 2 .* over, fold it"),
         ("{head}\na,40,10,50 0,50 20,30 20,30 0\n", "Line 2 .* too large"),
         ("{head}\na,48,9,48.3 9,48.3 9.3,48 9.3,48 9\n", "Line 2 .* too large"),
-        ("{head}\n{line}\nb.jpg,{rest}\n{line}\n", "Line 4 .* a second one of the photo a.jpg"),
+        ("{head}\n{line}\nb.jpg,{rest}\n{line}\n", "Line 4 .* the second line for the photo a.jpg"),
     ],
 )
 def test_a_damaged_file_gets_one_sentence_and_stays(tmp_path: Path, text: str, sentence: str) -> None:

@@ -543,7 +543,7 @@ def test_a_sequence_refuses_what_it_cannot_place(flight: Flight, monkeypatch: py
     located = _ranked(flight, np.stack([sure, sure, sure]), {1: "The file is broken."})
     answers = [frame.stages["sequence"] for frame in located]
     assert [answer.state for answer in answers] == ["accepted", "refused", "accepted"]
-    assert answers[1].sentence == "The photo cannot be read; the position is a guess of its neighbours."
+    assert answers[1].sentence == "The photo cannot be read; the position is a guess from its neighbours."
     assert answers[1].x == pytest.approx(0, abs=1)
     for answer in (frame.stages["sequence"] for frame in _ranked(flight, np.stack([lost, lost]), {})):
         assert answer.state == "refused"

@@ -83,7 +83,7 @@ def test_the_options_of_lpn_map_are_kept_in_its_folder(tmp_path: Path, capsys: p
         assert words in capsys.readouterr().err
         assert not (tmp_path / "map").exists()
     assert main([*command, "--photographed", "2014-10-19", "--error", "0.02"]) == 0
-    assert "count with the surveyed error of 0.02 m (1 sigma along each axis)." in capsys.readouterr().out
+    assert "The surveyed error of its places is 0.02 m (1 sigma along each axis)." in capsys.readouterr().out
     kept = open_map(tmp_path / "map")
     options = MapOptions(corners=(48, 9, 47.9995, 9.0007), bands=(2,), keep_borders=True)
     same(kept, open_map(tmp_path / "a.png", options))

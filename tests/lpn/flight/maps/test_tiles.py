@@ -251,7 +251,7 @@ def test_an_mbtiles_is_read_by_its_tiles(tmp_path: Path, same: Map, metadata: di
 @pytest.mark.parametrize(
     ("metadata", "from_south", "words"),
     [
-        (METADATA | {"scheme": "xyz"}, False, "counts its rows from the north (scheme xyz)"),
+        (METADATA | {"scheme": "xyz"}, False, "counts rows from the north (scheme xyz)"),
         (METADATA, False, "has no valid pixel"),
         (METADATA | {"bounds": "-180.0,-85,180,85"}, True, "a first look at it would take"),
         (METADATA | {"format": "pbf"}, True, "cannot be read as a map"),

@@ -159,7 +159,7 @@ def test_what_does_not_fit_is_one_sentence(tmp_path: Path) -> None:
         (f"timm:vit_unknown:{file}", "mean", None, "has no network 'vit_unknown'"),
         (f"timm:test_resnet:{file}", "cls", None, "test_resnet has no class token for the pooling cls"),
         (f"timm:test_resnet:{file}", "mean", "fsra", "leave --kind fsra out"),
-        (file, "rings:4", None, r"name its network for --pooling, as timm:NAME:weights\.pth, or leave it out"),
+        (file, "rings:4", None, r"name its network, as timm:NAME:weights\.pth, or leave --pooling out"),
     ):
         with pytest.raises(InputError, match=message):
             lpn.load(name, kind=kind, pooling=pooling)
