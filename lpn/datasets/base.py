@@ -16,7 +16,8 @@ from lpn.core.errors import DataError, InputError
 from lpn.core.files import first_few, printable
 from lpn.core.images import OTHER_SUFFIXES, SUFFIXES, crop, load_picture, zoom
 from lpn.core.tables import Column, number_column, text_column
-from lpn.core.views import TASKS, views_of
+from lpn.core.texts import counted
+from lpn.core.views import TASKS, VIEWS, views_of
 from lpn.datasets import geo
 from lpn.datasets.listed_paths import FilesBelow, hidden_name
 
@@ -24,6 +25,9 @@ log = logging.getLogger(__name__)
 
 # The published evaluations that measure distances: of DenseUAV, of GTA-UAV, and of UAV-VisLoc in Game4Loc's form.
 PositionProtocol = Literal["DenseUAV", "GTA-UAV", "UAV-VisLoc"]
+# The lists of pictures that layouts may have.
+_OF_VIEWS = ("train/", "test/", "test/query_", "test/gallery_")
+_LISTS = ("pictures", "train/google", *(f"{of}{view}" for of in _OF_VIEWS for view in VIEWS))
 
 
 @dataclass(frozen=True)
@@ -230,6 +234,10 @@ class Dataset:
         self._listed: dict[str, list[tuple[PictureRow, Picture]]] = {}
         self.split = self._chosen(split)
         for row in self.rows():
+            if row.of not in _LISTS:
+                raise DataError(
+                    f"The layout {self.kind} has the list {row.of!r}; rename it to one of {', '.join(_LISTS)}."
+                )
             file = row.file
             if isinstance(file, str) and (found := self.files.find(file)) is not None:
                 file = root / found
