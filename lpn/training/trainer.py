@@ -5,19 +5,19 @@ from __future__ import annotations
 import math
 import os
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import closing
 from itertools import islice
 from pathlib import Path
 from typing import Any, cast
 
 import torch
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from torch import Tensor
 
 from lpn.core.consoles import Console
 from lpn.core.errors import DivergedError, InputError, ModelFileError
 from lpn.core.files import check_writable
+from lpn.core.progress import ended, report_progress
 from lpn.core.shutdown import uninterrupted
 from lpn.core.views import views_of
 from lpn.datasets import Dataset
@@ -162,33 +162,23 @@ class Trainer:
         self._print_setup()
         if self._run_file is None:
             self._run_file = begin(self.out, self.recipe, self._given)
-        columns = (
-            TextColumn("{task.description}"),
-            BarColumn(),
-            TextColumn("{task.fields[status]}"),
-            TimeRemainingColumn(),
-        )
         done, epochs = len(self.history), self.recipe.epochs
         if done:
             self._save()
         stream = self.loader.stream(done, epochs)
-        with closing(cast(Any, stream)), Progress(*columns, console=self.console) as bar:
-            task = bar.add_task("Training", total=epochs * self.steps, completed=done * self.steps, status="")
+        with closing(cast(Any, stream)):
             # The run may have been interrupted while its last epoch was tested.
             self._select()
             for epoch in range(done, epochs):
-                bar.update(task, description=f"Epoch {epoch + 1}/{epochs}")
-                batches = islice(stream, self.steps)
-                self.history.append(self._epoch(epoch, batches, lambda text: bar.update(task, advance=1, status=text)))
+                with ended():
+                    self.history.append(self._epoch(epoch, islice(stream, self.steps)))
                 self._save()
                 self._select()
                 self.console.print(epoch_line(self.history, epochs), highlight=False, soft_wrap=True)
         self._finish()
         return self.out / "last.safetensors"
 
-    def _epoch(
-        self, epoch: int, batches: Iterator[TrainingBatch], on_progress: Callable[[str], object]
-    ) -> EpochMetrics:
+    def _epoch(self, epoch: int, batches: Iterator[TrainingBatch]) -> EpochMetrics:
         self.network.train()
         # One seed for each epoch, so that a resumed run repeats an uninterrupted one.
         torch.manual_seed(self.recipe.seed * 100_003 + epoch)
@@ -204,11 +194,11 @@ class Trainer:
             if previous is not None:
                 total += self._check_loss(float(previous), total, epoch, step)
                 speed = pictures / (time.perf_counter() - started)
-                on_progress(f"loss {total / step:.3f}  {speed:.1f} images/s")
+                stage = f"Epoch {epoch + 1}/{self.recipe.epochs}, loss {total / step:.3f}, {speed:.1f} images/s"
+                report_progress(stage, epoch * self.steps + step, self.recipe.epochs * self.steps)
             previous = loss
         assert previous is not None
         total += self._check_loss(float(previous), total, epoch, self.steps)
-        on_progress(f"loss {total / self.steps:.3f}")
         if not all(bool(tensor.isfinite().all()) for tensor in self.network.state_dict().values()):
             raise self._diverged("A weight is no longer a number", epoch, self.steps)
         seconds = time.perf_counter() - started
