@@ -194,6 +194,7 @@ def test_a_sweep_begins_at_the_photo_as_it_is_and_its_shares_add_up(workspace: W
     here = x.index({"zoom": 1}.get(over, 0))
     analysis = analysed(workspace, query=1)
     assert rank[0][here] == analysis.positive.rank
+    assert charts[0]["range"] == [1, workspace.tasks[TASK].tiles], "no rank lies beyond the gallery"
     assert distance[0][here] == pytest.approx(analysis.positive.distance2, abs=1e-4)
     for number, one in enumerate(distance[0]):
         assert sum(of[number] for of in shares) == pytest.approx(one, abs=1e-3)
