@@ -16,7 +16,8 @@ from lpn.core.arrays import Float64Array
 from lpn.core.errors import InputError
 from lpn.core.files import printable
 from lpn.core.text_tables import TextTable
-from lpn.tasks.measure import RankedModel, Result, scored_name
+from lpn.core.texts import counted
+from lpn.tasks.measure import RankedModel, Result, scored_names
 
 DEPTHS = (1, 5, 10)
 # Values of queries that differ by less count as equal, because sums over runs have rounding errors.
@@ -226,7 +227,10 @@ def compare(
             or the orders of repeated queries differ; or when the numbers of groups and of models differ.
     """
     models = list[RankedModel]()
-    for one in results if isinstance(results, Collection) else [results]:
+    given = results if isinstance(results, Collection) else [results]
+    scored = [(one.name, one.calibration, one.neighbours) for one in given if isinstance(one, Result)]
+    names = iter(scored_names(scored))
+    for one in given:
         if not isinstance(one, Result | RankedModel):
             raise InputError(f"One of the results is of the type {type(one).__name__}; expected those of lpn.evaluate.")
         if isinstance(one, Result):

@@ -190,7 +190,7 @@ class CompareCommand:
         ]
 
     def _ranked(self) -> Iterator[RankedModel]:
-        from lpn.tasks.measure import measure, scored_name
+        from lpn.tasks.measure import measure, scored_names
 
         sources = list(self._sources().items())
         several = len(sources) > 1
@@ -206,7 +206,8 @@ class CompareCommand:
                 if task.calibration is not None:
                     alike = source_of(replace(sources[place][1].options, calibrate=False))
                     tasks[place] = name, alike.to_measure()[0]
-        scored = {scored_name(name, task.calibration, task.neighbours): task for name, task in tasks}
+        titles = scored_names([(name, task.calibration, task.neighbours) for name, task in tasks])
+        scored = dict(zip(titles, (task for _, task in tasks), strict=True))
         for title, task in scored.items():
             result = measure(task.with_fields(model_name=title))
             yield result.ranked("without-distractors" if self.without_distractors else "full")
@@ -215,7 +216,7 @@ class CompareCommand:
         from lpn.analysis.leaderboard import common_tasks, leaderboard
         from lpn.datasets import open_dataset
         from lpn.models.shipped import model_file
-        from lpn.tasks.measure import scored_name
+        from lpn.tasks.measure import scored_names
         from lpn.tasks.opening import alike_calibrations, lazy_task
 
         if self.table is not None:
@@ -236,7 +237,7 @@ class CompareCommand:
         networks = [source.options.load() for source in sources.values()]
         dataset = open_dataset(Path(self.source[0]))
         chosen = alike_calibrations(networks, dataset, self.calibrate)
-        titles = [scored_name(name, one, self.csls) for name, one in zip(sources, chosen, strict=True)]
+        titles = scored_names([(name, one, self.csls) for name, one in zip(sources, chosen, strict=True)])
         models, calibrations = dict(zip(titles, networks, strict=True)), dict(zip(titles, chosen, strict=True))
         files = [model_file(source.options.file) for source in sources.values()]
 

@@ -132,7 +132,7 @@ class SecondModel:
         return {
             "model": workspace.model_name.removesuffix(".onnx"),
             "parts": f"{n} {workspace.contract.part_noun}s" if n > 1 else "one part",
-            "recall": "" if recall is None else f"{recall:.1f} %",
+            "recall": "" if recall is None else f"{recall:.1f} %, {ranking.task.scoring.replace('csls', 'CSLS')}",
             "sign": verdict.sign,
             "rank": "" if truth is None else ordinal(truth.rank),
             "headline": f"{verdict.headline}.",
