@@ -13,7 +13,7 @@ from lpn.core.consoles import wide_console
 from lpn.core.errors import InputError
 from lpn.core.files import check_outputs, distinct_names, printable, write_atomic, write_json
 from lpn.core.text_tables import latex_page, markdown_page
-from lpn.core.texts import listed
+from lpn.core.texts import counted, listed
 from lpn.core.views import TaskName
 from lpn.models.adapters import Kind
 from lpn.sources import (
@@ -220,9 +220,7 @@ class CompareCommand:
         from lpn.tasks.opening import alike_calibrations, lazy_task
 
         if self.table is not None:
-            raise InputError(
-                "--table and --page are both given, and a page has tables of its own; leave one of them out."
-            )
+            raise InputError("--table and --page are both given, and a page has its own tables; leave one of them out.")
         if self.task or self.without_distractors:
             raise InputError("A page has all tasks and galleries; leave --task and --without-distractors out.")
         sources = self._sources()
@@ -257,8 +255,8 @@ class CompareCommand:
             self.group,
         )
         _write(board, page, self.json)
-        tables = f"{len(board.tables)} table{'s' * (len(board.tables) > 1)} of tasks and galleries"
-        print(f"{page}: {len(board.facts)} models, {tables}")
+        tables = counted(len(board.tables), "table")
+        print(f"{page}: {counted(len(board.facts), 'model')}, {tables} of tasks and galleries")
 
 
 def _check_count(sources: Sized, also: str = "") -> None:

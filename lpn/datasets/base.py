@@ -235,9 +235,7 @@ class Dataset:
         self.split = self._chosen(split)
         for row in self.rows():
             if row.of not in _LISTS:
-                raise DataError(
-                    f"The layout {self.kind} has the list {row.of!r}; rename it to one of {', '.join(_LISTS)}."
-                )
+                raise DataError(f"The layout {self.kind} lists {row.of!r}; rename it to one of {', '.join(_LISTS)}.")
             file = row.file
             if isinstance(file, str) and (found := self.files.find(file)) is not None:
                 file = root / found
@@ -252,7 +250,7 @@ class Dataset:
             raise DataError(
                 f"{root.name} has no picture that can be used, and the first file left out is {first}; expected {self.expected}."
             )
-        warn_left_out(root.name, self.left_out, "files of its lists cannot be used", "they are left out")
+        warn_left_out(root.name, self.left_out, "listed file")
 
     @classmethod
     def recognises(cls, root: Path) -> bool:
@@ -466,11 +464,8 @@ def unread_below(root: Path, folders: Sequence[str] = ("",)) -> list[LeftOut]:
     return [LeftOut(file.relative_to(root).as_posix(), why) for file in files]
 
 
-def warn_left_out(name: str, files: Sequence[LeftOut], what: str, effect: str) -> None:
-    """Log one warning about the files of a folder that are left out, if there are any.
-
-    The warning reads "<name>: <number> <what>: <files>; <effect>."
-    """
+def warn_left_out(name: str, files: Sequence[LeftOut], noun: str) -> None:
+    """Log one warning about the files of a folder that are left out, if there are any."""
     if files:
         some = first_few([f"{printable(item.file)} ({item.why})" for item in files], 3)
-        log.warning("%s: %d %s: %s; %s.", printable(name), len(files), what, some, effect)
+        log.warning("Left out of %s: %s, %s.", printable(name), counted(len(files), noun), some)

@@ -305,7 +305,7 @@ def _is_map(file: Path) -> bool:
 
 def _no_pictures(files: _Files) -> str:
     if count := len(files["subtitles"]):
-        return f"There is no video for {count} .SRT file{'s' * (count > 1)}; give the video, too."
+        return f"There is no video for {counted(count, '.SRT file')}; give the video, too."
     if files["logs"]:
         return f"No photo that {files['logs'][0].name} names is below its folder; give the photos, or the video, beside the log."
     others = [(file, "is neither") for file in files["others"]]

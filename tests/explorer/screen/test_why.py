@@ -118,7 +118,7 @@ def test_weights_that_are_offered_put_the_truth_first_on_the_screen(workspace: W
     told = panel_until(tab, "R@1 goes from")
     task = workspace.tasks[TASK]
     effect = effect_on(task.with_fields(weights=scoring.part_weights(4)), weights)
-    assert f"{len(effect.gained)} more are found" in told
+    assert f"{len(effect.gained)} newly found" in told
     assert f"to {effect.after:.1f} %" in told
     tab.set(weights=weights)
     assert tab.result(weights=[round(weight, 2) for weight in weights])["headline"]["found"] is True

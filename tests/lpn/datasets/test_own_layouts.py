@@ -87,9 +87,7 @@ def test_a_list_of_another_name_is_refused(tmp_path: Path) -> None:
         def rows(self) -> list[PictureRow]:
             return [PictureRow("test/galery_satellite", "a.png", 0, "a")]
 
-    with pytest.raises(
-        DataError, match=r"Misspelt has the list 'test/galery_satellite'; .* one of .*test/gallery_satellite"
-    ):
+    with pytest.raises(DataError, match=r"Misspelt lists 'test/galery_satellite'; .* one of .*test/gallery_satellite"):
         Misspelt(tmp_path)
 
 

@@ -403,7 +403,7 @@ def test_a_store_is_indexed_and_a_picture_found(
     assert main(making) == 0
     said = capsys.readouterr().out
     assert "holds 14 tiles, 0 of them added now" in said
-    assert "14 were there already and were left as they are; give --replace where pictures or positions" in said
+    assert "14 were there already and are left; give --replace where pictures or positions" in said
     assert main([*making, "--replace"]) == 0
     said = capsys.readouterr().out
     assert "holds 14 tiles, 14 of them added now" in said
