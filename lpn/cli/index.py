@@ -83,9 +83,7 @@ class IndexCommand:
         from lpn.index.from_map import index_windows, window_describer, windows_kind
 
         if self.descriptors is not None or self.data is not None or self.model is None:
-            raise InputError(
-                "A map's windows need --model, and neither --descriptors nor --data; give --map with --model."
-            )
+            raise InputError("A map's windows need --model, not --descriptors or --data; give --map with --model.")
         model = lpn.load(self.model, self.provider).in_role("satellite", None)
         basemap, box = open_map(where), check_box(self.box)
         if not 1 <= self.turns <= 360:
