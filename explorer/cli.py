@@ -18,6 +18,7 @@ from lpn.core.demo import DEMO, DEMO_ANSWERS, DEMO_BASELINE, DEMO_FLIGHT, DEMO_M
 from lpn.core.errors import InputError
 from lpn.core.files import check_outputs, printable
 from lpn.core.resources import ProviderName
+from lpn.core.texts import counted
 from lpn.descriptors.weather import WeatherName
 from lpn.flight.commands.live import LiveInput, MapError
 from lpn.flight.locate.source import FlightSource
@@ -106,7 +107,7 @@ class ExploreLive(ServeOptions, LiveInput):
             run = self.open_run(say, [record.send], stack, [record.count_windows])
             warn_of_listening(self.host or "0.0.0.0", self.port)
             print(f"LPN Explorer is ready: {app.link}  (stop with Ctrl-C)", flush=True)
-            say(f"The flight has ended; {run()} frames were located, and the page goes on showing them.")
+            say(f"The flight has ended with {counted(run(), 'frame')} located, and the page goes on showing them.")
             while True:
                 time.sleep(0.5)
 

@@ -18,6 +18,7 @@ from lpn.core.errors import InputError, LPNError
 from lpn.core.files import printable
 from lpn.core.requirements import missing_package
 from lpn.core.resources import yield_cores
+from lpn.core.texts import counted
 from lpn.datasets import Dataset, open_dataset, warn_left_out
 from lpn.descriptors.transforms import Change
 from lpn.descriptors.weather import CLEAR, Weather, WeatherName
@@ -84,7 +85,7 @@ def open_model(
     workspace = _open_one(data, own, name, scoring)
     dataset = next(iter(workspace.tasks.values())).dataset
     assert dataset is not None
-    warn_left_out(dataset.root.name, dataset.unread(), "pictures are not read", "they are left out")
+    warn_left_out(dataset.root.name, dataset.unread(), "picture")
     workspace.choose_first_query(query)
     opens = []
     for options, other_name in zip(beside, names, strict=True):
@@ -115,9 +116,7 @@ def _in_weather(workspace: Workspace, model: Model, weather: Weather, label: str
 
 def _check_weathers(weathers: Sequence[WeatherName]) -> None:
     if "normal" in weathers or len(set(weathers)) < len(weathers):
-        raise InputError(
-            f"--beside-weather has {', '.join(weathers)}; expected weathers other than normal, each of them once."
-        )
+        raise InputError(f"--beside-weather has {', '.join(weathers)}; expected weathers other than normal, each once.")
 
 
 def _put_beside(workspace: Workspace, names: Sequence[str], opens: Sequence[Callable[[], Workspace]]) -> None:
@@ -307,9 +306,7 @@ def _open_flight_beside(source: FlightSource, name: str, overlap: float, loaded:
 
 def _flight_workspace(opened: OpenedFlight, map_error: float | None = None) -> Workspace:
     workspace = _workspace(opened, map_error)
-    workspace.scorings = Scorings(
-        "Frames are cut to the ground of the map's windows, so a flight needs no calibration."
-    )
+    workspace.scorings = Scorings("Frames are cut to the ground of map windows, so a flight needs no calibration.")
     return workspace
 
 
@@ -379,7 +376,7 @@ def _begin_registration(workspace: Workspace, located: LocatedFlight, model: Mod
 
 def _begin_ranking(task: Task) -> RankingJob:
     ranking = RankingJob(task)
-    with _status(f"Ranking {task.tiles:,} pictures for {len(task.queries):,} queries, {task.name}"):
+    with _status(f"Ranking {counted(task.tiles, 'picture')} for {counted(len(task.queries), 'query')}, {task.name}"):
         ranking.start()
     return ranking
 

@@ -14,6 +14,8 @@ import torch
 
 from lpn.core.errors import DataError
 from lpn.core.numbers import wrap_degrees
+from lpn.flight.locate.surveyed import read_surveyed
+from lpn.flight.maps.frame import LocalFrame
 from tools.fixtures.parity import ParityCase
 from tools.keep import __main__ as keep
 from tools.keep import _resumable, flights, published
@@ -31,6 +33,7 @@ from tools.keep.measures import (
     reported,
     within,
 )
+from tools.keep.training import training_figures
 
 Run = Callable[..., tuple[int, str]]
 KNOWN = all_measures()
@@ -274,6 +277,22 @@ def test_a_gpu_is_compared_in_each_precision_and_by_each_provider_where_there_is
     assert figures[f"{tiny}, bfloat16"] > published.ON_GPU
     assert errors(KNOWN["gpu"], figures, {}) == {}
     assert set(errors(KNOWN["gpu"], {**figures, str(tiny): 1.1e-4}, {})) == {str(tiny)}
+
+
+def test_three_trainings_are_reduced_to_their_mean_and_half_their_range() -> None:
+    found = training_figures([{"R@1": 77.1}, {"R@1": 78.0}, {"R@1": 78.35}])
+    assert found == {"R@1 mean": 77.82, "R@1 half range": 0.62, "R@1 by seed": [77.1, 78.0, 78.35]}
+
+
+def test_the_truth_of_a_rendered_flight_is_surveyed_at_camera_and_middle(tmp_path: Path) -> None:
+    truth, out = tmp_path / "truth.csv", tmp_path / "positions.csv"
+    truth.write_text("file,latitude,longitude,middle_latitude,middle_longitude\na.webp,46.1,-31.1,46.2,-31.2\n")
+    flights.write_positions(truth, out)
+    frame = LocalFrame(46.1, -31.1)
+    camera, ground = read_surveyed(out, frame)
+    assert (camera.photo, ground.photo, camera.point, ground.point) == ("a.webp", "a.webp", "camera", "ground")
+    found = frame.degrees(np.array([camera[1:3], ground[1:3]]))
+    np.testing.assert_allclose(found, [(46.1, -31.1), (46.2, -31.2)], atol=1e-6)
 
 
 @pytest.mark.slow

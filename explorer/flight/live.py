@@ -26,6 +26,7 @@ from explorer.server.gateway import Screen
 from explorer.server.page_server import close_server, open_server
 from explorer.server.picture_route import PictureRoute
 from lpn.core import images
+from lpn.core.texts import counted
 from lpn.flight.files import Flight
 from lpn.flight.live.run import LiveFix
 from lpn.flight.locate.located import LocatedFlight, LocatedFrame
@@ -96,7 +97,7 @@ class LiveRecord:
                 del self._frames[: MOST // 2]
                 # Frames have new numbers now, and a browser caches pictures by their addresses.
                 self._pictures = FlightPicturesFeed(self.feeds, self._flight)
-        dropped = f", {fix.dropped} frames dropped" if fix.dropped else ""
+        dropped = f", {counted(fix.dropped, 'frame')} dropped" if fix.dropped else ""
         self._change(f"Answered in {fix.age:.2f} s{dropped}")
 
     def count_windows(self, done: int, total: int) -> None:

@@ -15,6 +15,7 @@ from explorer.flight.service import FlightSnapshot
 from lpn.core.arrays import Float64Array, FloatingArray
 from lpn.core.files import printable
 from lpn.core.homography import apply_homography
+from lpn.core.texts import counted
 from lpn.drawing import overlays, score_map, theme
 from lpn.flight.locate.coverage import seen_by
 from lpn.flight.locate.located import LocatedFrame
@@ -100,9 +101,9 @@ def spot(seen: FlightSnapshot, point: tuple[float, float]) -> dict[str, Any]:
     """Return a point of the map with the frames that show it."""
     shown = list(seen_by(seen.outlines, *point))
     unknown = sum(one is None for one in seen.outlines)
-    sentence = f"{len(shown)} of {len(seen.outlines)} photos show {text.place(seen.flight, point)[0]}."
+    sentence = f"{len(shown)} of {counted(len(seen.outlines), 'photo')} show {text.place(seen.flight, point)[0]}."
     if unknown:
-        sentence += f" The ground of {unknown} photos is unknown."
+        sentence += f" The ground of {counted(unknown, 'photo')} is unknown."
     return {"spot": point, "frames": shown, "sentence": sentence}
 
 

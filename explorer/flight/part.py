@@ -22,6 +22,7 @@ from explorer.screen.result import ScreenResult
 from explorer.workspace import Workspace
 from lpn.core.arrays import Float64Array
 from lpn.core.errors import InputError, LPNError
+from lpn.core.texts import counted
 from lpn.flight.locate.own_photo import OwnPhoto
 from lpn.library.analyser import OwnPicture
 
@@ -149,9 +150,7 @@ class FlightPart(PanelPart):
         except (TypeError, ValueError):
             corners = np.zeros(0)
         if corners.shape != (4, 2) or not (np.abs(corners) <= _FARTHEST).all():
-            raise InputError(
-                "Not saved. A corner of the photo would lie more than 1,000 km away; move the tie points back."
-            )
+            raise InputError("Not saved. A corner of the photo would lie over 1,000 km away; move the tie points back.")
         self._keep(arguments, corners)
 
     def _forget(self, arguments: Mapping[str, Any]) -> None:
@@ -181,4 +180,4 @@ def _progress(job: BackgroundJob[Any] | None, frames: int) -> str:
     """Return the progress of a registration of `frames` frames, or the reason of its failure; "" after success."""
     if job is None or job.wait(0):
         return f"Registration failed: {job.error}" if job is not None and job.error is not None else ""
-    return f"Registering {job.done} of {job.total or frames} photos"
+    return f"Registering {job.done} of {counted(job.total or frames, 'photo')}"

@@ -11,6 +11,7 @@ import numpy as np
 from explorer.flight.service import FlightSnapshot
 from lpn.core.arrays import Float64Array
 from lpn.core.numbers import SIGMA, distance, error_figure, upper_bound
+from lpn.core.texts import counted
 from lpn.flight.locate.errors import CONFIRMED_SHARE, RIGHT_CALIBRATION
 from lpn.flight.locate.located import LocatedFlight, LocatedFrame
 from lpn.flight.locate.verdict import SIGMAS, FrameVerdict, on_what, placed_errors
@@ -45,7 +46,7 @@ def counts(seen: FlightSnapshot) -> str:
     """Count the placed, doubtful, and unplaced photos in a sentence."""
     states = [state(verdict) for verdict in seen.verdicts]
     pieces = [f"{states.count(name):,} {word}" for name, word in STATES.items() if name == "right" or name in states]
-    text = f"{len(states):,} photos: {', '.join(pieces)}."
+    text = f"{counted(len(states), 'photo')}: {', '.join(pieces)}."
     if (away := seen.flight.tags_away) is not None:
         text += f" The flight's GPS tags lie {distance(away)} from this map: give the map of the tags' place, unless the tags "
         text += "are wrong."
@@ -67,9 +68,8 @@ def agreement(located: LocatedFrame) -> str:
         return f"Not checked: {unchecked[:1].lower()}{unchecked[1:]}"
     text = f"Checked at {len(measured.rows)} places: {measured.median:.1f} m off in the median, the largest "
     text += f"{measured.largest:.1f} m{' or more' if measured.may_be_larger else ''}"
-    return text + (
-        "." if answer.middle_on_map is None else f"; {upper_bound(SIGMAS * answer.middle_on_map)} m are allowed."
-    )
+    own = answer.middle_on_map
+    return f"{text}." if own is None else f"{text}; {upper_bound(SIGMAS * own)} m are allowed."
 
 
 def place(flight: LocatedFlight, point: tuple[float, float] | Float64Array) -> tuple[str, str]:
@@ -101,7 +101,7 @@ def accuracy(seen: FlightSnapshot) -> list[tuple[str, str, str]]:
     radii = [one.radius_on_map for one in placed if one is not None and one.radius_on_map is not None]
     if not radii:
         return []
-    text = f"{SIGMA[:1].upper()}{SIGMA[1:]}, the median of {len(radii)} photos."
+    text = f"{SIGMA[:1].upper()}{SIGMA[1:]}, the median of {counted(len(radii), 'photo')}."
     registered = seen.measured.errors().get("registration")
     if registered is not None and registered.calibration and registered.calibration[3] < CONFIRMED_SHARE:
         held, right = registered.calibration[3], RIGHT_CALIBRATION[3]
@@ -122,7 +122,7 @@ def accuracy(seen: FlightSnapshot) -> list[tuple[str, str, str]]:
             name, with_lag = f"{name} without their lag of {seen.lag:.1f} s", f" With it {as_told.median:.1f} m."
         bounds = f", 95 % of them within {upper_bound(errors.ce95)} m" if errors.photos >= _FEWEST else ""
         bounds += f", at most {upper_bound(errors.largest)} m"
-        rows.append((name, f"{errors.median:.1f} m", f"Median of {errors.photos} photos{bounds}.{with_lag}"))
+        rows.append((name, f"{errors.median:.1f} m", f"Median of {counted(errors.photos, 'photo')}{bounds}.{with_lag}"))
     return rows
 
 

@@ -16,7 +16,8 @@ from lpn.core.arrays import Float64Array
 from lpn.core.errors import InputError
 from lpn.core.files import printable
 from lpn.core.text_tables import TextTable
-from lpn.tasks.measure import RankedModel, Result, scored_name
+from lpn.core.texts import counted
+from lpn.tasks.measure import RankedModel, Result, scored_names
 
 DEPTHS = (1, 5, 10)
 # Values of queries that differ by less count as equal, because sums over runs have rounding errors.
@@ -133,9 +134,9 @@ class ModelTable:
         places, groups = len(np.unique(self.models[0].labels)), len(self.groups)
         pairs, grouped = groups * (groups - 1) // 2, groups < len(self.models)
         sentences = [
-            f"{self.task}, {self.gallery_name} pictures ranked for {self.queries} queries of {places} places. Intervals contain "
-            f"{100 * LEVEL:.0f} % of {self.resamples} bootstrap means over places, seed {self.seed}; they cover the choice of "
-            "places, not that of training seeds."
+            f"{self.task}, {self.gallery_name} pictures ranked for {counted(self.queries, 'query')} of "
+            f"{counted(places, 'place')}. Intervals contain {100 * LEVEL:.0f} % of {self.resamples} bootstrap means over places, "
+            f"seed {self.seed}; they cover the choice of places, not that of training seeds."
         ]
         if grouped:
             sentences.append(
@@ -144,7 +145,7 @@ class ModelTable:
         if pairs:
             sentences.append(
                 "p is of a two-sided paired randomization test. It swaps two models on whole places, as queries of one place "
-                f"are not independent. Holm's p allows for {pairs} pair{'s' * (pairs > 1)} under each figure."
+                f"are not independent. Holm's p allows for {counted(pairs, 'pair')} under each figure."
             )
         if grouped and pairs:
             sentences.append(
@@ -226,13 +227,16 @@ def compare(
             or the orders of repeated queries differ. Also when the numbers of groups and of models differ.
     """
     models = list[RankedModel]()
-    for one in results if isinstance(results, Collection) else [results]:
+    given = results if isinstance(results, Collection) else [results]
+    scored = [(one.name, one.calibration, one.neighbours) for one in given if isinstance(one, Result)]
+    names = iter(scored_names(scored))
+    for one in given:
         if not isinstance(one, Result | RankedModel):
             raise InputError(
                 f"One of the results is of the type {type(one).__name__}; expected results of lpn.evaluate."
             )
         if isinstance(one, Result):
-            one = replace(one.ranked(), name=scored_name(one.name, one.calibration, one.neighbours))
+            one = replace(one.ranked(), name=next(names))
         models.append(one)
     if len(models) < 2:
         raise InputError(f"A comparison takes two models or more; found {len(models)}.")
@@ -244,7 +248,7 @@ def compare(
         raise InputError(f"The models are called {', '.join(one.name for one in models)}; expected different names.")
     if groups and len(groups) != len(models):
         raise InputError(
-            f"Found {len(groups)} group{'s' * (len(groups) > 1)} for {len(models)} models; name the group of each model in their "
+            f"Found {counted(len(groups), 'group')} for {counted(len(models), 'model')}; name the group of each model in their "
             "order, the same for runs of one method."
         )
     first = models[0]

@@ -13,7 +13,7 @@ from lpn.core.consoles import wide_console
 from lpn.core.errors import InputError
 from lpn.core.files import check_outputs, distinct_names, printable, write_atomic, write_json
 from lpn.core.text_tables import latex_page, markdown_page
-from lpn.core.texts import listed
+from lpn.core.texts import counted, listed
 from lpn.core.views import TaskName
 from lpn.models.adapters import Kind
 from lpn.sources import (
@@ -190,7 +190,7 @@ class CompareCommand:
         ]
 
     def _ranked(self) -> Iterator[RankedModel]:
-        from lpn.tasks.measure import measure, scored_name
+        from lpn.tasks.measure import measure, scored_names
 
         sources = list(self._sources().items())
         several = len(sources) > 1
@@ -206,7 +206,8 @@ class CompareCommand:
                 if task.calibration is not None:
                     alike = source_of(replace(sources[place][1].options, calibrate=False))
                     tasks[place] = name, alike.to_measure()[0]
-        scored = {scored_name(name, task.calibration, task.neighbours): task for name, task in tasks}
+        titles = scored_names([(name, task.calibration, task.neighbours) for name, task in tasks])
+        scored = dict(zip(titles, (task for _, task in tasks), strict=True))
         for title, task in scored.items():
             result = measure(task.with_fields(model_name=title))
             yield result.ranked("without-distractors" if self.without_distractors else "full")
@@ -215,13 +216,11 @@ class CompareCommand:
         from lpn.analysis.leaderboard import common_tasks, leaderboard
         from lpn.datasets import open_dataset
         from lpn.models.shipped import model_file
-        from lpn.tasks.measure import scored_name
+        from lpn.tasks.measure import scored_names
         from lpn.tasks.opening import alike_calibrations, lazy_task
 
         if self.table is not None:
-            raise InputError(
-                "--table and --page are both given, and a page contains the tables; leave one of them out."
-            )
+            raise InputError("--table and --page are both given, and a page has its own tables; leave one of them out.")
         if self.task or self.without_distractors:
             raise InputError("A page has all tasks and galleries; leave --task and --without-distractors out.")
         sources = self._sources()
@@ -236,7 +235,7 @@ class CompareCommand:
         networks = [source.options.load() for source in sources.values()]
         dataset = open_dataset(Path(self.source[0]))
         chosen = alike_calibrations(networks, dataset, self.calibrate)
-        titles = [scored_name(name, one, self.csls) for name, one in zip(sources, chosen, strict=True)]
+        titles = scored_names([(name, one, self.csls) for name, one in zip(sources, chosen, strict=True)])
         models, calibrations = dict(zip(titles, networks, strict=True)), dict(zip(titles, chosen, strict=True))
         files = [model_file(source.options.file) for source in sources.values()]
 
@@ -256,8 +255,8 @@ class CompareCommand:
             self.group,
         )
         _write(board, page, self.json)
-        tables = f"{len(board.tables)} table{'s' * (len(board.tables) > 1)} of tasks and galleries"
-        print(f"{page}: {len(board.facts)} models, {tables}")
+        tables = counted(len(board.tables), "table")
+        print(f"{page}: {counted(len(board.facts), 'model')}, {tables} of tasks and galleries")
 
 
 def _check_count(sources: Sized, also: str = "") -> None:

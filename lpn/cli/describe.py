@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Literal
 
 from lpn.core.errors import InputError
+from lpn.core.texts import counted
 from lpn.core.views import View
 from lpn.sources import Advanced, ModelOptions
 
@@ -95,9 +96,10 @@ class DescribeCommand(ModelOptions):
             self.role,
         )
         broken = len(summary.broken)
-        print(f"{self.out} holds {summary.pictures - broken:,} descriptors, {summary.computed:,} of them computed now.")
+        held = counted(summary.pictures - broken, "descriptor")
+        print(f"{self.out} holds {held}, {summary.computed:,} of them computed now.")
         if broken:
-            print(f"{broken:,} pictures could not be described; {BROKEN} there names them, each with the reason.")
+            print(f"{counted(broken, 'picture')} could not be described; {BROKEN} there gives names and reasons.")
         return 1 if broken else 0
 
 

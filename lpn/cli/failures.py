@@ -11,6 +11,7 @@ from lpn.core.consoles import Console, wide_console
 from lpn.core.errors import InputError
 from lpn.core.files import check_outputs, write_atomic
 from lpn.core.text_tables import TextTable
+from lpn.core.texts import counted
 from lpn.core.views import TaskName
 from lpn.models.adapters import Kind
 from lpn.sources import Advanced, SourceOptions, source_of
@@ -85,7 +86,7 @@ def _print(console: Console, table: Table, rows: Int64Array, names: list[str], t
     columns = [column for column in columns if column.name != "false" and column.known[rows].any()]
     head = [f"{column.name} ({column.unit})" if column.unit else column.name for column in columns]
     cells = [[column.text(row) for column in columns] for row in rows[:top]]
-    after = f"{len(rows)} of {len(table)} queries, {min(top, len(rows))} listed."
+    after = f"{len(rows)} of {counted(len(table), 'query')}, {min(top, len(rows))} listed."
     align = "".join("r" if column.kind == "number" else "l" for column in columns)
     TextTable(head, cells, after=after, align=align).print(console)
 
@@ -119,7 +120,7 @@ def _print_breakdown(console: Console, task: Task, rows: Int64Array, top: int) -
     for column in picture_columns(table):
         rates = breakdown.rates(outcomes.failed, column, rows=looked)
         if column.name not in ("latitude", "longitude") and len(rates) > 1:
-            of = f"{'all ' if len(looked) == len(table) else ''}{len(looked)} queries"
+            of = f"{'all ' if len(looked) == len(table) else ''}{counted(len(looked), 'query')}"
             listed = f"; {top} of {len(rates)} values" if len(rates) > top else ""
             figures = []
             for rate in rates[:top]:

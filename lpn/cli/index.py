@@ -14,6 +14,7 @@ from lpn.core.errors import InputError
 from lpn.core.files import check_outputs, printable, write_json
 from lpn.core.resources import ProviderName
 from lpn.core.text_tables import TextTable
+from lpn.core.texts import counted
 from lpn.core.views import View
 from lpn.sources import ModelOptions
 
@@ -63,17 +64,16 @@ class IndexCommand:
             return
         if self.descriptors is None or self.model is not None or self.size or self.turns != 1 or self.box is not None:
             raise InputError(
-                "An index is of descriptors, or of a map's windows; give --descriptors, or --map with --model."
+                "An index is of descriptors or a map's windows; give --descriptors, or --map with --model."
             )
         with local_store(self.descriptors) as store:
             tiles = open_tiles(store, self.data)
             with create_index(self.out, tiles.kind, self.engine) as index:
                 added = tiles.add_to(index, self.replace)
-                print(f"{printable(_displayed(self.out))} holds {index.count()} tiles, {added} of them added now.")
+                held = counted(index.count(), "tile")
+                print(f"{printable(_displayed(self.out))} holds {held}, {added} of them added now.")
         if there := len(tiles.names) - added:
-            print(
-                f"{there} were there already and were left as they are; give --replace where pictures or positions changed."
-            )
+            print(f"{there} were there already and are left; give --replace where pictures or positions changed.")
 
     def _index_map(self, where: Path) -> None:
         from lpn.flight.locate.retrieval import pyramid_sizes
@@ -83,9 +83,7 @@ class IndexCommand:
         from lpn.index.from_map import index_windows, window_describer, windows_kind
 
         if self.descriptors is not None or self.data is not None or self.model is None:
-            raise InputError(
-                "A map's windows need --model, and neither --descriptors nor --data; give --map with --model."
-            )
+            raise InputError("A map's windows need --model, not --descriptors or --data; give --map with --model.")
         model = lpn.load(self.model, self.provider).in_role("satellite", None)
         basemap, box = open_map(where), check_box(self.box)
         if not 1 <= self.turns <= 360:

@@ -11,6 +11,7 @@ import tyro
 from lpn.core.consoles import Console, wide_console
 from lpn.core.files import check_outputs, write_json
 from lpn.core.text_tables import TextTable
+from lpn.core.texts import counted
 
 if TYPE_CHECKING:
     from lpn.models.shipped import ModelCard
@@ -71,7 +72,7 @@ def _show(card: ModelCard, console: Console) -> None:
             console.print(f"  {what if number == 0 else '':14}{line}", markup=False, highlight=False, soft_wrap=True)
     rows = []
     for one in card.figures:
-        where = f"{one.data}, {one.task}, {one.queries:,} queries in {one.gallery:,} pictures"
+        where = f"{one.data}, {one.task}, {counted(one.queries, 'query')} in {counted(one.gallery, 'picture')}"
         rows.append((where, *map(_interval, one.percent.values())))
     head = ("data and task", *card.figures[0].percent)
     TextTable(head, rows, "Figures in %, each with its 95 % interval", align="l").print(console)

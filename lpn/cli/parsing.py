@@ -11,6 +11,7 @@ import tyro
 from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
 
 from lpn.core.errors import InputError
+from lpn.core.texts import counted
 from lpn.sources.options import ADVANCED
 
 _Number = TypeVar("_Number", int, float)
@@ -57,7 +58,7 @@ def parse(command: type[Any], arguments: Sequence[str], program: str, default: A
     elif given & {"-h", HELP}:
         arguments, brief = [HELP], _brief(command)
         if hidden := len(set(options(command))) - len(set(options(brief))):
-            description += f"\n\n{program} {HELP_ALL} shows {hidden} more option{'s' * (hidden > 1)}."
+            description += f"\n\n{program} {HELP_ALL} shows {counted(hidden, 'more option')}."
         if default is not None:
             default = brief(**{one.name: getattr(default, one.name) for one in fields(default)})
         command = brief

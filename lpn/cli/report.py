@@ -12,6 +12,7 @@ from lpn.core.consoles import Console
 from lpn.core.errors import InputError
 from lpn.core.files import check_outputs, write_atomic
 from lpn.core.progress import report_progress
+from lpn.core.texts import counted
 from lpn.sources import Advanced, SourceOptions, source_of
 from lpn.sources.opened import open_with_notes, query_positions
 
@@ -62,8 +63,7 @@ class ReportCommand(SourceOptions):
         contents = replace(contents, selection=selection, doubtful=doubtful)
         page = report.build(task, chosen, contents, partial(report_progress, "Reporting"))
         write_atomic(self.out, page)
-        count = f"{len(chosen)} {'query' if len(chosen) == 1 else 'queries'}"
-        said = f"{self.out}: {count}, {len(page) / 1e6:.1f} MB"
+        said = f"{self.out}: {counted(len(chosen), 'query')}, {len(page) / 1e6:.1f} MB"
         Console().print(said, highlight=False, markup=False, soft_wrap=True)
 
 

@@ -9,15 +9,15 @@ from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from typing import IO, Any, TextIO
 
 from rich import console as rich_console
-from rich.progress import BarColumn, MofNCompleteColumn, TaskID, TextColumn, TimeRemainingColumn
+from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
 from rich.progress import Progress as Bars
 from rich.segment import Segment
 
 from lpn.core.files import printable
-from lpn.core.progress import CountProgress, Listener, at_intervals, listening
+from lpn.core.progress import at_intervals, listening
 
 _LAYOUT = "\n\t"
-_COLUMNS = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
+_COLUMNS = TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
 _COLOUR = re.compile(r"(\x1b\[[0-9;]*m)")
 
 
@@ -84,7 +84,7 @@ def terminal() -> Console:
     return Console(stderr=True, force_jupyter=False, force_terminal=sys.stderr.isatty())
 
 
-# Seconds between two printed lines about a stage, if there is no terminal for a bar.
+# Seconds between two printed lines of progress, if there is no terminal for a bar.
 _LINES = 30.0
 
 
@@ -96,26 +96,23 @@ def progress_bars() -> Iterator[None]:
     """
     console = terminal()
     if not console.is_terminal:
-        with listening(_stage_lines()):
+        with listening(at_intervals(_LINES, _print_line)):
             yield
         return
     bars = Bars(*_COLUMNS, console=console, transient=True, redirect_stdout=False)
-    shown: dict[str, TaskID] = {}
 
     def clear() -> None:
-        for task in shown.values():
+        for task in bars.task_ids:
             bars.remove_task(task)
-        shown.clear()
         if bars.live.is_started:  # otherwise an empty line is printed
             bars.stop()
 
     def draw(stage: str, done: int, total: int) -> None:
-        if done >= total or stage not in shown:
+        if done >= total:
             clear()
-        if done < total:
-            if not shown:
-                shown[stage] = bars.add_task(stage)
-            bars.update(shown[stage], completed=done, total=total)
+        else:
+            (task,) = bars.task_ids or [bars.add_task(stage, completed=done)]
+            bars.update(task, description=stage, completed=done, total=total)
             bars.start()
 
     try:
@@ -125,16 +122,6 @@ def progress_bars() -> Iterator[None]:
         clear()
 
 
-def _stage_lines() -> Listener:
-    """Return a listener that prints a line about a stage every half minute."""
-    lines: dict[str, CountProgress] = {}
-
-    def report(stage: str, done: int, total: int) -> None:
-        if stage not in lines:
-            lines[stage] = at_intervals(
-                _LINES,
-                lambda done, total: print(f"{stage}: {done:,} of {total:,}", file=sys.stderr, flush=True),
-            )
-        lines[stage](done, total)
-
-    return report
+def _print_line(stage: str, done: int, total: int) -> None:
+    if done < total:
+        print(f"{stage}: {done:,} of {total:,}", file=sys.stderr, flush=True)

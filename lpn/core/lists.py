@@ -37,9 +37,7 @@ def read_text(path: Path, name: str, errors: str = "strict", most: int = MAX_LIS
             raise DataError(f"{name} has more than {most // 1_000_000} MB; expected a list of pictures as text.")
         return decoded(path.read_bytes(), name, errors)
     except OSError as error:
-        raise DataError(
-            f"{name} cannot be read ({error.strerror or error}); check that it is there and readable."
-        ) from error
+        raise DataError(f"{name} cannot be read ({error.strerror or error}); check that it is readable.") from error
 
 
 def decoded(data: bytes, name: str, errors: str = "strict") -> str:
@@ -119,9 +117,7 @@ def separated(text: str, name: str, strict: bool = False) -> SeparatedValues:
                     line = lines.line_num + skipped
                     yield line, values
         except csv.Error as error:
-            raise DataError(
-                f"Line {line + 1} of {name} is not comma-separated values ({error}); correct it."
-            ) from error
+            raise DataError(f"Line {line + 1} of {name} is not comma-separated values ({error}); mend it.") from error
 
     return SeparatedValues(separator != ",", rows())
 
@@ -166,7 +162,7 @@ def table(
         for number, values in lines:
             where = f"Line {number} of {name}"
             if len(values) != len(header):
-                raise DataError(f"{where} has {len(values)} values; expected {len(header)}: {','.join(header)}.")
+                raise DataError(f"{where} should have {len(header)} values, {','.join(header)}, and has {len(values)}.")
             row = {column: value.strip() for column, value in zip(header, values, strict=True)}
             if decimal_comma:
                 row |= {column: row[column].replace(",", ".", 1) for column in decimals if column in row}

@@ -14,9 +14,10 @@ import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
-from typing import TypeVar
+from typing import ParamSpec, TypeVar
 
 T = TypeVar("T")
+P = ParamSpec("P")
 
 # Receives the number of finished items, and the total number.
 CountProgress = Callable[[int, int], None]
@@ -79,15 +80,15 @@ def tracked(stage: str, items: Iterable[T], total: int) -> Iterator[T]:
         report_progress(stage, done, total)
 
 
-def at_intervals(seconds: float, receive: CountProgress, at_once: bool = False) -> CountProgress:
-    """Return a function that passes on counts at most once in `seconds`; with `at_once`, the first one without delay."""
+def at_intervals(seconds: float, receive: Callable[P, None], at_once: bool = False) -> Callable[P, None]:
+    """Return a function that passes on reports at most once in `seconds`; with `at_once`, the first one without delay."""
     last = -math.inf if at_once else time.monotonic()
 
-    def report(done: int, total: int) -> None:
+    def report(*args: P.args, **kwargs: P.kwargs) -> None:
         nonlocal last
         now = time.monotonic()
         if now - last >= seconds:
             last = now
-            receive(done, total)
+            receive(*args, **kwargs)
 
     return report

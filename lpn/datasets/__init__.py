@@ -93,8 +93,8 @@ def known_layouts() -> tuple[type[Dataset], ...]:
     for point in entry_points(group=GROUP):
         try:
             layout = point.load()
-            if not (isinstance(layout, type) and issubclass(layout, Dataset)):
-                raise TypeError("it is no subclass of lpn.datasets.Dataset")
+            if not (isinstance(layout, type) and issubclass(layout, Dataset) and hasattr(layout, "kind")):
+                raise TypeError("it is no subclass of lpn.datasets.Dataset with a kind, such as kind = 'Plots'")
             found.append(layout)
         except Exception as error:  # another package's code may raise anything
             reason = printable(str(error).strip().partition("\n")[0]) or type(error).__name__

@@ -16,7 +16,8 @@ from lpn.core.errors import DataError, InputError
 from lpn.core.files import first_few, printable
 from lpn.core.images import OTHER_SUFFIXES, SUFFIXES, crop, load_picture, zoom
 from lpn.core.tables import Column, number_column, text_column
-from lpn.core.views import TASKS, views_of
+from lpn.core.texts import counted
+from lpn.core.views import TASKS, VIEWS, views_of
 from lpn.datasets import geo
 from lpn.datasets.listed_paths import FilesBelow, hidden_name
 
@@ -24,6 +25,9 @@ log = logging.getLogger(__name__)
 
 # The published evaluations that measure distances: of DenseUAV, of GTA-UAV, and of UAV-VisLoc in Game4Loc's form.
 PositionProtocol = Literal["DenseUAV", "GTA-UAV", "UAV-VisLoc"]
+# The lists of pictures that layouts may have.
+_OF_VIEWS = ("train/", "test/", "test/query_", "test/gallery_")
+_LISTS = ("pictures", "train/google", *(f"{of}{view}" for of in _OF_VIEWS for view in VIEWS))
 
 
 @dataclass(frozen=True)
@@ -230,6 +234,8 @@ class Dataset:
         self._listed: dict[str, list[tuple[PictureRow, Picture]]] = {}
         self.split = self._chosen(split)
         for row in self.rows():
+            if row.of not in _LISTS:
+                raise DataError(f"The layout {self.kind} lists {row.of!r}; rename it to one of {', '.join(_LISTS)}.")
             file = row.file
             if isinstance(file, str) and (found := self.files.find(file)) is not None:
                 file = root / found
@@ -244,7 +250,7 @@ class Dataset:
             raise DataError(
                 f"{root.name} has no picture that can be used, and the first file left out is {first}; expected {self.expected}."
             )
-        warn_left_out(root.name, self.left_out, "files of its lists cannot be used", "they are left out")
+        warn_left_out(root.name, self.left_out, "listed file")
 
     @classmethod
     def recognises(cls, root: Path) -> bool:
@@ -458,11 +464,8 @@ def unread_below(root: Path, folders: Sequence[str] = ("",)) -> list[LeftOut]:
     return [LeftOut(file.relative_to(root).as_posix(), why) for file in files]
 
 
-def warn_left_out(name: str, files: Sequence[LeftOut], what: str, effect: str) -> None:
-    """Log one warning about the files of a folder that are left out, if there are any.
-
-    The warning reads "<name>: <number> <what>: <files>; <effect>."
-    """
+def warn_left_out(name: str, files: Sequence[LeftOut], noun: str) -> None:
+    """Log one warning about the files of a folder that are left out, if there are any."""
     if files:
         some = first_few([f"{printable(item.file)} ({item.why})" for item in files], 3)
-        log.warning("%s: %d %s: %s; %s.", printable(name), len(files), what, some, effect)
+        log.warning("Left out of %s: %s, %s.", printable(name), counted(len(files), noun), some)

@@ -252,9 +252,7 @@ def write_store(
             if missing and not whole:
                 return partial.store()
             if missing:
-                raise StoreError(
-                    f"{missing} of {len(rows)} rows of the store {out} were not written; run this again to resume."
-                )
+                raise StoreError(f"{missing} of {len(rows)} rows of {out} were not written; run this again to resume.")
             partial.finish()
     except (OSError, OutputError) as error:
         raise unwritable(out, error) from error
@@ -335,7 +333,7 @@ def pictures_below(folder: str | Path) -> list[Path]:
     if not folder.is_dir():
         raise DataError(f"There is no folder of pictures at {folder}; check the path.")
     files = files_below(folder)
-    warn_left_out(folder.name, unread_below(folder), "pictures are not read", "they are left out")
+    warn_left_out(folder.name, unread_below(folder), "picture")
     if not files:
         raise DataError(f"{folder} holds no pictures; expected files ending in {', '.join(images.SUFFIXES)}.")
     return files

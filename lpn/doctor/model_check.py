@@ -10,6 +10,7 @@ import numpy as np
 from lpn.core.arrays import UInt8Array
 from lpn.core.errors import LPNError
 from lpn.core.files import printable
+from lpn.core.texts import counted
 from lpn.core.views import View, views_of
 from lpn.datasets import Dataset
 from lpn.drawing import verdicts
@@ -90,7 +91,7 @@ def _check_view(model: Model, view: View, pictures: Sequence[tuple[str, UInt8Arr
     contract, names = model.contract, model.contract.names(view)
     worst, without_cells = (0.0, "", ""), set(range(model.n_parts))
     first: Trace | None = None
-    on = f"on {len(pictures)} pictures"
+    on = f"on {counted(len(pictures), 'picture')}"
     # With a single picture, differences between pictures would stay unknown.
     for name, picture in pictures if len(pictures) > 1 else [*pictures, noise()[0]]:
         try:

@@ -10,6 +10,7 @@ import numpy as np
 
 from lpn.core.arrays import Float32Array, Float64Array
 from lpn.core.numbers import rounded_to_sum, signed, wrap_degrees
+from lpn.core.texts import counted
 from lpn.core.views import View
 from lpn.explain import Evidence
 from lpn.explain.counterfactual import Effect
@@ -119,7 +120,7 @@ def describe_effect(effect: Effect) -> str:
     """Describe the effect of other part weights on all queries, as a clause."""
     verb = "helps" if effect.helps else "harms" if len(effect.lost) > len(effect.gained) else "neither helps nor harms"
     return (
-        f"over all {effect.queries:,} queries it {verb}: {len(effect.gained)} gained, {len(effect.lost)} lost, "
+        f"over {counted(effect.queries, 'query')} it {verb}: {len(effect.gained)} gained, {len(effect.lost)} lost, "
         f"R@1 {effect.before:.1f} to {effect.after:.1f} %"
     )
 

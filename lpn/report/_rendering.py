@@ -15,6 +15,7 @@ from lpn.core.arrays import UInt8Array
 from lpn.core.files import TYPED, printable
 from lpn.core.templates import environment
 from lpn.core.text_tables import TextTable
+from lpn.core.texts import counted
 from lpn.drawing import charts, overlays, theme
 
 _THUMBNAIL = 60
@@ -45,7 +46,7 @@ def _environment() -> Environment:
     heats = [overlays.heat_colours(values, bool(signed)) for signed, values in enumerate(key)]
     templates.globals["heat_keys"] = [overlays.png_data_uri(heat) for heat in heats]
     templates.globals["evidence_colours"] = charts.EVIDENCE_COLOURS
-    templates.filters["thousands"] = "{:,.0f}".format
+    templates.filters |= {"thousands": "{:,.0f}".format, "counted": counted}
     return templates
 
 

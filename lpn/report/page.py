@@ -8,6 +8,7 @@ from datetime import datetime
 
 import lpn
 from lpn.core.errors import InputError
+from lpn.core.texts import counted
 from lpn.drawing import verdicts
 from lpn.library.analyser import OwnPicture
 from lpn.library.answer import Answer
@@ -106,9 +107,9 @@ def _facts(task: Task, options: Options, count: int, made: datetime) -> list[tup
     )
     facts += [
         ("Data", task.data_name),
-        ("Task", f"{task.name}: {len(task.queries):,} queries{graded}, {task.gallery_description}{pieces}"),
+        ("Task", f"{task.name}: {counted(len(task.queries), 'query')}{graded}, {task.gallery_description}{pieces}"),
         ("Protocol", sentence(task).removeprefix("Protocol: ")),
-        ("In this report", f"{count} {'query' if count == 1 else 'queries'}{chosen}"),
+        ("In this report", f"{counted(count, 'query')}{chosen}"),
     ]
     if options.change:
         facts.append(("Changed", f"queries {options.change.describe()} first, in this report only"))

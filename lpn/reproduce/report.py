@@ -12,7 +12,7 @@ from lpn.core.text_tables import TextTable
 from lpn.drawing.plots import encode, pyplot
 from lpn.reproduce.jobs import TrainingJob
 from lpn.reproduce.record import RowRecord, TableRecord
-from lpn.reproduce.sources import Source, counted
+from lpn.reproduce.sources import Source, out_of
 from lpn.reproduce.tables import Claim, PaperTable, Scale, Training, claims
 
 _COLOURS = ("#1f5fbf", "#7fb2e5", "#c2571a", "#eba968")
@@ -201,7 +201,7 @@ def data_notes(table: PaperTable, data: Sequence[Source], scale: Scale) -> list[
         return notes
     if any(source.rendered for source in data):
         notes.append(
-            "**Data: the rendered world, not the paper's data sets**; its figures compare with one another only."
+            "**Data: the rendered world, not the paper's data sets**; its figures compare with each other only."
         )
     else:
         notes.append(f"Data: {', '.join(f'{source.name} ({source.dataset.kind})' for source in data)}.")
@@ -241,6 +241,6 @@ def _places(jobs: Sequence[TrainingJob]) -> str:
     of: dict[str, dict[str, None]] = {}
     for job in jobs:
         full = job.source.dataset.published_sizes.get("train/satellite")
-        count = counted(len(job.source.places(job.recipe.sets)), full.places if full else None)
+        count = out_of(len(job.source.places(job.recipe.sets)), full.places if full else None)
         of.setdefault(f"{count} places", {})[job.training.name] = None
     return "; ".join(f"{places} ({', '.join(names)})" if len(of) > 1 else places for places, names in of.items())

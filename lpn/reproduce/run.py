@@ -11,6 +11,7 @@ import lpn
 from lpn.core.consoles import Console
 from lpn.core.errors import InputError
 from lpn.core.files import check_writable, exclusive_lock, write_atomic
+from lpn.core.texts import counted
 from lpn.core.views import View, views_of
 from lpn.drawing import network_figures
 from lpn.models.base import Model
@@ -257,13 +258,14 @@ class Reproduction:
         if left:
             epochs = sum(job.recipe.epochs - job.epochs_done for job in left)
             self._say(
-                f"Plan: {len(left)} of {len(self._jobs)} trainings are left: {epochs} epochs. A second process with the same "
-                "command shares them."
+                f"Plan: {len(left)} of {len(self._jobs)} trainings are left: {counted(epochs, 'epoch')}. A second process with "
+                "the same command shares them."
             )
             for job in left:
                 steps, epochs = job.steps, job.recipe.epochs
-                begun = f", {job.epochs_done} epochs done" if job.epochs_done else ""
-                self._say(f"  {job.name}: {epochs} epochs of {steps} updates, {epochs * steps:,} in all{begun}")
+                begun = f", {counted(job.epochs_done, 'epoch')} done" if job.epochs_done else ""
+                begun = f"{counted(steps, 'update')}, {epochs * steps:,} in all{begun}"
+                self._say(f"  {job.name}: {counted(epochs, 'epoch')} of {begun}")
             if self.scale.changes:
                 self._say(report.changes_note(self.scale, [job.training for job in left]))
         if not self.train:

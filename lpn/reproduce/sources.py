@@ -68,7 +68,7 @@ class Source:
                 ("gallery", gallery, self.dataset.gallery(gallery)),
             ):
                 full = published.get(f"test/{role}_{view}") or published.get(f"test/{view}")
-                counts.append(counted(len(pictures), full.pictures if full else None))
+                counts.append(out_of(len(pictures), full.pictures if full else None))
             texts.append(f"{task} {counts[0]} queries, {counts[1]} pictures in the gallery")
         return ", ".join(texts)
 
@@ -110,7 +110,7 @@ LAYOUTS: dict[DataRole, str] = {
 }
 
 
-def counted(count: int, full: int | None) -> str:
+def out_of(count: int, full: int | None) -> str:
     """Format a count, with the total if it is known."""
     return f"{count:,}" if full is None else f"{count:,} of {full:,}"
 

@@ -12,6 +12,7 @@ import tyro
 from lpn.core.errors import InputError
 from lpn.core.files import distinct_names
 from lpn.core.resources import ProviderName
+from lpn.core.texts import counted
 from lpn.core.views import TaskName
 from lpn.models.adapters import Kind
 
@@ -104,7 +105,7 @@ def of_each(option: str, values: Sequence[str], count: int, models: str) -> list
         InputError: if there are more or fewer values than models.
     """
     if values and len(values) != count:
-        found = f"{len(values)} {option.rpartition('-')[2]}{'s' * (len(values) > 1)}"
+        found = counted(len(values), option.rpartition("-")[2])
         raise InputError(f"Found {found} for {count} {models}; give one for each in their order, or auto.")
     return [None if value == "auto" else value for value in values] or [None] * count
 

@@ -101,9 +101,11 @@ class RankedModel:
         return RankedModel(self.name, self.task, self.gallery_name, tuple(queries), self.gallery, *sides)
 
 
-def scored_name(name: str, calibration: Calibration | None, neighbours: int) -> str:
-    """Return a model's name with its scoring, such as "city-lpn, calibrated, CSLS"."""
-    return name + (", calibrated" if calibration else "") + (", CSLS" if neighbours else "")
+def scored_names(models: Sequence[tuple[str, Calibration | None, int]]) -> list[str]:
+    """Return names with scorings, such as "city-lpn, calibrated, CSLS"; plain ones are called so beside others."""
+    scorings = [(", calibrated" if of else "") + (", CSLS" if neighbours else "") for _, of, neighbours in models]
+    plain = ", plain" if any(scorings) else ""
+    return [name + (scoring or plain) for (name, *_), scoring in zip(models, scorings, strict=True)]
 
 
 @dataclass(frozen=True, eq=False)

@@ -181,7 +181,7 @@ def _decode(content: bytes, file: Path) -> dict[str, Note]:
         path = plain_path(values[0])
         if len(values) != len(_HEADER) or not path or path in notes:
             problem = "has no path" if not path else f"is a duplicate for {printable(path)}"
-            problem = f"has {len(values)} values" if len(values) != len(_HEADER) else problem
+            problem = f"has the wrong number of values, {len(values)}" if len(values) != len(_HEADER) else problem
             raise DataError(
                 f"Entry {number - 1} of {file} {problem}; expected one line per query, with {','.join(_HEADER)}."
             )

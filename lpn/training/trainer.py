@@ -5,20 +5,21 @@ from __future__ import annotations
 import math
 import os
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import closing
 from itertools import islice
 from pathlib import Path
 from typing import Any, cast
 
 import torch
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from torch import Tensor
 
 from lpn.core.consoles import Console
 from lpn.core.errors import DivergedError, InputError, ModelFileError
 from lpn.core.files import check_writable
+from lpn.core.progress import ended, report_progress
 from lpn.core.shutdown import uninterrupted
+from lpn.core.texts import counted
 from lpn.core.views import views_of
 from lpn.datasets import Dataset
 from lpn.flight.maps import Map
@@ -102,9 +103,7 @@ class Trainer:
         if evaluate_every < 0:
             raise InputError(f"--evaluate-every is {evaluate_every}; expected 0 or more.")
         if held and not evaluate_every and not isinstance(validate, Fold):
-            raise InputError(
-                "--validate chooses among tested epochs, but no epoch is tested; give --evaluate-every, too."
-            )
+            raise InputError("--validate chooses among tested epochs, but none is tested; give --evaluate-every, too.")
         self.loader = Loader(self.places, recipe, self.device, workers)
         self.steps = self.loader.steps
         check_writable(out / "last.safetensors")
@@ -140,16 +139,16 @@ class Trainer:
         """Describe in one sentence the training data of `run`, and its steps and updates."""
         recipe = self.recipe
         if isinstance(self.places, MapWindows):
-            what, rows = f"{_counted(len(self.places), 'window')} of {self.name} an epoch", "windows"
+            what, rows = f"{counted(len(self.places), 'window')} of {self.name} an epoch", "windows"
         else:
-            what = f"{len(self.places):,} places in {', '.join(self.places.files)}"
+            what = f"{counted(len(self.places), 'place')} in {', '.join(self.places.files)}"
             rows = "places" if recipe.sampling == "places" else "pictures of each set"
         ends = f" (ended by {self.loader.shortest}, which has the fewest pictures)" if self.loader.shortest else ""
         resumed = f", of which {self.updates:,} are left" if self.history else ""
-        steps, epochs = _counted(self.steps, "step"), _counted(recipe.epochs, "epoch")
+        steps, epochs = counted(self.steps, "step"), counted(recipe.epochs, "epoch")
         return (
             f"Training on {what}: {steps} of {recipe.batch} {rows} an epoch{ends}, {epochs}, so "
-            f"{_counted(self.steps * recipe.epochs, 'update')}{resumed}."
+            f"{counted(self.steps * recipe.epochs, 'update')}{resumed}."
         )
 
     def run(self) -> Path:
@@ -162,33 +161,23 @@ class Trainer:
         self._print_setup()
         if self._run_file is None:
             self._run_file = begin(self.out, self.recipe, self._given)
-        columns = (
-            TextColumn("{task.description}"),
-            BarColumn(),
-            TextColumn("{task.fields[status]}"),
-            TimeRemainingColumn(),
-        )
         done, epochs = len(self.history), self.recipe.epochs
         if done:
             self._save()
         stream = self.loader.stream(done, epochs)
-        with closing(cast(Any, stream)), Progress(*columns, console=self.console) as bar:
-            task = bar.add_task("Training", total=epochs * self.steps, completed=done * self.steps, status="")
+        with closing(cast(Any, stream)):
             # The run may have been interrupted while its last epoch was tested.
             self._select()
             for epoch in range(done, epochs):
-                bar.update(task, description=f"Epoch {epoch + 1}/{epochs}")
-                batches = islice(stream, self.steps)
-                self.history.append(self._epoch(epoch, batches, lambda text: bar.update(task, advance=1, status=text)))
+                with ended():
+                    self.history.append(self._epoch(epoch, islice(stream, self.steps)))
                 self._save()
                 self._select()
                 self.console.print(epoch_line(self.history, epochs), highlight=False, soft_wrap=True)
         self._finish()
         return self.out / "last.safetensors"
 
-    def _epoch(
-        self, epoch: int, batches: Iterator[TrainingBatch], on_progress: Callable[[str], object]
-    ) -> EpochMetrics:
+    def _epoch(self, epoch: int, batches: Iterator[TrainingBatch]) -> EpochMetrics:
         self.network.train()
         # One seed for each epoch, so that a resumed run repeats an uninterrupted one.
         torch.manual_seed(self.recipe.seed * 100_003 + epoch)
@@ -204,11 +193,11 @@ class Trainer:
             if previous is not None:
                 total += self._check_loss(float(previous), total, epoch, step)
                 speed = pictures / (time.perf_counter() - started)
-                on_progress(f"loss {total / step:.3f}  {speed:.1f} images/s")
+                stage = f"Epoch {epoch + 1}/{self.recipe.epochs}, loss {total / step:.3f}, {speed:.1f} images/s"
+                report_progress(stage, epoch * self.steps + step, self.recipe.epochs * self.steps)
             previous = loss
         assert previous is not None
         total += self._check_loss(float(previous), total, epoch, self.steps)
-        on_progress(f"loss {total / self.steps:.3f}")
         if not all(bool(tensor.isfinite().all()) for tensor in self.network.state_dict().values()):
             raise self._diverged("A weight is no longer a number", epoch, self.steps)
         seconds = time.perf_counter() - started
@@ -273,7 +262,7 @@ class Trainer:
         return checkpoints.load_torch(self.out / f"{name}.safetensors", self.device)
 
     def _print_setup(self) -> None:
-        precision, count = self.learner.mixed_precision, _counted(self.loader.workers, "thread")
+        precision, count = self.learner.mixed_precision, counted(self.loader.workers, "thread")
         instead = " (float16 needs a CUDA device)" if precision.fell_back else ""
         lines = [
             f"Computing in {precision.name} on {self.device.type}{instead}; pictures are prepared by {count}.",
@@ -308,9 +297,7 @@ class Trainer:
             self.name, self.places = source.name, MapWindows(source, recipe, window_sizes)
             return {}
         if recipe.windows:
-            raise InputError(
-                "The recipe trains on windows of a map; give --map in place of --data, or another --recipe."
-            )
+            raise InputError("The recipe trains on map windows; give --map in place of --data, or another --recipe.")
         self.name, self.places = source.root.resolve().name, TrainingSet(source, self.console, recipe.sets)
         if (recipe.compares_drones or recipe.ground_ratio != 1) and "drone" not in self.places.views:
             raise InputError(
@@ -364,7 +351,3 @@ def check_single_process(command: str) -> None:
     processes = os.environ.get("WORLD_SIZE", "1")
     if processes != "1":
         raise InputError(f"{command} is one process, and WORLD_SIZE is {processes}; start it without torchrun.")
-
-
-def _counted(number: int, noun: str) -> str:
-    return f"{number:,} {noun}{'' if number == 1 else 's'}"

@@ -114,13 +114,12 @@ class TrainingSet:
             views = [name for name in by_place if name != "google"]
             lacking = "one" if len(views) == 2 else "all but one"
             console.print(
-                f"{len(training_places.left_out)} places lack a picture in {lacking} of {', '.join(views)} and are left out: "
-                f"{named(training_places.left_out)}.",
+                f"Places left out, without a picture in {lacking} of {', '.join(views)}: {named(training_places.left_out)}.",
                 soft_wrap=True,
             )
         for name, without in training_places.gaps.items():
             console.print(
-                f"{len(without)} places lack a picture in {name} and are trained on in their other views: {named(without)}.",
+                f"Places without a picture in {name}, trained on in their other views: {named(without)}.",
                 soft_wrap=True,
             )
         self.labels = training_places.places
@@ -257,6 +256,4 @@ def paired_pictures(held: Mapping[int, Mapping[str, Sequence[Path]]]) -> dict[Vi
                 name: [Picture(file, label, file.name) for label, sets in both.items() for file in sets[name]]
                 for name in pair
             }
-    raise InputError(
-        f"None of the {len(held)} places that are held out has a drone or street picture and a tile; hold out more of them."
-    )
+    raise InputError("No place that is held out has a drone or street picture and a tile; hold out more of them.")

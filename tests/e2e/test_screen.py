@@ -79,6 +79,7 @@ def test_a_phone_shows_pictures_rows_and_three_matches_without_scrolling(running
         screen.photo,
         page.locator("#tile .frame"),
         screen.rows.last,
+        page.locator("#rows .head span:last-child i"),
         page.locator("#curve .plot"),
         screen.tiles.nth(2),
     ):

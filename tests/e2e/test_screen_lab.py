@@ -97,7 +97,9 @@ def test_it_stands_beside_the_rings_and_covers_neither_them_nor_the_strip(
     expect(lab.lines.first.locator("img").first).to_be_visible()
     assert scrolls(page) == (0, 0)
     panel = box(page.locator("#panel"))
-    parts = [page.locator(one) for one in ("#photo .frame", "#tile .frame", "#sum", "#strip .tile", "#rows .row")]
+    headings = "#rows .head span:last-child :is(u, i)"  # "share to 0.5" and "prefers"
+    shown = ("#photo .frame", "#tile .frame", "#sum", "#strip .tile", "#rows .row", headings)
+    parts = [page.locator(one) for one in shown]
     for one in [single for part in parts for single in part.all()]:
         place = box(one)
         assert place["x"] >= panel["x"] + panel["width"]

@@ -77,8 +77,8 @@ def test_a_model_given_at_the_start_is_open(
     (data / "test" / "gallery_satellite" / "0007" / "photo.heic").write_bytes(b"")
     (second,) = open_model(data, model_file, beside=[ModelOptions(model=one_part_model_file)]).beside
     assert [record.getMessage() for record in caplog.records if record.name == "lpn.datasets.base"] == [
-        "places: 1 pictures are not read: test/gallery_satellite/0007/photo.heic (is of a kind that is not read; save it as "
-        "JPEG); they are left out."
+        "Left out of places: 1 picture, test/gallery_satellite/0007/photo.heic (is of a kind that is not read; save it as "
+        "JPEG)."
     ]
     wait_until(lambda: second.workspace is not None)
     assert second.workspace.contract.n_parts == 1
@@ -183,7 +183,7 @@ def test_a_model_is_compared_with_itself_in_a_weather(data: Path, model_file: Pa
     assert not np.allclose(analysis.query.descriptor, workspace.tasks[TASK].query_descriptors[1], atol=1e-2)
     result = changed(lazy_task(lpn.load(model_file), open_dataset(data), task.name), change).evaluate()
     assert [task.metrics["recall@1"], task.metrics["ap"]] == pytest.approx([result.recall["1"], result.ap])
-    with pytest.raises(InputError, match="expected weathers other than normal, each of them once"):
+    with pytest.raises(InputError, match="expected weathers other than normal, each once"):
         open_model(data, model_file, beside_weathers=["fog", "fog"])
 
 

@@ -43,7 +43,7 @@ export const drawHeadline = ({ said, note, page, result }) => {
     title.textContent = said.text;
     reason.replaceChildren(...(said.busy || !result ? [] : [make("button", { class: "button", "data-back": true, text: "Back" })]));
   } else if (!result) {
-    title.textContent = page ? `Comparing with ${page.tiles.toLocaleString("en")} tiles` : "Opening";
+    title.textContent = page ? `Comparing with ${page.tiles.toLocaleString("en")} ${page.tiles === 1 ? "tile" : "tiles"}` : "Opening";
     reason.textContent = "";
   } else {
     const { found, title: rest, reason: why } = result.headline;

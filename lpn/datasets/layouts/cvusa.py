@@ -51,7 +51,7 @@ def _read(file: Path, name: str) -> list[tuple[str, str]]:
         where = f"Line {line} of {name}"
         if len(values) not in (2, 3):
             raise DataError(
-                f"{where} has {len(values)} values; expected a tile, a panorama, and perhaps an annotation."
+                f"{where} has the wrong number of values, {len(values)}; expected a tile, a panorama, and perhaps an annotation."
             )
         pairs.append((listed_path(values[0], where), listed_path(values[1], where)))
     return pairs

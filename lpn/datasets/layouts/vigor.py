@@ -110,9 +110,8 @@ def _panoramas(file: Path, name: str, tiles: Mapping[str, str]) -> Iterator[tupl
     for where, line in numbered_lines(file, name):
         values = line.split()
         if len(values) < 4 or len(values) % 3 != 1:
-            raise DataError(
-                f"{where} has {len(values)} values; expected a panorama, and a tile with two numbers up to four times."
-            )
+            expected = "a panorama, and a tile with two numbers up to four times"
+            raise DataError(f"{where} has the wrong number of values, {len(values)}; expected {expected}.")
         listed = [name_of(tile) for tile in values[1::3]]
         if missing := [tile for tile in listed if fold(tile) not in tiles]:
             raise DataError(f"{where} names the tile {printable(missing[0])}, which is not in {_TILES} of its city.")

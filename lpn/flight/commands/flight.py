@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
+from lpn.core.texts import counted
+
 if TYPE_CHECKING:
     from lpn.flight.files import Flight
 
@@ -72,7 +74,7 @@ def summary(flight: Flight) -> str:
         ("width on the ground", [ground_width(frame) for frame in frames], " m"),
         ("time", [frame.time for frame in frames], _span(flight)),
     ]
-    lines = [f"{flight.name}: {len(frames)} photos"]
+    lines = [f"{flight.name}: {counted(len(frames), 'photo')}"]
     for name, values, about in columns:
         known = sorted(value for value in values if value is not None)
         if known or name != "lens":

@@ -14,6 +14,7 @@ import tyro
 
 from lpn.core.errors import InputError
 from lpn.core.files import check_outputs, printable
+from lpn.core.texts import counted
 from lpn.sources import Advanced, ModelOptions
 from lpn.sources.options import ADVANCED
 
@@ -139,7 +140,7 @@ class LocateLive(LiveInput):
                 lines = stack.enter_context(self.out.open("a", encoding="utf-8"))
             run = self.open_run(_say, [lambda fix: print(fix.line(), file=lines, flush=True)], stack)
             count = run()
-        _say(f"{count} frames were located.")
+        _say(f"Located {counted(count, 'frame')}.")
 
 
 def _say(sentence: str) -> None:

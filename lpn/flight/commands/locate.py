@@ -11,6 +11,7 @@ from lpn.core.demo import own_file
 from lpn.core.errors import InputError
 from lpn.core.files import check_writable, printable
 from lpn.core.numbers import SIGMA, upper_bound
+from lpn.core.texts import counted
 from lpn.flight.commands.live import LocateLive, MapError
 from lpn.sources import Advanced, ModelOptions
 
@@ -211,7 +212,7 @@ def print_summary(located: LocatedFlight, console: Console) -> None:
         accepted = sum(1 for frame in located.frames if stage in frame.stages and frame.stages[stage].accepted)
         rows.append((name, "not verified" if stage == "retrieval" else f"{accepted}", *_cells(one)))
     head = ("stage", "accepted", "median m", "p90 m", "p95 m", "<= 5 m", "<= 25 m", "<= 100 m", "within 1, 2, 3 radii")
-    title = f"{printable(located.flight.name)} on {printable(located.basemap.name)}: {len(located.frames)} photos"
+    title = f"{printable(located.flight.name)} on {printable(located.basemap.name)}: {counted(len(located.frames), 'photo')}"
     TextTable(head, rows, title).print(console)
     findings = [_truth_sentence(located, any(one.known for one in errors.values()))]
     if posed := sum(any(answer.pose is not None for answer in frame.stages.values()) for frame in located.frames):

@@ -105,7 +105,7 @@ def _relative(file: Path, folder: Path) -> str:
 
 def _frame(values: list[str], folder: Path, line: str) -> Frame:
     if len(values) != len(_COLUMNS):
-        raise DataError(f"{line} has {len(values)} values; expected {len(_COLUMNS)}.")
+        raise DataError(f"{line} should have {len(_COLUMNS)} values, and has {len(values)}.")
     told: dict[str, Any] = {name: text for name, cell in zip(_COLUMNS, values, strict=True) if (text := unescape(cell))}
     try:
         told |= {"lens": asdict(lens_of_text(told["lens"]))} if "lens" in told else {}

@@ -218,7 +218,7 @@ def parse_track(text: str, name: str) -> Log:
     used = [entry for entry in placed if entry.clock is not None or entry.file is not None]
     notes: tuple[str, ...] = ()
     if not used:
-        notes = (f"{name} has {len(placed)} points without a time, so it fits no picture; export a track with times.",)
+        notes = (f"{name} has no point with a time, so it fits no picture; export a track with times.",)
     elif left := len(entries) - len(used):
         notes = (
             f"{left} of {len(entries)} points of {name} have no time, or no position on the Earth, and were left out.",

@@ -53,7 +53,7 @@ def with_log(photos: Sequence[Photo], log: Log, clock_offset: float | None = Non
     if used:
         said = f"{log.name} gives the values of {used} of {len(photos)} photos, {how}; they replace those in the files."
     else:
-        said = f"{log.name} fits none of the {len(photos)} photos {how}, and was not used{why_not}."
+        said = f"{log.name} fits no photo {how}, and was not used{why_not}."
     return made, [*notes, said]
 
 

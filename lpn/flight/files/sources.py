@@ -18,6 +18,8 @@ from PIL import Image
 from lpn.core import images
 from lpn.core.errors import DataError, InputError, OtherKindError, PictureError
 from lpn.core.files import first_few, printable
+from lpn.core.progress import tracked
+from lpn.core.texts import counted
 from lpn.datasets.base import files_below
 from lpn.flight.files import cameras, logs, subtitles, vehicle_logs, videos
 from lpn.flight.files.base import Flight, Frame
@@ -231,7 +233,7 @@ def _flight_of_photos(
 def _each(files: Sequence[Path], read: Callable[[Path], T], noun: str) -> tuple[list[T], list[str]]:
     """Read each file; a note names those that cannot be read."""
     made, broken = [], []
-    for file in files:
+    for file in tracked(f"Reading {noun}s", files, len(files)):
         try:
             made.append(read(file))
         except (DataError, PictureError) as error:
@@ -303,7 +305,7 @@ def _is_map(file: Path) -> bool:
 
 def _no_pictures(files: _Files) -> str:
     if count := len(files["subtitles"]):
-        return f"There is no video for {count} .SRT file{'s' * (count > 1)}; give the video, too."
+        return f"There is no video for {counted(count, '.SRT file')}; give the video, too."
     if files["logs"]:
         return f"No photo that {files['logs'][0].name} names is below its folder; give the photos, or the video, beside the log."
     others = [(file, "is neither") for file in files["others"]]

@@ -22,6 +22,7 @@ import numpy as np
 from lpn.core.arrays import UInt8Array
 from lpn.core.errors import DataError
 from lpn.core.files import printable, write_atomic
+from lpn.core.progress import report_progress
 from lpn.flight.files.base import Frame
 from lpn.flight.files.cameras import upright_values
 from lpn.flight.files.subtitles import GpsOrder, SubtitleBlock, parse_subtitles
@@ -94,6 +95,8 @@ def read_frames(
             # The field of view of subtitles is across the longer side of the picture.
             values = upright_values(telemetry.at(time), turns, frame, across_longer_side=log.end is not None)
             frames.append(replace(frame, **values))
+            done, total = (int(capture.get(one)) for one in (cv2.CAP_PROP_POS_FRAMES, cv2.CAP_PROP_FRAME_COUNT))
+            report_progress(f"Reading {name}, frame", done, total)
         rate = capture.get(cv2.CAP_PROP_FPS)
     finally:
         capture.release()

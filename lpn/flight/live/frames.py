@@ -18,6 +18,7 @@ from lpn.core import images
 from lpn.core.arrays import UInt8Array
 from lpn.core.errors import InputError, PictureError
 from lpn.core.files import printable
+from lpn.core.texts import counted
 from lpn.datasets.listed_paths import hidden_name
 from lpn.flight.files.base import Frame
 from lpn.flight.files.photos import read_photo
@@ -130,7 +131,7 @@ def folder_pictures(folder: Path, say: Say) -> PictureReader:
     """Return a reader of the new photos of a folder and its subfolders; photos that exist already are left out."""
     seen = set(_photos(folder))
     if seen:
-        say(f"{len(seen)} photos that were in {printable(folder.name)} before are left out.")
+        say(f"Left out: {counted(len(seen), 'photo')} that {printable(folder.name)} held before.")
     # Files that could not be read, by the time of the first try: a camera may still be writing them.
     unfinished: dict[Path, float] = {}
 

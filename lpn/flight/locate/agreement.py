@@ -15,6 +15,7 @@ import numpy as np
 from lpn.core import images
 from lpn.core.arrays import BoolArray, Float32Array, Float64Array, Int64Array, UInt8Array
 from lpn.core.homography import apply_homography, corner_pixels, inverse, middle_pixel
+from lpn.core.texts import counted
 from lpn.flight.locate.levelled import PhotoView
 from lpn.flight.locate.registration import Registration
 from lpn.flight.maps import Map, Window
@@ -150,7 +151,7 @@ class MapAgreement(PhotoPlaces, frozen=True):
         count = len(self.rows)
         if count >= _FEW_PLACES:
             return ""
-        found = "no place" if not count else f"only {count} place{'s' if count > 1 else ''}"
+        found = "no place" if not count else f"only {counted(count, 'place')}"
         return (
             f"Away from its middle, {found} of the photo could be found on the map. At least {_FEW_PLACES} such places are "
             "needed to check that the photo fits there, too."

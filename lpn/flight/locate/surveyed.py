@@ -120,9 +120,7 @@ def read_surveyed(file: Path, frame: LocalFrame, crs: str | None = None) -> list
     for number, values in rows:
         line = f"Line {number} of {name}"
         if len(values) <= max(header.values()):
-            raise DataError(
-                f"{line} has {len(values)} values, and its columns need {max(header.values()) + 1}; complete it."
-            )
+            raise DataError(f"{line} has {len(values)} of the {max(header.values()) + 1} values it needs; complete it.")
         cells = {key: unescape(values[column].strip()) for key, column in header.items()}
         point = cells.get("point", "").lower() or "camera"
         if not cells["photo"]:

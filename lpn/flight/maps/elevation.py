@@ -12,6 +12,7 @@ import numpy as np
 from lpn.core.arrays import Float32Array, Float64Array
 from lpn.core.errors import DataError, InputError, OutputError
 from lpn.core.files import printable
+from lpn.core.texts import counted
 from lpn.flight.maps import _gdal
 from lpn.flight.maps.frame import LocalFrame
 from lpn.flight.maps.sheet import Bounds, cells_of
@@ -153,7 +154,7 @@ class ElevationFile:
     def _check(self, file: Any) -> None:
         found = None
         if file.count != 1 or file.dtypes[0] == "uint8" or np.dtype(file.dtypes[0]).kind == "c":
-            found = f"{file.count} band{'s' * (file.count > 1)} of the type {file.dtypes[0]}, as a picture has"
+            found = f"{counted(file.count, 'band')} of the type {file.dtypes[0]}, as a picture has"
         elif file.crs is None:
             found = "no coordinate reference system"
         elif file.transform.is_identity or not file.transform.determinant:

@@ -109,7 +109,7 @@ def pack_tiles(folder: Path, out: Path) -> tuple[Float64Array, list[str]]:
             notes.append(f"Zoom {z} of {called} reaches further than zoom {zoom}; that part is not shown.")
     if errors:
         notes.append(
-            f"{len(errors)} tiles of {called} are no whole PNG, JPEG, or WebP, as failed downloads are; they have no data: "
+            f"The tiles of {called} that are no whole PNG, JPEG, or WebP, as failed downloads are, have no data: "
             f"{list_errors(errors, folder)}."
         )
     with closing(sqlite3.connect(out)) as database, database:

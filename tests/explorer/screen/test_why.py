@@ -118,7 +118,7 @@ def test_weights_that_are_offered_put_the_truth_first_on_the_screen(workspace: W
     told = panel_until(tab, "R@1 goes from")
     task = workspace.tasks[TASK]
     effect = effect_on(task.with_fields(weights=scoring.part_weights(4)), weights)
-    assert f"{len(effect.gained)} more are found" in told
+    assert f"{len(effect.gained)} newly found" in told
     assert f"to {effect.after:.1f} %" in told
     tab.set(weights=weights)
     assert tab.result(weights=[round(weight, 2) for weight in weights])["headline"]["found"] is True
@@ -151,7 +151,7 @@ def test_a_second_model_has_its_own_answer_to_the_same_photo(workspace: Workspac
     for column, one in zip(columns, (workspace, other), strict=True):
         first = analysed(one, query=2).ranking.match(0)
         assert f"{first.rank}: {one.tasks[TASK].gallery[first.index].title}, distance {first.distance2:.3f}" in column
-        assert f"R@1 {100 * float((one.rankings[TASK].ranks == 0).mean()):.1f} %" in column
+        assert f"R@1 {100 * float((one.rankings[TASK].ranks == 0).mean()):.1f} %, plain<" in column
         assert len(re.findall("data-part", column.partition("</button>")[0])) == one.contract.n_parts
     ranks, theirs = (one.rankings[TASK].ranks for one in (workspace, other))
     mine, others = int(((ranks == 0) & (theirs > 0)).sum()), int(((theirs == 0) & (ranks > 0)).sum())
@@ -194,6 +194,7 @@ def test_a_sweep_begins_at_the_photo_as_it_is_and_its_shares_add_up(workspace: W
     here = x.index({"zoom": 1}.get(over, 0))
     analysis = analysed(workspace, query=1)
     assert rank[0][here] == analysis.positive.rank
+    assert charts[0]["range"] == [1, workspace.tasks[TASK].tiles], "no rank lies beyond the gallery"
     assert distance[0][here] == pytest.approx(analysis.positive.distance2, abs=1e-4)
     for number, one in enumerate(distance[0]):
         assert sum(of[number] for of in shares) == pytest.approx(one, abs=1e-3)

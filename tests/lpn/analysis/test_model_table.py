@@ -269,7 +269,7 @@ def test_a_saved_result_in_an_order_of_its_own_has_the_data_sets_listed_matches(
 def test_results_are_compared_by_their_models_and_scorings(data: Path, model_file: Path) -> None:
     plain, moved = (lpn.evaluate(model_file, data, calibrate=False, csls=neighbours) for neighbours in (0, 3))
     found = lpn.compare([plain, moved], resamples=20)
-    assert [one.name for one in found.models] == [model_file.name, f"{model_file.name}, CSLS"]
+    assert [one.name for one in found.models] == [f"{model_file.name}, {scoring}" for scoring in ("plain", "CSLS")]
     assert [of["R@1"].value for of in found.figures] == pytest.approx([plain.recall["1"], moved.recall["1"]])
     for wrong in ([plain, None], [plain, "a"], 3):
         with pytest.raises(InputError, match=r"One of the results is of the type .*expected results of lpn\.evaluate"):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from lpn.core.numbers import rounded_to_sum, shown_difference, signed, upper_bound, wrap_degrees
-from lpn.core.texts import listed
+from lpn.core.texts import counted, listed
 
 
 @pytest.mark.parametrize(
@@ -61,3 +61,8 @@ def test_numbers_beside_one_that_is_not_finite_are_rounded_one_by_one() -> None:
 def test_a_list_ends_with_its_conjunction(words: list[str], sentence: str) -> None:
     assert listed(words, "or") == sentence
     assert listed(words) == sentence.replace("or ", "and ")
+
+
+def test_a_count_has_its_noun_in_the_right_number() -> None:
+    counts = [counted(number, noun) for number, noun in ((0, "file"), (1, "photo"), (1, "query"), (2300, "query"))]
+    assert counts == ["0 files", "1 photo", "1 query", "2,300 queries"]

@@ -162,7 +162,10 @@ def test_pairs_without_satellites_go_by_their_first_view(tmp_path: Path) -> None
         ("satellite,street,colour\n", "first line"),
         ("satellite,satellite,street\n", "first line"),
         ("satellite,street\n", "no line after the first"),
-        ("satellite,street\na.jpg,b.jpg\na.jpg\n", r"Line 3 of pairs\.csv has 1 values; expected 2: satellite,street"),
+        (
+            "satellite,street\na.jpg,b.jpg\na.jpg\n",
+            r"Line 3 of pairs\.csv should have 2 values, satellite,street, and has 1",
+        ),
         ("satellite,street,split\na.jpg,b.jpg,val\n", "has the split 'val'; expected train or test"),
         ("satellite,street,place\na.jpg,b.jpg,-3\n", "has the place '-3'; expected a whole number"),
         ("satellite,street,place\na.jpg,b.jpg,1e5\n", "has the place '1e5'"),

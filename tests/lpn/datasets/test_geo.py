@@ -88,7 +88,7 @@ def test_a_camera_stands_behind_what_it_shows() -> None:
         ("", "first line of geo.csv is empty"),
         ("path,lat,lon\n", r"width\.$"),
         ("path;latitude,longitude\n", r"width\. Semicolons stand beside commas or tabs in it"),
-        ("path,latitude,longitude\na,1\n", "Line 2 of geo.csv has 2 values"),
+        ("path,latitude,longitude\na,1\n", "Line 2 of geo.csv should have 3 values"),
         ("path,latitude,longitude\na,1,2\nb,north,2\n", "Line 3 .* latitude 'north'"),
         (
             "path,latitude,longitude\na,91,2\n",

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from lpn.core.errors import DataError
-from lpn.datasets import known_layouts, layouts, open_dataset
+from lpn.datasets import Dataset, PictureRow, known_layouts, layouts, open_dataset
 from lpn.doctor.dataset_check import check_dataset
 from tools.fixtures import layouts as drawn
 from tools.fixtures import small_worlds
@@ -28,6 +28,9 @@ class Plots(Dataset):
             photo = PictureRow("test/query_drone", f"photos/{name}.png", number, name, true=[tile.file])
             yield from self.together(tile, photo)
 
+class NoKind(Dataset):
+    marks = Plots.marks
+
 class NoLayout:
     pass
 """
@@ -35,12 +38,12 @@ class NoLayout:
 
 @pytest.fixture
 def plots(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    """A package with a layout and two that cannot be used on the path, and a data set of that layout."""
+    """A package with a layout and three that cannot be used on the path, and a data set of that layout."""
     (tmp_path / "own_layouts.py").write_text(PLOTS)
     info = tmp_path / "own_layouts-1.0.dist-info"
     info.mkdir()
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: own-layouts\nVersion: 1.0\n")
-    points = "plots = own_layouts:Plots\nabsent = own_layouts:Absent\nother = own_layouts:NoLayout\n"
+    points = "plots = own_layouts:Plots\nabsent = own_layouts:Absent\nother = own_layouts:NoLayout\nbare = own_layouts:NoKind\n"
     (info / "entry_points.txt").write_text(f"[lpn.datasets]\n{points}")
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.delitem(sys.modules, "own_layouts", raising=False)
@@ -64,9 +67,10 @@ def test_another_package_brings_a_layout(plots: Path, caplog: pytest.LogCaptureF
         "The layout absent is left out, as own_layouts:Absent cannot be loaded (module 'own_layouts' has no attribute "
         "'Absent').",
         "The layout other is left out, as own_layouts:NoLayout cannot be loaded (it is no subclass of "
-        "lpn.datasets.Dataset).",
-        "mine: 2 files of its lists cannot be used: tiles/c.png (is not there), photos/c.png (is not there); they are "
-        "left out.",
+        "lpn.datasets.Dataset with a kind, such as kind = 'Plots').",
+        "The layout bare is left out, as own_layouts:NoKind cannot be loaded (it is no subclass of "
+        "lpn.datasets.Dataset with a kind, such as kind = 'Plots').",
+        "Left out of mine: 2 listed files, tiles/c.png (is not there), photos/c.png (is not there).",
     ]
     report = check_dataset(dataset)
     assert (report.title, len(report.left_out)) == ("in Plots's layout", 2)
@@ -74,6 +78,17 @@ def test_another_package_brings_a_layout(plots: Path, caplog: pytest.LogCaptureF
     for path in (plots / "photos" / "low", plots.parent):
         with pytest.raises(DataError, match=f"give {plots}"):
             open_dataset(path)
+
+
+def test_a_list_of_another_name_is_refused(tmp_path: Path) -> None:
+    class Misspelt(Dataset):
+        kind = "Misspelt"
+
+        def rows(self) -> list[PictureRow]:
+            return [PictureRow("test/galery_satellite", "a.png", 0, "a")]
+
+    with pytest.raises(DataError, match=r"Misspelt lists 'test/galery_satellite'; .* one of .*test/gallery_satellite"):
+        Misspelt(tmp_path)
 
 
 def test_every_file_of_layouts_holds_one_that_can_be_told() -> None:

@@ -35,7 +35,7 @@ def test_pairs_that_lack_a_picture_are_left_out_and_named(
     assert [p.label for p in dataset.queries("street")] == [p.label for p in dataset.gallery("satellite")] == labels
     assert [item.file for item in dataset.left_out] == [lost]
     (message,) = caplog.messages
-    assert f"1 files of its lists cannot be used: {lost} (is not there)" in message
+    assert f": 1 listed file, {lost} (is not there)" in message
 
 
 def test_pairs_are_read_from_the_splits(tmp_path: Path) -> None:
@@ -67,8 +67,11 @@ def test_numbers_that_do_not_agree_give_way_to_the_rows(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("line", "said"),
     [
-        ("bingmap/19/0000005.jpg", r"Line 4 of splits/val-19zl\.csv has 1 values; expected a tile, a panorama"),
-        ("a,b,c,d", "has 4 values"),
+        (
+            "bingmap/19/0000005.jpg",
+            r"Line 4 of splits/val-19zl\.csv has the wrong number of values, 1; expected a tile",
+        ),
+        ("a,b,c,d", "values, 4;"),
         ("../secret.jpg,streetview/panos/0000005.jpg,", r"Line 4 .* names the file '\.\./secret\.jpg'"),
         ("/etc/passwd,streetview/panos/0000005.jpg,", "expected a path below the data set's folder"),
         ("C:\\a.jpg,streetview/panos/0000005.jpg,", "expected a path below"),

@@ -162,7 +162,7 @@ def test_addresses_roles_and_commands(
     assert main([*given, "--engine", "ray", "--workers", "1"]) == 1
     said = capsys.readouterr().out
     assert "holds 40 descriptors, 40 of them computed now." in said
-    assert "1 pictures could not be described; broken.csv there names them" in said
+    assert "1 picture could not be described; broken.csv there gives names" in said
     (folder / "1" / "text.jpg").unlink()
     alone = expected(model_file, folder, tmp_path / "alone")
     assert main(["index", "--descriptors", f"file://{out}", "--out", str(tmp_path / "index")]) == 0

@@ -94,7 +94,7 @@ def test_machines_share_a_map_by_boxes(town: Map, tmp_path: Path) -> None:
     ("options", "said"),
     [
         (["--map", "TOWN"], "give --map with --model"),
-        (["--map", "TOWN", "--model", "MODEL", "--descriptors", "x"], "neither --descriptors nor --data"),
+        (["--map", "TOWN", "--model", "MODEL", "--descriptors", "x"], "not --descriptors or --data"),
         (["--map", "TOWN", "--model", "MODEL", "--size", "5000"], "No window of 5000 m"),
         (["--size", "40"], "give --descriptors, or --map with --model"),
     ],

@@ -206,7 +206,8 @@ def test_an_exact_index_orders_tiles_as_a_scan_in_float64_does(tmp_path: Path, s
     with create_index(tmp_path / "a", kind) as whole, create_index(tmp_path / "b", kind) as parted:
         tiles.add_to(whole, 1500)
         tiles.add_to(parted, 400)
-        for query in tiles.descriptors[[5, 77, 1234]]:
+        beyond_float32 = 1e60 * tiles.descriptors[1234].astype(np.float64)
+        for query in (*tiles.descriptors[[5, 77]], beyond_float32):
             for weights in WEIGHTS:
                 scores = scores_of(tiles.descriptors.reshape(1500, -1), rescaled(kind, query, weights))
                 order = np.argsort(-scores, kind="stable")
@@ -402,7 +403,7 @@ def test_a_store_is_indexed_and_a_picture_found(
     assert main(making) == 0
     said = capsys.readouterr().out
     assert "holds 14 tiles, 0 of them added now" in said
-    assert "14 were there already and were left as they are; give --replace where pictures or positions" in said
+    assert "14 were there already and are left; give --replace where pictures or positions" in said
     assert main([*making, "--replace"]) == 0
     said = capsys.readouterr().out
     assert "holds 14 tiles, 14 of them added now" in said

@@ -177,7 +177,7 @@ def test_models_are_compared_plain_and_calibrated(model_file: Path, wide: Path, 
     table = tmp_path / "table.json"
     main(["compare", str(wide), "--model", str(model_file), "--calibrate", "--json", str(table)])
     plain, moved = json.loads(table.read_bytes())["models"]
-    assert [plain["name"], moved["name"]] == ["model.onnx", "model.onnx, calibrated"]
+    assert [plain["name"], moved["name"]] == ["model.onnx, plain", "model.onnx, calibrated"]
     assert moved["R@1"]["value"] > plain["R@1"]["value"]
     assert main(["compare", str(wide), "saved.mat", "--model", str(model_file), "--calibrate"]) == 2
     outputs = ["--json", str(table), "--table", str(tmp_path / "table.tex")]

@@ -65,7 +65,7 @@ def test_two_processes_and_two_threads_keep_each_others_notes(tmp_path: Path) ->
     ("data", "said"),
     [
         (b"path,tags\n", "expected path,tags,note"),
-        (b"path,tags,note\na.jpg,x\n", "Entry 1 of .* has 2 values"),
+        (b"path,tags,note\na.jpg,x\n", "Entry 1 of .* has the wrong number of values, 2;"),
         (b"path,tags,note\na,x,\na,y,\n", "Entry 2 of .* duplicate for a"),
         (b"path,tags,note\n,x,\n", "Entry 1 of .* has no path"),
         (b"path,tags,note\na,(x),\n", "Entry 1 of .* cannot be used"),

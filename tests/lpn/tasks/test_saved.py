@@ -392,7 +392,7 @@ def put(name: str, content: Callable[[], object]) -> Callable[[Path], None]:
         (rewrite(lambda text: text.replace("q/1.png", "../1.png")), "without '..'"),
         (rewrite(lambda text: text.replace("46.100", "461")), "Line 3 of paths.csv has the position"),
         (rewrite(lambda text: text + "g/8.png,gallery,1,,\n"), "8 lines of the side gallery, and the array 7 rows"),
-        (rewrite(lambda text: text + "g/8.png,gallery\n"), "has 2 values; expected 5"),
+        (rewrite(lambda text: text + "g/8.png,gallery\n"), "should have 5 values, .*, and has 2"),
         (put("query.npy", lambda: b"nonsense"), "query.npy is no array that NumPy saved"),
         (put("query.npy", lambda: np.array([{}], object)), r"query.npy holds Python objects.*'float32'"),
         (

@@ -19,6 +19,7 @@ from torch import Tensor
 import lpn
 from lpn.cli.main import main
 from lpn.core.errors import InputError, LPNError, ModelFileError
+from lpn.core.progress import listening
 from lpn.datasets import open_dataset
 from lpn.models.backbones import backbone_of
 from lpn.models.checkpoints import load_torch, save
@@ -96,7 +97,13 @@ def test_a_resumed_run_has_the_losses_of_an_uninterrupted_one(
     (tmp_path / "cut" / "last.safetensors").unlink()
     (tmp_path / "cut" / "log.csv").unlink()
     resumed, said = trainer(places, tmp_path / "cut", recipe, resume=True)
-    resumed.run()
+    heard: list[tuple[str, int, int]] = []
+    with listening(lambda *told: heard.append(told)):
+        resumed.run()
+    told = [count for stage, *count in heard if re.fullmatch(r"Epoch [23]/3, loss [\d.]+, [\d.]+ images/s", stage)]
+    n = resumed.steps
+    second, third = ([[epoch * n + step, 3 * n] for step in range(1, n)] for epoch in (1, 2))
+    assert told == [*second, [3 * n, 3 * n], *third, [3 * n, 3 * n]], "a bar goes at the end of an epoch"
     assert "after epoch 1 of 3" in said.getvalue()
     assert "drone-to-satellite: R@1" in said.getvalue()
     assert losses(tmp_path / "cut") == losses(tmp_path / "whole")

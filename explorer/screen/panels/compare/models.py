@@ -17,7 +17,7 @@ from explorer.workspace import Workspace, WorkspaceAnalyser
 from lpn.core.arrays import BoolArray, Int64Array
 from lpn.core.errors import LPNError
 from lpn.core.numbers import rounded_to_sum
-from lpn.core.texts import ordinal
+from lpn.core.texts import counted, ordinal
 from lpn.library.analyser import QueryRequest
 from lpn.library.answer import Answer
 from lpn.tasks.task import Task
@@ -74,8 +74,8 @@ class SecondModel:
             if lazy.error:
                 return shown | {"text": lazy.error, "again": True}, None
             done, total = lazy.progress
-            counted = f": {done:,} of {total:,} pictures described" if total else ""
-            return shown | {"text": f"Opening {lazy.label}{counted}."}, _INTERVAL
+            read = f": {done:,} of {counted(total, 'picture')} described" if total else ""
+            return shown | {"text": f"Opening {lazy.label}{read}."}, _INTERVAL
         if result.task.name not in other.tasks:
             return shown | {"text": f"{labels[number]} does not know the views of this task."}, None
         try:
@@ -132,7 +132,7 @@ class SecondModel:
         return {
             "model": workspace.model_name.removesuffix(".onnx"),
             "parts": f"{n} {workspace.contract.part_noun}s" if n > 1 else "one part",
-            "recall": "" if recall is None else f"{recall:.1f} %",
+            "recall": "" if recall is None else f"{recall:.1f} %, {ranking.task.scoring.replace('csls', 'CSLS')}",
             "sign": verdict.sign,
             "rank": "" if truth is None else ordinal(truth.rank),
             "headline": f"{verdict.headline}.",

@@ -12,7 +12,7 @@ from explorer.screen.fields import MAX_WEIGHT
 from explorer.screen.result import ScreenResult
 from lpn.analysis.comparison import Comparison
 from lpn.core.numbers import rounded_to_sum, shown_difference, signed
-from lpn.core.texts import ordinal
+from lpn.core.texts import counted, ordinal
 from lpn.explain import lead_cells
 from lpn.explain.counterfactual import Effect
 from lpn.library.answer import pair_evidence
@@ -164,6 +164,6 @@ def _described(effect: Effect | None) -> list[str]:
     gained, lost = len(effect.gained), len(effect.lost)
     helps = "They help" if effect.helps else "They harm" if lost > gained else "They neither help nor harm"
     return [
-        f"On all {effect.queries:,} photos, {gained:,} more are found, and {lost:,} are lost.",
+        f"Of {counted(effect.queries, 'photo')}, {gained:,} newly found and {lost:,} lost.",
         f"{helps}: R@1 goes from {effect.before:.1f} to {effect.after:.1f} %.",
     ]

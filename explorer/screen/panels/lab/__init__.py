@@ -24,6 +24,7 @@ from lpn.core import images
 from lpn.core.arrays import Int64Array
 from lpn.core.errors import LPNError
 from lpn.core.numbers import signed
+from lpn.core.texts import counted
 from lpn.tasks import notes
 from lpn.tasks.notes import Note
 
@@ -91,7 +92,7 @@ class LabPart(PanelPart):
         key, queries = ranking.task.key, len(ranking.task.queries)
         findings = lab.findings(key)
         if findings is None:
-            if not self._wait(lab.build(key, self), f"Ranking {queries:,} queries", state):
+            if not self._wait(lab.build(key, self), f"Ranking {counted(queries, 'query')}", state):
                 return
             findings = lab.findings(key)
         if findings is not None:
@@ -306,7 +307,7 @@ class LabPart(PanelPart):
         if shown is not None and isinstance(tags, str):
             paths = [shown.findings.table.paths[row] for row in self._ordered.tolist()]
             lab = lab_of(self.tab.workspace)
-            self._change(lambda: lab.add_tags(paths, tags), f"{len(paths):,} queries are tagged.", -1)
+            self._change(lambda: lab.add_tags(paths, tags), f"Tagged {counted(len(paths), 'query')}.", -1)
 
     def _change(self, change: Callable[[], None], done: str, query: int) -> None:
         """Change the notes, and report the outcome; the table follows."""

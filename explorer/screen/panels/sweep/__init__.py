@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from typing import Any
 
@@ -73,6 +74,7 @@ class PhotoSweep:
         points = sorted(self.points, key=lambda one: signed_value(over, one.change))
         values = [signed_value(over, one.change) for one in points]
         here = now if over == "rotation" else signed_value(over, self.base)
+        ranks = [one.followed.rank for one in points]
         return {
             "over": over,
             "done": len(points),
@@ -80,7 +82,8 @@ class PhotoSweep:
             "follows": self.follows,
             "x": values,
             "labels": [swept_label(over, value) for value in values],
-            "rank": [one.followed.rank for one in points],
+            "rank": ranks,
+            "last": min(10 ** math.ceil(math.log10(max(ranks, default=1))), self._result.task.tiles),  # on the axis
             "distance": [round(one.followed.distance2, 4) for one in points],
             "nearest": [round(one.top.distance2, 4) for one in points],
             "shares": [

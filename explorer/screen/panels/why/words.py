@@ -10,6 +10,7 @@ from explorer.compute.ranking_job import RankingJob
 from explorer.screen.result import ScreenResult
 from lpn.analysis import answer_context
 from lpn.core.numbers import distance
+from lpn.core.texts import counted
 from lpn.core.version import __version__
 from lpn.datasets.rendered import shows_rendered
 from lpn.tasks import measure
@@ -41,7 +42,7 @@ def page(result: ScreenResult, ranking: RankingJob) -> dict[str, Any]:
 
 def _did(result: ScreenResult) -> list[str]:
     n, size = result.analysis.query.descriptor.shape
-    noun, tiles = result.workspace.contract.part_noun, f"each of {result.task.tiles:,} tiles"
+    noun, tiles = result.workspace.contract.part_noun, f"each of {counted(result.task.tiles, 'tile')}"
     described = "The network" if result.workspace.model is not None else "Another program"
     ends = "" if result.task.neighbours else ": 0 for the same, 4 at most"  # CSLS shifts these limits
     made = [
@@ -65,9 +66,9 @@ def _measured(result: ScreenResult, ranking: RankingJob) -> dict[str, Any]:
     right, graded = workspace.counts(ranking)
     if ranked is None or figures is None or not graded:
         return {"figures": [], "metres": None, "leads": None, "rings": None}
-    counted, missed = workspace.graded(ranking), graded - right
-    near = int(np.count_nonzero(counted & (ranking.ranks > 0) & (ranking.ranks < _DEPTHS[-1])))
-    listed = [("found", f"{right:,}", f"of {graded:,} photos")]
+    known, missed = workspace.graded(ranking), graded - right
+    near = int(np.count_nonzero(known & (ranking.ranks > 0) & (ranking.ranks < _DEPTHS[-1])))
+    listed = [("found", f"{right:,}", f"of {counted(graded, 'photo')}")]
     listed += [
         ("R@1" if depth == 1 else f"R@{depth}", f"{figures[f'recall@{depth}']:.1f} %", _meaning(depth))
         for depth in _DEPTHS
@@ -76,7 +77,7 @@ def _measured(result: ScreenResult, ranking: RankingJob) -> dict[str, Any]:
     listed.append(("missed", f"{missed:,}", f"in {near:,} of them, the truth is among the first {_DEPTHS[-1]}"))
     metres = None
     if ranked.errors is not None and "median error m" in figures:
-        errors = np.sort(ranked.errors[counted & np.isfinite(ranked.errors)])
+        errors = np.sort(ranked.errors[known & np.isfinite(ranked.errors)])
         shares = np.linspace(0, 100, min(_POINTS, len(errors)))
         metres = [[round(max(float(one), 0.1), 1) for one in np.percentile(errors, shares)], shares.round(1).tolist()]
         within = ", ".join(f"{figures[f'within {one} m']:.0f} % within {one} m" for one in measure.WITHIN)

@@ -100,7 +100,7 @@ def test_an_offset_of_clocks_is_estimated_where_the_files_determine_it(
         assert flight.utc == ("utc" in logged.get("column", "utc") or "utc" in taken)
         assert flight.times[0] == (NOON + seconds[0] if flight.utc else 0)
     else:
-        assert note_of(flight).startswith("log.csv fits none of the 4 photos by ")
+        assert note_of(flight).startswith("log.csv fits no photo by ")
         assert all(frame.latitude is None for frame in flight.frames)
 
 
@@ -121,7 +121,7 @@ def test_an_offset_that_is_no_zone_is_given_or_said(tmp_path: Path) -> None:
 def test_photos_without_a_time_fit_no_log(tmp_path: Path) -> None:
     write_photo(tmp_path / "bare" / "a.jpg")
     flight = make_flight([tmp_path / "bare", a_log(tmp_path / "log.csv")], tmp_path / "flight")
-    assert note_of(flight) == "log.csv fits none of the 1 photos by UTC, and was not used: the photos have no time."
+    assert note_of(flight) == "log.csv fits no photo by UTC, and was not used: the photos have no time."
 
 
 def test_logs_of_two_batteries_fit_the_photos_of_both(tmp_path: Path) -> None:

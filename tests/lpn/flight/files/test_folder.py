@@ -60,7 +60,7 @@ def test_files_that_lpn_flight_did_not_write_are_not_replaced(tmp_path: Path, na
         ("name,file", "file,name", "The first line"),
         ("\nb,", "\n,", "Line 3 .*missing required field `name`"),
         ("\nb,", '\n"a, b.jpg",', "names a, b.jpg twice"),
-        (",1,2,", ",1,", "Line 3 .* has 15 values; expected 16"),
+        (",1,2,", ",1,", "Line 3 .* should have 16 values, and has 15"),
     ],
 )
 def test_a_damaged_table_is_refused_by_its_line(tmp_path: Path, old: str, new: str, message: str) -> None:

@@ -94,7 +94,7 @@ LISTED = "filename,lat,lon\na.jpg,47.4,8.5\na.jpg,47.3,8.5\na.jpg,47.4,8.6\n"
         ("log.csv", "#Label,X/Longitude,Y/Latitude\na,8.5,47.3\n", {"a.JPG": None}, (47.3,), "by name", "fits none"),
         ("track.gpx", waypoint("a.jpg"), {"a.jpg": None}, (47.1,), "by name", "fits none"),
         ("log.csv", "filename,lat,lon\n1.jpg,60.4,22.4\n", {"a.jpg": exif(1.0, 2.0)}, (1.0,),
-         "log.csv fits none of the 1 photos by name, and was not used.", "gives the"),
+         "log.csv fits no photo by name, and was not used.", "gives the"),
         # By time
         ("log.csv", AIRDATA, {"a.jpg": taken(4, place=(1.0, 2.0)), "b.jpg": exif(1.0, 2.0)}, (47.0004, 1.0),
          "gives the values of 1 of 2 photos, by UTC", "constant offset"),
@@ -103,7 +103,7 @@ LISTED = "filename,lat,lon\na.jpg,47.4,8.5\na.jpg,47.3,8.5\na.jpg,47.4,8.6\n"
         ("track.gpx", TRACK, {"a.jpg": taken(3, 14), "b.jpg": taken(12, 14)}, (47.303, 47.312),
          "2 photos, by their clock, with a constant offset: the log's clock is 2 h behind the photos'; they replace", "by UTC"),
         ("track.gpx", UNTIMED, {"a.jpg": exif(47.3, 8.5)}, (47.3,),
-         "track.gpx has 2 points without a time, so it fits no picture; export a track with times.", "gives the"),
+         "track.gpx has no point with a time, so it fits no picture; export a track with times.", "gives the"),
     ],
 )  # fmt: skip
 def test_photos_take_the_rows_that_are_theirs(

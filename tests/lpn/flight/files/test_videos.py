@@ -9,6 +9,7 @@ import pytest
 
 from lpn.core.errors import DataError
 from lpn.core.images import load_picture
+from lpn.core.progress import listening
 from lpn.flight.files import FlightOptions, make_flight, open_flight
 from tools.fixtures.videos import embed, srt, turn, write_video
 
@@ -130,7 +131,11 @@ def test_several_videos_are_on_one_clock(tmp_path: Path) -> None:
     for name, start in (("b", "14:00:00"), ("a", "14:01:00")):
         write_video(tmp_path / f"{name}.mp4", 1)
         (tmp_path / f"{name}.SRT").write_text(srt([f"2024-05-01 {start}.000\n{TELEMETRY[0]}"]))
-    flight = make_flight([tmp_path], tmp_path / "flight")
+    heard: list[tuple[str, int, int]] = []
+    with listening(lambda *told: heard.append(told)):
+        flight = make_flight([tmp_path], tmp_path / "flight")
+    a, b = (("Reading a.mp4, frame", 10, 10), ("Reading b.mp4, frame", 10, 10))
+    assert heard == [a, ("Reading videos", 1, 2), b, ("Reading videos", 2, 2)]
     assert [(frame.name[0], (frame.time or 0) >= 60) for frame in flight.frames] == [("b", False), ("a", True)]
     (tmp_path / "a.SRT").unlink()
     flight = make_flight([tmp_path / "a.mp4", tmp_path / "b.mp4"], tmp_path / "flight")

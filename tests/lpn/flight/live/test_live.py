@@ -395,7 +395,7 @@ def test_new_photos_below_a_folder_are_read_when_they_are_whole(tmp_path: Path) 
     assert picture is not None
     assert (picture.frame.file, picture.turns) == (new, 1)
     assert picture.pixels().shape == (40, 30, 3)
-    assert said == [f"1 photos that were in {tmp_path.name} before are left out."]
+    assert said == [f"Left out: 1 photo that {tmp_path.name} held before."]
 
 
 def test_frames_of_a_video_have_their_times_and_its_turn(tmp_path: Path) -> None:
@@ -531,7 +531,7 @@ def test_the_command_locates_what_a_vehicle_sends(
     lines = [json.loads(line)["properties"] for line in out.read_text().splitlines()]
     assert [line["frame"] for line in lines] == ["0.png", "1.png", "2.png"]
     assert all(line["telemetry_age"] < 2 for line in lines)
-    assert "3 frames were located." in capsys.readouterr().err
+    assert "Located 3 frames." in capsys.readouterr().err
 
 
 def test_what_is_neither_a_folder_nor_a_video_nor_a_stream_is_refused(tmp_path: Path) -> None:

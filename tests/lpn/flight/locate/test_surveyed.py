@@ -95,7 +95,7 @@ def test_positions_are_read_in_degrees_and_in_any_system_in_metres(tmp_path: Pat
         (("photo;lat;lon,height", "a;1;2,3"), r"separate all values by the same character"),
         (("photo,lat,lon",), r"no position below its first line"),
         (("photo,lat,lon", "a,95,2"), r"Line 2 of survey.csv has the latitude '95'; expected degrees from -90 to 90"),
-        (("photo,lat,lon", "a,5"), r"Line 2 of survey.csv has 2 values, and its columns need 3"),
+        (("photo,lat,lon", "a,5"), r"Line 2 of survey.csv has 2 of the 3 values it needs"),
         (("photo,lat,lon,point", "a,5,6,roof"), r"has the point 'roof'; expected camera or ground"),
         (("photo,lat,lon", ",5,6"), r"has no photo"),
         (("photo,easting,northing", "a,5,6"), r"without their CRS; add a column epsg"),

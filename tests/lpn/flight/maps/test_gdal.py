@@ -138,6 +138,14 @@ def test_no_file_of_a_user_makes_gdal_ask_a_server(tmp_path: Path, listener: tup
     assert not listener[1].read_text()
 
 
+def test_gdal_itself_has_no_driver_of_servers_and_opens_no_address(tmp_path: Path, listener: tuple[str, Path]) -> None:
+    gdal = _gdal.rasterio()
+    for name in (text(_WMS)(tmp_path, listener[0]), f"/vsicurl/{listener[0]}/a.tif"):
+        with pytest.raises(gdal.errors.RasterioIOError):
+            gdal.open(name)
+    assert not listener[1].read_text()
+
+
 def test_a_sheet_is_read_by_the_driver_that_opened_it(tmp_path: Path) -> None:
     """A grid of bytes, which only its header tells from any other file, begins as the index of a raw band over a text file."""
     side = 400

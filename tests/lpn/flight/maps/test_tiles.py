@@ -183,7 +183,7 @@ def test_tiles_that_are_no_pictures_have_no_data(
     broken.write_bytes(broken.read_bytes()[:100])
     assert main(["map", str(tiles), "--out", str(tmp_path / "map")]) == 0
     printed = capsys.readouterr().out
-    assert "3 tiles of town are no whole PNG, JPEG, or WebP, as failed downloads are; they have no data: " in printed
+    assert "The tiles of town that are no whole PNG, JPEG, or WebP, as failed downloads are, have no data: " in printed
     assert not ran.called
     assert f"{ZOOM}/{WEST + 1}/{NORTH}.png is no picture" in printed
     assert f"{ZOOM}/{WEST}/{NORTH + 1}.png is cut short or damaged" in printed
