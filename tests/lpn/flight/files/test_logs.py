@@ -15,11 +15,6 @@ from lpn.flight.files.sources import read_any_log
 from tools.fixtures.photos import dji_xmp, exif, write_photo
 from tools.fixtures.videos import write_video
 
-VISLOC = (
-    "num,filename,date,lat,lon,height,Omega,Kappa,Phi1,Phi2\n"
-    "1,01_0001.JPG,2018-09-13 10:00:00,29.774065,115.970635,405.251007,1.5,-2.5,-170.0,10\n"
-    "2,01_0002.JPG,2018-09-13 10:00:04,29.775065,115.970635,405.251007,0.5,0.5,-170.0,10\n"
-)
 AIRDATA = "time(millisecond),datetime(utc),latitude,longitude,isVideo\n" + "".join(
     f"{1000 * i},2024-05-01 12:00:{i:02d},{47 + i / 10_000},8.0,{int(i in (3, 4, 5) or i > 7)}\n" for i in range(12)
 )
@@ -125,11 +120,11 @@ def test_photos_take_the_rows_that_are_theirs(
 
 
 def test_a_log_alone_brings_its_photos(tmp_path: Path) -> None:
-    for name in ("01_0001.JPG", "01_0002.JPG", "other.JPG"):
+    for name in ("1.JPG", "2.JPG", "other.JPG"):
         write_photo(tmp_path / "drone" / name)
-    flight = make_flight([written(tmp_path, VISLOC, "01.csv")], tmp_path / "flight")
-    assert [frame.name for frame in flight.frames] == ["01_0001.JPG", "01_0002.JPG"]
-    assert flight.times.tolist() == [0.0, 4.0]
+    rows = "1.JPG,2018-09-13 10:00:00,29.7,115.9\n2.JPG,2018-09-13 10:00:04,29.8,115.9\n"
+    flight = make_flight([written(tmp_path, f"filename,date,lat,lon\n{rows}")], tmp_path / "flight")
+    assert [(frame.name, frame.time) for frame in flight.frames] == [("1.JPG", 0.0), ("2.JPG", 4.0)]
     alone = written(tmp_path / "alone", "filename,lat,lon\n1.jpg,60.4,22.4\n")
     with pytest.raises(DataError, match=r"No photo that log\.csv names is below its folder"):
         make_flight([alone], tmp_path / "none")
@@ -259,12 +254,7 @@ def test_files_that_are_no_tracks_are_refused_in_one_sentence(text: str, message
 
 
 @pytest.mark.parametrize(
-    ("name", "instead"),
-    [
-        ("track.kml", "GPX or CSV"),
-        ("flight.bag", "CSV, .ulg, .tlog, or .bin"),
-        ("CLIP.ASS", "SRT"),
-    ],
+    ("name", "instead"), [("track.kml", "GPX or CSV"), ("flight.bag", "CSV, .ulg, .tlog, or .bin"), ("CLIP.ASS", "SRT")]
 )
 def test_a_file_of_a_kind_that_is_not_read_is_refused_wherever_it_is_named(
     tmp_path: Path, name: str, instead: str
@@ -280,24 +270,21 @@ def test_a_file_of_a_kind_that_is_not_read_is_refused_wherever_it_is_named(
 
 
 # The column, and its cells; the headings, pitches, or fields of view that are read; a part of a note.
-ANGLES: tuple[tuple[str, list[str], list[float | None], str], ...] = (
-    (
-        "yaw", ["10"] * 15 + ["-9999"] + ["20"] * 4, [10.0] * 15 + [None] + [20.0] * 4,
-        "1 of 20 values of the column yaw of log.csv are not from -360 to 360 degrees and were not used, first in line 17.",
-    ),
-    ("yaw", ["10", "-9999", "20"], [None] * 3, "was left out: it holds -9999, and expected are angles from -360 to 360 degrees"),
-    ("yaw", ["9000", "9010", "120"], [None] * 3, "name another unit behind a column, as in (cdeg)."),
-    ("gimbal_pitch", ["270", "275", "285.5"], [-90.0, -85.0, -74.5], ""),
-    ("gimbal_pitch", ["90", "85"], [None, None],
-     "looks up by 85 degrees and more, where -90 should be straight down; give it with --pitch"),
-    ("gimbal_pitch", ["-60"], [-60.0], ""),
-    ("fov", ["0", "0"], [None] * 2, "column fov of log.csv was left out: it holds 0, and expected are angles from 0.1 to 170"),
-    ("fov", ["70"] * 10 + ["170", "0.1", "175"], [70.0] * 10 + [170.0, 0.1, None],
-     "1 of 13 values of the column fov of log.csv are"),
+@pytest.mark.parametrize(
+    ("column", "cells", "expected", "note"),
+    [
+        ("yaw", ["10"] * 15 + ["-9999"] + ["20"] * 4, [10.0] * 15 + [None] + [20.0] * 4,
+         "1 of 20 values of the column yaw of log.csv are not from -360 to 360 degrees and were not used, first in line 17."),
+        ("yaw", ["10", "-9999"], [None] * 2, "was left out: it holds -9999, and expected are angles from -360 to 360 degrees"),
+        ("yaw", ["9000", "9010", "120"], [None] * 3, "name another unit behind a column, as in (cdeg)."),
+        ("gimbal_pitch", ["270", "275", "285.5"], [-90.0, -85.0, -74.5], ""),
+        ("gimbal_pitch", ["90", "85"], [None, None],
+         "looks up by 85 degrees and more, where -90 should be straight down; give it with --pitch"),
+        ("fov", ["0", "0"], [None] * 2, "fov of log.csv was left out: it holds 0, and expected are angles from 0.1 to 170"),
+        ("fov", ["70"] * 10 + ["170", "0.1", "175"], [70.0] * 10 + [170.0, 0.1, None],
+         "1 of 13 values of the column fov of log.csv are"),
+    ],
 )  # fmt: skip
-
-
-@pytest.mark.parametrize(("column", "cells", "expected", "note"), ANGLES)
 def test_angles_beyond_their_range_are_not_used(
     tmp_path: Path, column: str, cells: list[str], expected: list[float | None], note: str
 ) -> None:
@@ -314,7 +301,6 @@ def test_angles_beyond_their_range_are_not_used(
         (("5/13/2024 12:00:00", "5/1/2024 12:00:00"), 1715601600.0, False),
         (("13/5/2024 12:00:00", "1/5/2024 12:00:00"), 1715601600.0, False),
         (("5/1/2024 12:00 PM", "5/1/2024 12:00 AM"), NOON, True),
-        (("01.05.2024 12:00:00", "02.05.2024 12:00:00"), NOON, False),
         (("1714564800000", ""), NOON, False),
         (("1714564800000000", ""), NOON, False),
     ],

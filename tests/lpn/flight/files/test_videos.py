@@ -101,12 +101,10 @@ def test_subtitles_inside_are_read_in_every_dialect_or_named(
 
 
 def test_without_telemetry_frames_have_times_only(tmp_path: Path) -> None:
-    flight = make_flight(
-        [write_video(tmp_path / "a.mp4", 2)], tmp_path / "flight", FlightOptions(fov=70.0, pitch=-90.0)
-    )
-    assert [(frame.latitude, frame.heading, frame.fov, frame.pitch) for frame in flight.frames] == [
-        (None, None, 70.0, -90.0)
-    ] * 2
+    options, video = FlightOptions(fov=70.0, pitch=-90.0), write_video(tmp_path / "a.mp4", 2)
+    flight = make_flight([video], tmp_path / "flight", options)
+    told = [(frame.latitude, frame.heading, frame.fov, frame.pitch) for frame in flight.frames]
+    assert told == [(None, None, 70.0, -90.0)] * 2
     assert "a.mp4 has no subtitles with telemetry." in flight.notes
     assert any("The field of view of 2 of 2 photos is the 70° given with --fov" in note for note in flight.notes)
     with pytest.raises(DataError, match=r"a\.mp4 has no positions, so frames cannot be chosen by metres"):

@@ -37,8 +37,6 @@ def test_blocks_are_described_once_for_all_runs_and_a_damaged_file_is_made_anew(
     first = MapFeatures(town, _CountingMatcher()).around(None, 0.0, 60.0)
     ground.in_memory.clear()
     again = MapFeatures(town, _CountingMatcher()).around(None, 0.0, 60.0)
-    assert first is not None
-    assert again is not None
     assert _CountingMatcher.described == 1
     assert len(first.points) > 50
     np.testing.assert_array_equal(again.points, first.points)
@@ -47,7 +45,6 @@ def test_blocks_are_described_once_for_all_runs_and_a_damaged_file_is_made_anew(
     file.write_bytes(file.read_bytes()[:1000])
     ground.in_memory.clear()
     mended = MapFeatures(town, _CountingMatcher()).around(None, 0.0, 60.0)
-    assert mended is not None
     np.testing.assert_array_equal(mended.points, first.points)
     ground.in_memory.clear()
     MapFeatures(town, _CountingMatcher()).around(None, 0.0, 60.0)

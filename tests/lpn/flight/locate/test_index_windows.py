@@ -15,8 +15,7 @@ from lpn.core.arrays import Float32Array
 from lpn.core.consoles import Console
 from lpn.core.errors import InputError, StoreError
 from lpn.flight.commands.locate import LocateCommand
-from lpn.flight.files import Flight, Frame
-from lpn.flight.files.base import HeadingSource
+from lpn.flight.files import Flight
 from lpn.flight.locate import retrieval
 from lpn.flight.locate.retrieval import retrieve
 from lpn.flight.maps import Map, Window
@@ -25,7 +24,7 @@ from lpn.index.folder import FolderIndex
 from lpn.index.from_map import index_windows as fill_index
 from lpn.index.from_map import window_describer, windows_kind
 from lpn.models.base import Model
-from tests.lpn.flight.locate.scenery import GridModel, ground_to_photo, land, photo_of, small_flight, write_map
+from tests.lpn.flight.locate.scenery import GridModel, land, photographed, write_map
 
 KIND = DescriptorKind("grid", 2, 16)
 FRAME = np.ones((1, 2, 16), np.float32)
@@ -34,17 +33,6 @@ FRAME = np.ones((1, 2, 16), np.float32)
 @pytest.fixture(autouse=True)
 def _small_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(from_map, "BLOCK", 8)
-
-
-@pytest.fixture
-def town(tmp_path: Path) -> Map:
-    return write_map(tmp_path / "town.tif", cv2.resize(land(), (400, 400), interpolation=cv2.INTER_AREA))
-
-
-@pytest.fixture
-def flight(tmp_path: Path, town: Map) -> Flight:
-    (tmp_path / "photos").mkdir()
-    return small_flight(tmp_path / "photos", town)
 
 
 def model() -> Model:
@@ -72,27 +60,27 @@ def filled(
 
 @pytest.mark.parametrize("centre", [False, True])
 def test_windows_of_an_index_are_those_that_would_be_described(
-    town: Map, flight: Flight, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, centre: bool
+    town: Map, monday: Flight, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, centre: bool
 ) -> None:
     monkeypatch.setattr(retrieval, "MIN_DISTINCT", 20 if centre else 100)
-    plain = retrieve(model(), town, flight, [51.234567, 60.0], 0.6)
-    where, counting = filled(tmp_path / "index", town, [60.0, 51.234567], 0.6), GridModel()
-    found = retrieve(counting, town, flight, None, 0.9, where)  # type: ignore[arg-type]
+    plain = retrieve(model(), town, monday, [51.234567, 60.0], 0.5)
+    where, counting = filled(tmp_path / "index", town, [60.0, 51.234567]), GridModel()
+    found = retrieve(counting, town, monday, None, 0.9, where)  # type: ignore[arg-type]
     assert not counting.described, "frames are in the cache, and no window is described"
-    assert found.gallery.overlap == 0.6
+    assert found.gallery.overlap == 0.5
     assert found.notes == plain.notes
     assert found.gallery.windows == plain.gallery.windows
-    assert len({float(found.scores(i).min()) for i in range(len(flight.frames))}) > 1
-    for i in range(len(flight.frames)):
+    assert len({float(found.scores(i).min()) for i in range(len(monday.frames))}) > 1
+    for i in range(len(monday.frames)):
         # The windows of an index are cut where their names say, to a centimetre.
         np.testing.assert_allclose(found.scores(i), plain.scores(i), atol=5e-3)
 
 
 @pytest.mark.parametrize("turns", [1, 2])
-def test_an_index_that_is_still_being_filled_is_told(town: Map, flight: Flight, tmp_path: Path, turns: int) -> None:
+def test_an_index_that_is_still_being_filled_is_told(town: Map, monday: Flight, tmp_path: Path, turns: int) -> None:
     whole = turns * town.count_pyramid([40.0, 51.0])
     where = filled(tmp_path / "index", town, [40.0, 51.0], turns=turns, stop=16)
-    found = retrieve(model(), town, flight, index=where)
+    found = retrieve(model(), town, monday, index=where)
     assert len(found.gallery.windows) == 16 // turns
     assert (None if found.gallery.turned is None else len(found.gallery.turned)) == (turns - 1 or None)
     assert found.notes[-1:] == [
@@ -100,45 +88,45 @@ def test_an_index_that_is_still_being_filled_is_told(town: Map, flight: Flight, 
         "on to its end."
     ]
     filled(tmp_path / "index", town, [51.0, 40.0], turns=turns)
-    assert not any("of the map, and" in note for note in retrieve(model(), town, flight, index=where).notes)
+    assert not any("of the map, and" in note for note in retrieve(model(), town, monday, index=where).notes)
 
 
-def test_an_index_holds_the_windows_that_it_was_made_for(town: Map, flight: Flight, tmp_path: Path) -> None:
+def test_an_index_holds_the_windows_that_it_was_made_for(town: Map, monday: Flight, tmp_path: Path) -> None:
     where = filled(tmp_path / "index", town, [51.0])
     for sizes, overlap, turns in (([40.0], 0.5, 1), ([51.0], 0.6, 1), ([51.0], 0.5, 2)):
         with pytest.raises(StoreError, match=r"of windows of 51 m with an overlap of 0.5 at 1 headings"):
             filled(tmp_path / "index", town, sizes, overlap, turns)
     elsewhere = write_map(tmp_path / "elsewhere.tif", cv2.resize(land(1), (400, 400), interpolation=cv2.INTER_AREA))
     with pytest.raises(InputError, match="holds windows of another map than elsewhere, or the map changed"):
-        retrieve(model(), elsewhere, flight, index=where)
+        retrieve(model(), elsewhere, monday, index=where)
     with create_index(tmp_path / "tiles", KIND) as index:
         index.add(["tile.png"], FRAME / 4 / 2**0.5)
     with pytest.raises(InputError, match="does not say which windows of which map it holds"):
-        retrieve(model(), town, flight, index=str(tmp_path / "tiles"))
+        retrieve(model(), town, monday, index=str(tmp_path / "tiles"))
     with pytest.raises(InputError, match="holds no window"):
-        retrieve(model(), town, flight, index=filled(tmp_path / "empty", town, [51.0], stop=0))
+        retrieve(model(), town, monday, index=filled(tmp_path / "empty", town, [51.0], stop=0))
     with create_index(tmp_path / "other", replace(KIND, fingerprint="another")):
         pass
     with pytest.raises(StoreError, match="holds descriptors of model another"):
-        retrieve(model(), town, flight, index=str(tmp_path / "other"))
+        retrieve(model(), town, monday, index=str(tmp_path / "other"))
 
 
 def test_of_an_index_too_large_to_return_all_the_nearest_windows_are_compared(
-    town: Map, flight: Flight, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    town: Map, monday: Flight, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(retrieval, "MIN_DISTINCT", 100)  # the means are of other windows
-    plain = retrieve(model(), town, flight, [51.0], 0.6)
-    where = filled(tmp_path / "index", town, [51.0], 0.6)
+    plain = retrieve(model(), town, monday, [51.0], 0.5)
+    where = filled(tmp_path / "index", town, [51.0])
     monkeypatch.setattr(retrieval, "MOST", 3)
     monkeypatch.setattr(FolderIndex, "most", 3)
-    found, count = retrieve(model(), town, flight, index=where), len(plain.gallery.windows)
+    found, count = retrieve(model(), town, monday, index=where), len(plain.gallery.windows)
     assert 3 < len(found.gallery.windows) < count
     assert any(f"were compared with the {len(found.gallery.windows)} of them" in note for note in found.notes)
-    for i in range(len(flight.frames)):
+    for i in range(len(monday.frames)):
         # The three nearest of each are among them, and windows that resemble nothing score alike.
         np.testing.assert_allclose(np.sort(found.scores(i))[-3:], np.sort(plain.scores(i))[-3:], atol=5e-3)
     with pytest.raises(InputError, match="No photo of the flight can be read"):
-        retrieve(model(), town, replace(flight, frames=flight.frames[2:3]), index=where)
+        retrieve(model(), town, replace(monday, frames=monday.frames[2:3]), index=where)
 
 
 def test_an_index_needs_a_model_and_takes_no_sizes(tmp_path: Path) -> None:
@@ -151,16 +139,12 @@ def test_an_index_needs_a_model_and_takes_no_sizes(tmp_path: Path) -> None:
 def test_of_turned_windows_a_photo_of_unknown_heading_is_described_once(
     town: Map, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, told: float | None, most: int | None, turns: int
 ) -> None:
-    middle = town.pyramid([51.0], 0.6)[25]
-    place, width, size, heading = (middle.x, middle.y), 60.0, (64, 64), 3 * 360 / turns
-    photo = photo_of(land(), ground_to_photo(place, heading, width, size), size)
-    cv2.imwrite(str(tmp_path / "photo.png"), photo[..., ::-1])
-    source: HeadingSource | None = None if told is None else "course"
-    frame = Frame(
-        "photo.png", tmp_path / "photo.png", *size, height_above_ground=30.0, heading=told, heading_source=source, fov=90.0
-    )  # fmt: skip
-    flight, counting = Flight("turned", (frame,)), GridModel()
-    where = filled(tmp_path / "index", town, [51.0], 0.6, turns=turns)
+    middle = town.pyramid([60.0], 0.5)[14]
+    place, heading = (middle.x, middle.y), 3 * 360 / turns
+    flight, counting = photographed(tmp_path, town, [place], heading, (64, 64), 60.0, 90.0), GridModel()
+    source = None if told is None else "course"
+    flight = replace(flight, frames=(replace(flight.frames[0], heading=told, heading_source=source),))
+    where = filled(tmp_path / "index", town, [60.0], turns=turns)
     if most is not None:
         monkeypatch.setattr(retrieval, "MOST", most)
     found = retrieve(counting, town, flight, index=where)  # type: ignore[arg-type]
@@ -171,6 +155,6 @@ def test_of_turned_windows_a_photo_of_unknown_heading_is_described_once(
     assert np.linalg.norm(np.array([best.x, best.y]) - place) < 1
     assert np.mean(best.cosines) == pytest.approx(best.score, abs=1e-5)
     if turns == 8:
-        turned = retrieve(model(), town, flight, [51.0], 0.6)
+        turned = retrieve(model(), town, flight, [60.0], 0.5)
         assert turned.views[0].headings == found.views[0].headings
         assert turned.scores(0).max() == pytest.approx(found.scores(0).max(), abs=0.1)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,78 +13,70 @@ import pytest
 from lpn.core.arrays import UInt8Array
 from lpn.core.images import load_picture
 from lpn.core.progress import listening
-from lpn.flight.files import Flight, Frame
+from lpn.flight.files import Flight
 from lpn.flight.files.cut import FrameReader, cut_size, cut_square
 from lpn.flight.locate import retrieval
 from lpn.flight.locate.retrieval import MapRetrieval, retrieve, whitening_of
 from lpn.flight.maps import Map
 from lpn.models.base import normalise, whitened
-from tests.lpn.flight.locate.scenery import GridModel, ground_to_photo, land, photo_of, write_map
+from tests.lpn.flight.locate.scenery import FLOWN_PLACES, GridModel, land, photographed, write_map
 
+Fly = Callable[..., Flight]
 SIZE = (64, 64)
 WIDTH = 60.0
+# The middle of a window of the map.
+HERE = (-38.25, 12.75)
 
 
 @pytest.fixture
-def town(tmp_path: Path) -> Map:
-    return write_map(tmp_path / "town.tif", cv2.resize(land(), (400, 400), interpolation=cv2.INTER_AREA))
+def fly(town: Map, tmp_path: Path) -> Fly:
+    """A function that photographs the land at places."""
 
+    def photos(places: Sequence[tuple[float, float]], heading: float = 0.0) -> Flight:
+        return photographed(tmp_path, town, places, heading, SIZE, WIDTH, 90.0)
 
-def _flight(folder: Path, places: list[tuple[float, float]], heading: float = 0.0) -> Flight:
-    folder.mkdir(exist_ok=True)
-    frames = []
-    for i, place in enumerate(places):
-        file = folder / f"{i}.png"
-        cv2.imwrite(str(file), photo_of(land(), ground_to_photo(place, heading, WIDTH, SIZE), SIZE)[..., ::-1])
-        height = WIDTH / 2  # the field of view is 90 degrees
-        frames.append(
-            Frame(file.name, file, *SIZE, 2.0 * i, None, None, height, None, None, heading, "gimbal", fov=90.0)
-        )
-    return Flight("monday", tuple(frames))
+    return photos
 
 
 def _retrieved(model: GridModel, town: Map, flight: Flight) -> MapRetrieval:
-    return retrieve(model, town, flight, overlap=0.88)  # type: ignore[arg-type]
+    return retrieve(model, town, flight, overlap=0.75)  # type: ignore[arg-type]
 
 
 def _off(found: MapRetrieval, frame: int, place: tuple[float, float]) -> float:
     return float(np.linalg.norm(found.gallery.places[found.scores(frame).argmax()] - place))
 
 
-def test_few_or_equal_frames_are_not_centred(town: Map, tmp_path: Path) -> None:
-    places = [(-40.0, 10.0)] * 30
-    found = _retrieved(GridModel(), town, _flight(tmp_path / "hovering", places))
+def test_few_or_equal_frames_are_not_centred(town: Map, fly: Fly) -> None:
+    found = _retrieved(GridModel(), town, fly([HERE] * 20))
     assert found.scores(0).max() > 0.8
-    assert _off(found, 0, places[0]) < 10
+    assert _off(found, 0, HERE) < 10
     assert "the flight has 1." in found.notes[0]
-    far = [(-40.0, 10.0), (30.0, -35.0)]
-    found = _retrieved(GridModel(), town, _flight(tmp_path / "two", far))
+    far = [HERE, (30.0, -35.0)]
+    found = _retrieved(GridModel(), town, fly(far))
     assert [_off(found, i, place) < 10 for i, place in enumerate(far)] == [True, True]
     assert "the flight has 2." in found.notes[0]
 
 
-def test_windows_of_an_unfit_size_are_named(town: Map, tmp_path: Path) -> None:
-    flight = _flight(tmp_path / "unfit", [(-40.0, 10.0), (30.0, -35.0)])
+def test_windows_of_an_unfit_size_are_named(town: Map, fly: Fly) -> None:
+    flight = fly([HERE, (30.0, -35.0)])
     shown = cut_size(flight.frames[0])
-    assert shown is not None
     for factor, named in ((1.35, False), (1.45, True), (1 / 1.45, True)):
-        notes = retrieve(GridModel(), town, flight, [factor * shown]).notes[:-1]  # type: ignore[arg-type]
+        notes = retrieve(GridModel(), town, flight, [factor * shown], 0.5).notes[:-1]  # type: ignore[arg-type]
         compared = f"are compared with windows of {factor * shown:.0f} m, so"
         expected = f"2 of 2 photos show squares of {shown:.0f} m of ground and {compared}"
         assert len(notes) == named
         assert all(note.startswith(expected) for note in notes)
 
 
-def test_many_distinct_frames_are_centred(town: Map, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    places = [(x, y) for x in (-60.0, -20.0, 20.0, 60.0) for y in (-60.0, -30.0, 0.0, 30.0, 60.0)]
-    found = _retrieved(GridModel(), town, _flight(tmp_path / "many", places))
+def test_many_distinct_frames_are_centred(town: Map, fly: Fly, monkeypatch: pytest.MonkeyPatch) -> None:
+    flight = fly(FLOWN_PLACES)
+    found = _retrieved(GridModel(), town, flight)
     assert not found.notes
     described = np.concatenate([one for one in found.frames_described if one is not None])
     np.testing.assert_allclose(np.linalg.norm(described, axis=2), 1 / np.sqrt(2), rtol=1e-5)
-    assert found.whitening is not None
     assert found.whitening.shape == (2, 16, 16)
     monkeypatch.setattr(retrieval, "MIN_DISTINCT", 21)
-    plain = _retrieved(GridModel(), town, _flight(tmp_path / "many", places))
+    plain = _retrieved(GridModel(), town, flight)
     expected = normalise(whitened(plain.gallery.described - found.means["satellite"], found.whitening))
     np.testing.assert_allclose(found.gallery.described, expected, atol=1e-6)
 
@@ -106,8 +99,8 @@ def test_whitening_evens_out_what_all_pictures_share() -> None:
     assert right(whitened(queries, matrices), whitened(tiles, matrices)) > 0.9
 
 
-def test_the_best_windows_of_places_apart(town: Map, tmp_path: Path) -> None:
-    found = _retrieved(GridModel(), town, _flight(tmp_path / "one", [(-40.0, 10.0)]))
+def test_the_best_windows_of_places_apart(town: Map, fly: Fly) -> None:
+    found = _retrieved(GridModel(), town, fly([HERE]))
     order = np.argsort(-found.scores(0), kind="stable")
     np.testing.assert_array_equal(found.first(0, 7), order[:7])
     expected: list[int] = []
@@ -119,8 +112,8 @@ def test_the_best_windows_of_places_apart(town: Map, tmp_path: Path) -> None:
     np.testing.assert_allclose(best, [(*found.gallery.places[i], found.scores(0)[i]) for i in expected[:4]])
 
 
-def test_a_broken_frame_leaves_the_others_in_the_cache(town: Map, tmp_path: Path) -> None:
-    flight = _flight(tmp_path / "photos", [(-40.0, 10.0), (30.0, -35.0), (0.0, 0.0)])
+def test_a_broken_frame_leaves_the_others_in_the_cache(town: Map, fly: Fly) -> None:
+    flight = fly([HERE, (30.0, -35.0), (0.0, 0.0)])
     flight.frames[1].file.write_bytes(b"nothing")
     first = GridModel()
     found = _retrieved(first, town, flight)
@@ -134,8 +127,8 @@ def test_a_broken_frame_leaves_the_others_in_the_cache(town: Map, tmp_path: Path
     np.testing.assert_array_equal(second.scores(2), found.scores(2))
 
 
-def test_a_stopped_retrieval_goes_on_where_it_was(town: Map, tmp_path: Path) -> None:
-    flight = _flight(tmp_path / "photos", [(-40.0, 10.0), (30.0, -35.0)])
+def test_a_stopped_retrieval_goes_on_where_it_was(town: Map, fly: Fly, tmp_path: Path) -> None:
+    flight = fly([HERE, (30.0, -35.0)])
 
     def stop(stage: str, done: int, total: int) -> None:
         if stage == "Describing windows" and done > total / 2:
@@ -143,7 +136,7 @@ def test_a_stopped_retrieval_goes_on_where_it_was(town: Map, tmp_path: Path) -> 
 
     first, second = GridModel(), GridModel()
     with pytest.raises(KeyboardInterrupt), listening(stop):
-        retrieve(first, town, flight, overlap=0.88)  # type: ignore[arg-type]
+        retrieve(first, town, flight, overlap=0.75)  # type: ignore[arg-type]
     resumed = _retrieved(second, town, flight)
     windows = len(resumed.gallery.windows)
     assert windows / 2 < first.described < windows
@@ -154,13 +147,12 @@ def test_a_stopped_retrieval_goes_on_where_it_was(town: Map, tmp_path: Path) -> 
     assert (np.linalg.norm(resumed.gallery.described, axis=2) > 0.1).all()
 
 
-def test_the_heading_of_an_aircraft_is_left_only_for_a_clearly_better_one(town: Map, tmp_path: Path) -> None:
-    flight = _flight(tmp_path / "wing", [(-40.0, 10.0)])
+def test_the_heading_of_an_aircraft_is_left_only_for_a_clearly_better_one(town: Map, fly: Fly) -> None:
+    flight = fly([HERE])
     frame = replace(flight.frames[0], heading_source="aircraft")
     found = _retrieved(GridModel(), town, replace(flight, frames=(frame,)))
     flat = found.gallery.described.reshape(len(found.gallery.windows), -1)
     described = found.frames_described[0]
-    assert described is not None
     scores = (flat @ described.reshape(12, -1).T).astype(np.float64)
     free = replace(found, views=[replace(found.views[0], aircraft=False)])
     np.testing.assert_allclose(free.scores(0), scores.max(axis=1))
@@ -175,19 +167,19 @@ def test_the_heading_of_an_aircraft_is_left_only_for_a_clearly_better_one(town: 
     turned = replace(frame, heading=270.0)
     found = _retrieved(GridModel(), town, replace(flight, frames=(turned,)))
     assert found.best(0, 1)[0].heading == 0
-    assert _off(found, 0, (-40.0, 10.0)) < 10
+    assert _off(found, 0, HERE) < 10
 
 
-def test_a_course_is_one_of_several_turns(town: Map, tmp_path: Path) -> None:
-    flight = _flight(tmp_path / "sideways", [(-40.0, 10.0)], heading=90.0)
+def test_a_course_is_one_of_several_turns(town: Map, fly: Fly) -> None:
+    flight = fly([HERE], heading=90.0)
     frame = replace(flight.frames[0], heading=0.0, heading_source="course")
     found = _retrieved(GridModel(), town, replace(flight, frames=(frame,)))
     assert found.best(0, 1)[0].heading == 90
-    assert _off(found, 0, (-40.0, 10.0)) < 10
+    assert _off(found, 0, HERE) < 10
 
 
-def test_a_frame_of_several_turns_is_read_once(town: Map, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    flight = _flight(tmp_path / "spun", [(-40.0, 10.0), (30.0, -35.0), (0.0, 0.0)])
+def test_a_frame_of_several_turns_is_read_once(town: Map, fly: Fly, monkeypatch: pytest.MonkeyPatch) -> None:
+    flight = fly([HERE, (30.0, -35.0), (0.0, 0.0)])
     frames = tuple(replace(frame, heading=None, heading_source=None) for frame in flight.frames)
     read: list[Path] = []
 

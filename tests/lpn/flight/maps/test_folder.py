@@ -62,18 +62,8 @@ def test_a_map_folder_holds_copies_of_its_sheets(tmp_path: Path, capsys: pytest.
 
 def test_the_options_of_lpn_map_are_kept_in_its_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     Image.fromarray(smooth(100, 160)).save(tmp_path / "a.png")
-    command = [
-        "map",
-        str(tmp_path / "a.png"),
-        "--out",
-        str(tmp_path / "map"),
-        "--corners",
-        "48",
-        "9",
-        "47.9995",
-        "9.0007",
-    ]
-    command += ["--bands", "2", "--keep-borders", "--place", "A town"]
+    command = ["map", str(tmp_path / "a.png"), "--out", str(tmp_path / "map"), "--bands", "2", "--keep-borders"]
+    command += ["--corners", "48", "9", "47.9995", "9.0007", "--place", "A town"]
     for wrong, words in (
         (["--photographed", "2014-13-19"], "pictures is '2014-13-19'; expected a day such as 2014-10-19"),
         (["--photographed", "yesterday"], "pictures is 'yesterday'; expected a day"),
@@ -147,20 +137,12 @@ def test_a_damaged_map_folder_is_refused(tmp_path: Path) -> None:
     whole = manifest.read_text()
     with pytest.raises(InputError, match="open it alone"):
         open_map([tmp_path / "map", path])
+    wrong = {"sheets": [], "latitude": 91, "surveyed_error": -1, "error": -1, "place": {"photographed": "2014-99-19"}}
     for text, words in (
         (whole.replace("lpn-map/2", "lpn-map/3"), "later version"),
         (whole.replace("lpn-map/2", "lpn-map/1"), "of an older version"),
         (whole[:50], "is damaged"),
-        (json.dumps(json.loads(whole) | {"sheets": []}), "is damaged"),
-        *(
-            (json.dumps(json.loads(whole) | {name: value}), "is damaged")
-            for name, value in (
-                ("latitude", 91),
-                ("surveyed_error", -1),
-                ("error", -1),
-                ("place", {"photographed": "2014-99-19"}),
-            )
-        ),
+        *((json.dumps(json.loads(whole) | {name: value}), "is damaged") for name, value in wrong.items()),
     ):
         manifest.write_text(text)
         with pytest.raises(DataError, match=words):

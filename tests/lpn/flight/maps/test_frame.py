@@ -58,11 +58,8 @@ def test_unknown_positions_stay_unknown() -> None:
 
 def test_a_windows_pixels_lie_where_its_heading_says() -> None:
     window = Window(100.0, 200.0, 40.0, heading=90.0)  # east points up
-    np.testing.assert_allclose(window.to_ground([(19.5, 19.5)], 40), [(100, 200)])
-    np.testing.assert_allclose(window.to_ground([(19.5, -0.5)], 40), [(120, 200)], atol=1e-12)  # the middle of the top
-    np.testing.assert_allclose(
-        window.to_ground([(39.5, 19.5)], 40), [(100, 180)], atol=1e-12
-    )  # the middle of the right
+    pixels = [(19.5, 19.5), (19.5, -0.5), (39.5, 19.5)]  # the middles of the picture, of its top, and of its right
+    np.testing.assert_allclose(window.to_ground(pixels, 40), [(100, 200), (120, 200), (100, 180)], atol=1e-12)
     np.testing.assert_allclose(window.corners, [(120, 220), (120, 180), (80, 180), (80, 220)], atol=1e-12)
     points = np.random.default_rng(0).uniform(-10, 300, (20, 2))
     turned = Window(-3.0, 7.0, 90.0, heading=-33.0)

@@ -63,7 +63,6 @@ def listener(tmp_path: Path) -> Iterator[tuple[str, Path]]:
     heard = tmp_path / "heard.txt"
     heard.touch()
     process = subprocess.Popen([sys.executable, "-c", _LISTENER, heard], stdout=subprocess.PIPE, text=True)
-    assert process.stdout is not None
     yield f"http://127.0.0.1:{int(process.stdout.readline())}", heard
     process.kill()
     process.communicate()

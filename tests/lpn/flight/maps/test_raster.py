@@ -61,11 +61,10 @@ def with_notes(path: Path, *bands: str) -> Path:
 )
 def test_alpha_of_a_smaller_range_than_its_type_is_alpha(tmp_path: Path, kind: str, full: float, usual: float) -> None:
     options = {"photometric": "RGB", "alpha": "yes"}
-    towns = [
-        open_map(write(tmp_path / f"{number}" / "town.tif", with_alpha(kind, OPAQUE * most), **options))
-        for number, most in enumerate((full, usual))
-        if not (tmp_path / f"{number}").mkdir()
-    ]
+    towns = []
+    for number, most in enumerate((full, usual)):
+        (tmp_path / f"{number}").mkdir()
+        towns.append(open_map(write(tmp_path / f"{number}" / "town.tif", with_alpha(kind, OPAQUE * most), **options)))
     assert towns[0].frame == towns[1].frame
     assert towns[0].notes == towns[1].notes
     for town in towns:
@@ -112,9 +111,8 @@ def test_jpeg_smears_neither_alpha_nor_nodata_into_the_map(tmp_path: Path) -> No
 
 def test_alpha_of_grey_and_of_many_bands(tmp_path: Path) -> None:
     grey = np.concatenate([PICTURE[:, :, :1], OPAQUE * 255], 2).astype(np.uint16)
-    assert share(write(tmp_path / "grey.tif", grey, photometric="MINISBLACK", alpha="yes")) == pytest.approx(
-        0.75, abs=0.002
-    )
+    path = write(tmp_path / "grey.tif", grey, photometric="MINISBLACK", alpha="yes")
+    assert share(path) == pytest.approx(0.75, abs=0.002)
     # GDAL has no mask for these, as it has one for two and for four bands.
     many = np.concatenate([PICTURE, PICTURE[:, :, :2], OPAQUE * 255], 2).astype(np.uint8)
     path = write(tmp_path / "many.tif", many, photometric="MINISBLACK")
