@@ -1,4 +1,4 @@
-"""One photo of no flight on a drawn map: it is placed by its details alone, and a photo of another land is refused."""
+"""One photo of no flight on a drawn map: its details alone place it and lie at their places; one of another land is refused."""
 
 from __future__ import annotations
 
@@ -9,13 +9,17 @@ import numpy as np
 import pytest
 
 from lpn.core.demo import DEMO_FLIGHT, DEMO_PLACE
+from lpn.core.homography import apply_homography, corner_pixels, four_point_homography, inverse
 from lpn.core.images import load_picture
-from lpn.flight.files import Frame
+from lpn.flight.files import Frame, footprint
 from lpn.flight.locate import ground, registration
 from lpn.flight.locate.ground import MapFeatures
 from lpn.flight.locate.levelled import PhotoView
+from lpn.flight.locate.located import LocatedFrame
 from lpn.flight.locate.matchers import Ground, SiftMatcher, open_matchers
+from lpn.flight.locate.options import LocateOptions
 from lpn.flight.locate.own_photo import register_own_photo
+from lpn.flight.locate.registered_stage import PhotoSearch, register_photo
 from lpn.flight.locate.registration import PhotoPlace, Registration
 from lpn.flight.maps import Map, Window, open_map
 from tests.lpn.flight.locate.scenery import ground_to_photo, land, photo_of
@@ -114,3 +118,35 @@ def test_what_the_progress_raises_ends_the_search(town: Map, features: list[MapF
 
     with pytest.raises(InterruptedError, match="0 of 4"):
         register_own_photo(town, features, photo(), None, [], leave)
+
+
+LARGE = (640, 480)
+WIDTH, HEADING = 90.0, 130.0
+CAMERA = Frame("own.jpg", Path("own.jpg"), *LARGE, height_above_ground=45.0, fov=90.0, heading=HEADING)
+TILTED = replace(CAMERA, pitch=-60.0, roll=0.0)
+
+
+@pytest.mark.parametrize(
+    ("true", "frame"),
+    [
+        (ground_to_photo((20.0, -30.0), HEADING, WIDTH, LARGE), CAMERA),
+        (four_point_homography(footprint(TILTED), corner_pixels(*LARGE)), TILTED),
+    ],
+    ids=["from above", "levelled"],
+)
+def test_details_lie_on_the_map_where_the_true_camera_has_them(fine_town: Map, true: np.ndarray, frame: Frame) -> None:
+    photo, features = photo_of(land(), true, LARGE), [MapFeatures(fine_town, SiftMatcher())]
+    answer = register_photo(PhotoSearch(fine_town, features, LocatedFrame(frame, None), photo, LocateOptions()))
+    details = answer.details
+    assert answer.inliers > len(details.rows) == 24
+    assert 0 < details.median < details.limit
+    on_map = details.on_map(np.array(answer.homography).reshape(3, 3), *LARGE)
+    by_camera = apply_homography(inverse(true), details.places * LARGE - 0.5)
+    assert np.median(np.linalg.norm(on_map - by_camera, axis=1)) < 0.5, "some pixels of the map"
+    rows = np.floor(4 * details.places[:, 1])
+    assert (np.diff(rows) >= 0).all(), "numbered from the top to the bottom"
+    if frame is CAMERA:
+        assert details.limit == pytest.approx(0.015 * WIDTH, rel=0.02)
+        assert (details.metres <= details.limit).all()
+        for quarter in ((0, 0), (0, 1), (1, 0), (1, 1)):
+            assert ((details.places >= 0.5) == quarter).all(axis=1).sum() >= 3, "the sample is spread over the photo"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -16,7 +17,7 @@ from lpn.cli.main import main
 from lpn.core.errors import DataError, InputError
 from lpn.core.homography import apply_homography, corner_pixels, four_point_homography
 from lpn.datasets.geo import geodesic
-from lpn.flight.files import Flight, footprint, write_flight
+from lpn.flight.files import Flight, footprint, open_flight, write_flight
 from lpn.flight.locate import pipeline, ranked_stages, registered_stage
 from lpn.flight.locate.corrections import Correction, set_correction
 from lpn.flight.locate.ground import MapFeatures
@@ -32,7 +33,7 @@ from lpn.flight.locate.sequence import SequencePoint
 from lpn.flight.locate.tags import tags_on_map
 from lpn.flight.locate.tracks import best_track, full_track
 from lpn.flight.locate.words import Reason
-from lpn.flight.maps import Map, Window
+from lpn.flight.maps import Map, Window, open_map
 from tests.lpn.flight.locate.scenery import SIDE, GridModel, ground_to_photo, land, photo_of, photographed, write_map
 from tools.fixtures.photos import write_photo
 
@@ -594,3 +595,21 @@ def test_a_kind_reaches_each_model(
         assert main(arguments) == 2
         assert "It is not opened" in capsys.readouterr().err
     assert kinds == ["dac"] * 3
+
+
+# Two photos as taken, and two that someone turned by 180 degrees.
+PHOTOS = ("DJI_0024", "DJI_0028", "DJI_0031", "DJI_0034")
+
+
+@pytest.mark.slow
+def test_photos_of_brighton_are_registered_and_turned_ones_are_named() -> None:
+    if "LPN_FLIGHTS" not in os.environ:
+        pytest.skip("LPN_FLIGHTS names no folder of real flights")
+    pytest.importorskip("rasterio")
+    folder = Path(os.environ["LPN_FLIGHTS"]) / "brighton"
+    flight = open_flight(folder / "photos")
+    chosen = tuple(frame for frame in flight.frames if frame.file.stem in PHOTOS)
+    found = locate(open_map(folder / "map.jpg"), replace(flight, frames=chosen), None, LocateOptions())
+    assert [located.stages["registration"].accepted for located in found.frames] == [True] * 4
+    assert max(located.error("registration") or 99.0 for located in found.frames) < 4
+    assert any("2 photos are turned" in note and "DJI_0024" in note and "DJI_0028" in note for note in found.notes)

@@ -45,12 +45,7 @@ def _photo(
     ],
 )
 def test_a_photo_is_laid_where_it_was_taken(
-    ground: Ground,
-    centre: tuple[float, float],
-    heading: float,
-    width: float,
-    expected: Expectation,
-    turn: float | None,
+    ground: Ground, centre: tuple[float, float], heading: float, width: float, expected: Expectation, turn: float | None
 ) -> None:
     photo, homography = _photo(centre, heading, width)
     found = register(SiftMatcher(), photo, ground, expected, BOUNDS)

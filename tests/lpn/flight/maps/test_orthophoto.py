@@ -199,9 +199,7 @@ def test_photos_that_make_no_map_are_named_in_one_sentence(
 
 
 @pytest.mark.slow
-def test_even_photos_of_caliterra_are_registered_on_a_map_of_the_odd_ones(
-    tmp_path: Path,
-) -> None:
+def test_even_photos_of_caliterra_are_registered_on_a_map_of_the_odd_ones(tmp_path: Path) -> None:
     if "LPN_FLIGHTS" not in os.environ:
         pytest.skip("LPN_FLIGHTS names no folder of real flights")
     pytest.importorskip("orthomosaic")

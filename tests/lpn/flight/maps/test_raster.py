@@ -55,7 +55,6 @@ def with_notes(path: Path, *bands: str) -> Path:
         ("uint8", 100, 255),
         ("uint16", 255, 65_535),
         ("int16", 1, 32_767),
-        ("int32", 255, 2**31 - 1),
         ("float32", 255, 1),
     ],
 )
@@ -74,13 +73,8 @@ def test_alpha_of_a_smaller_range_than_its_type_is_alpha(tmp_path: Path, kind: s
 
 
 def test_partial_alpha_has_data_where_gdal_says_so(tmp_path: Path) -> None:
-    import rasterio
-
     alpha = np.repeat(np.arange(64)[None, :, None] * 4, 64, axis=0)  # a gradient, and NIR taken for alpha, look so
-    path = write(tmp_path / "town.tif", with_alpha("uint8", alpha), photometric="RGB", alpha="yes")
-    with rasterio.open(path) as file:
-        assert (file.dataset_mask() > 0).mean() == 63 / 64
-    town = open_map(path)
+    town = open_map(write(tmp_path / "town.tif", with_alpha("uint8", alpha), photometric="RGB", alpha="yes"))
     assert share(town) == pytest.approx(63 / 64, abs=0.01)
     assert town.notes == [
         "Band 4 of town.tif is marked as alpha, and most of it is between clear and opaque; data is where it is above 0. If it "
@@ -95,17 +89,11 @@ def test_jpeg_smears_neither_alpha_nor_nodata_into_the_map(tmp_path: Path) -> No
     alpha = np.concatenate([picture, inside[:, :, None] * 255], 2).astype(np.uint8)
     options = {"compress": "jpeg", "tiled": True, "blockxsize": 256, "blockysize": 256}
     path = write_geotiff(tmp_path / "alpha.tif", alpha, photometric="RGB", alpha="yes", **options)
-    import rasterio
-
-    with rasterio.open(path) as file:
-        assert (file.dataset_mask() > 0).mean() > inside.mean() + 0.015
     assert open_map(path).overview(300)[1].mean() == pytest.approx(inside.mean(), abs=0.006)
     small = np.concatenate([picture, inside[:, :, None]], 2).astype(np.uint8)
     path = write_geotiff(tmp_path / "small.tif", small, photometric="RGB", alpha="yes", interleave="band", **options)
     assert open_map(path).overview(300)[1].mean() == pytest.approx(inside.mean(), abs=0.03)
     path = write_geotiff(tmp_path / "nodata.tif", picture, photometric="YCBCR", nodata=0, **options)
-    with rasterio.open(path) as file:
-        assert (file.dataset_mask() > 0).mean() > inside.mean() + 0.05
     assert open_map(path).overview(300)[1].mean() == pytest.approx(inside.mean(), abs=0.006)
 
 
@@ -248,15 +236,22 @@ def test_few_bits_are_stretched(tmp_path: Path) -> None:
     assert np.ptp(town.overview(64)[0]) == 255
 
 
-@pytest.mark.parametrize("kind", ["CMYK", "CIELAB", "YCBCR"])
-def test_other_colour_spaces_are_shown_as_gdal_converts_them(tmp_path: Path, kind: str) -> None:
-    values = np.zeros((64, 64, 4 if kind == "CMYK" else 3), np.uint8)
-    values[:] = {"CMYK": (255, 0, 255, 0), "CIELAB": (200, 136, 120), "YCBCR": (0, 200, 0)}[kind]
+@pytest.mark.parametrize(
+    ("kind", "colour", "shown"),
+    [
+        ("CMYK", (255, 0, 255, 0), (0, 255, 0)),
+        ("CIELAB", (200, 136, 120), (0, 236, 0)),
+        ("YCBCR", (0, 200, 0), (0, 200, 0)),
+    ],
+)
+def test_other_colour_spaces_are_shown_as_gdal_converts_them(
+    tmp_path: Path, kind: str, colour: tuple[int, ...], shown: tuple[int, ...]
+) -> None:
+    values = np.zeros((64, 64, len(colour)), np.uint8)
+    values[:] = colour
     compress = {"compress": "jpeg"} if kind == "YCBCR" else {}
     path = write(tmp_path / "town.tif", values, photometric=kind, **compress)
-    red, green, blue = colour_of(path)
-    expected = {"CMYK": (0, 255, 0), "YCBCR": (0, 200, 0), "CIELAB": (0, 236, 0)}[kind]
-    assert (red, green, blue) == pytest.approx(expected, abs=12)
+    assert colour_of(path) == pytest.approx(shown, abs=12)
 
 
 def test_colours_that_nothing_converts_are_refused(tmp_path: Path) -> None:
