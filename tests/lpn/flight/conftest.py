@@ -1,4 +1,4 @@
-"""Maps of the drawn land that no test changes."""
+"""The drawn land as a map, and a flight over it; no test changes them."""
 
 from __future__ import annotations
 
@@ -11,13 +11,8 @@ from tests.lpn.flight.locate.scenery import SIDE, land, small_flight, write_map
 
 
 @pytest.fixture(scope="session")
-def fine_town(tmp_path_factory: pytest.TempPathFactory) -> Map:
-    return write_map(tmp_path_factory.mktemp("fine") / "town.tif", land())
-
-
-@pytest.fixture(scope="session")
 def town(tmp_path_factory: pytest.TempPathFactory) -> Map:
-    """The same in pixels of 0.5 m, which are coarser than those of the photos."""
+    """A map in pixels of 0.5 m, which are coarser than those of the photos."""
     picture = cv2.resize(land(), (SIDE // 2, SIDE // 2), interpolation=cv2.INTER_AREA)
     return write_map(tmp_path_factory.mktemp("coarse") / "town.tif", picture)
 

@@ -218,8 +218,8 @@ KIND = DescriptorKind("grid", 2, 16)
 FRAME = np.ones((1, 2, 16), np.float32)
 
 
-@pytest.fixture(autouse=True)
-def _small_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.fixture
+def small_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(from_map, "BLOCK", 8)
 
 
@@ -246,6 +246,7 @@ def filled(
     return str(where)
 
 
+@pytest.mark.usefixtures("small_blocks")
 @pytest.mark.parametrize("centre", [False, True])
 def test_windows_of_an_index_are_those_that_would_be_described(
     town: Map, monday: Flight, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, centre: bool
@@ -264,6 +265,7 @@ def test_windows_of_an_index_are_those_that_would_be_described(
         np.testing.assert_allclose(found.scores(i), plain.scores(i), atol=5e-3)
 
 
+@pytest.mark.usefixtures("small_blocks")
 @pytest.mark.parametrize("turns", [1, 2])
 def test_an_index_that_is_still_being_filled_is_told(town: Map, monday: Flight, tmp_path: Path, turns: int) -> None:
     whole = turns * town.count_pyramid([40.0, 51.0])
