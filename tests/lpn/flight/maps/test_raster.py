@@ -150,6 +150,7 @@ def test_nodata_of_floats(tmp_path: Path, nodata: float) -> None:
 def test_nodata_of_each_band(tmp_path: Path) -> None:
     values = PICTURE.copy()
     values[:, :16] = (7, 8, 9)
+    values[:, 16:32, 0] = 7  # one band alone does not hide a pixel
     notes = [f"<NoDataValue>{value}</NoDataValue>" for value in (7, 8, 9)]
     path = with_notes(write(tmp_path / "town.tif", values), *notes)
     assert share(path) == pytest.approx(0.75, abs=0.002)
