@@ -484,6 +484,7 @@ def test_the_command_locates_what_a_vehicle_sends(
 ) -> None:
     pytest.importorskip("pymavlink")
     monkeypatch.setattr(lpn, "load", lambda *_, **__: GridModel())
+    monkeypatch.setenv("LPN_CACHE", str(tmp_path / "cache"))
     photos, out, port = tmp_path / "photos", tmp_path / "lines.jsonl", free_port()
     photos.mkdir()
     vehicle, started, start = SimulatedVehicle(photos, port), threading.Event(), LiveSource.start
@@ -515,7 +516,9 @@ def test_the_command_locates_what_a_vehicle_sends(
     lines = [json.loads(line)["properties"] for line in out.read_text().splitlines()]
     assert [line["frame"] for line in lines] == ["0.png", "1.png", "2.png"]
     assert all(line["telemetry_age"] < 2 for line in lines)
-    assert "3 frames were located." in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert "windows of the map are described. This is done once" in said
+    assert "3 frames were located." in said
 
 
 def test_a_field_of_view_that_cannot_be_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
