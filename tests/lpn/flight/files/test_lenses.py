@@ -16,6 +16,7 @@ from lpn.core.errors import DataError
 from lpn.flight.files import make_flight, open_flight
 from lpn.flight.files.lenses import Lens, lens_of_text, read_camera
 from lpn.flight.files.photos import Photo, photo_of
+from tests.conftest import Refused
 from tools.fixtures.photos import dji_xmp, exif, photo_bytes, write_photo
 
 # A Mavic 3E's table, of pictures of 5280 x 3956 pixels.
@@ -183,9 +184,9 @@ def test_a_file_that_is_no_camera_s_gets_one_sentence(tmp_path: Path, text: str,
         read_camera(tmp_path / "camera.yaml")
 
 
-def test_a_camera_of_other_proportions_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_camera_of_other_proportions_is_refused(tmp_path: Path, refused: Refused) -> None:
     (tmp_path / "camera.yaml").write_text(OPENCV)
     photo = write_photo(tmp_path / "a.jpg", exif(48.0, 9.0), size=(40, 22))
-    assert main(["flight", str(photo), "--camera", str(tmp_path / "camera.yaml"), "--out", str(tmp_path / "f")]) == 2
-    assert "pictures are 0.750 times as high as wide" in capsys.readouterr().err
+    said = refused("flight", photo, "--camera", tmp_path / "camera.yaml", "--out", tmp_path / "f")
+    assert "pictures are 0.750 times as high as wide" in said
     assert not (tmp_path / "f").exists()

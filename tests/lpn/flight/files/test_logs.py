@@ -111,10 +111,7 @@ def test_photos_take_the_rows_that_are_theirs(
         write_photo(tmp_path / "photos" / file, tags)
     flight = make_flight([tmp_path / "photos", written(tmp_path, text, name)], tmp_path / "flight")
     found = {frame.name: frame.latitude for frame in flight.frames}
-    assert found == {
-        file: latitude if latitude is None else pytest.approx(latitude)
-        for file, latitude in zip(photos, latitudes, strict=True)
-    }
+    assert found == pytest.approx(dict(zip(photos, latitudes, strict=True)))
     assert any(note in one for one in flight.notes)
     assert not any(no_note in one for one in flight.notes)
     if note is NOT_TOLD:

@@ -44,6 +44,7 @@ from lpn.flight.locate.options import LocateOptions
 from lpn.flight.locate.registered_stage import PhotoSearch
 from lpn.flight.locate.tracks import best_track, track_bytes
 from lpn.flight.maps import Map
+from tests.conftest import Refused
 from tests.lpn.flight.locate.scenery import GridModel, ground_to_photo, photographed
 from tools.fixtures.photos import exif, photo_bytes, write_photo
 from tools.fixtures.simulated_vehicle import SimulatedVehicle
@@ -521,10 +522,9 @@ def test_the_command_locates_what_a_vehicle_sends(
     assert "3 frames were located." in said
 
 
-def test_a_field_of_view_that_cannot_be_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    command = ["locate", "--live", str(tmp_path), "--map", "town.tif", "--model", "grid.onnx", "--fov", "500"]
-    assert main(command) == 2
-    assert "--fov is 500; expected a number from 0.1 to 170." in capsys.readouterr().err
+def test_a_field_of_view_that_cannot_be_is_refused(tmp_path: Path, refused: Refused) -> None:
+    said = refused("locate", "--live", tmp_path, "--map", "town.tif", "--model", "grid.onnx", "--fov", 500)
+    assert "--fov is 500; expected a number from 0.1 to 170." in said
 
 
 def test_an_answer_is_moved_below_a_camera_of_known_tilt(flight: Flight) -> None:

@@ -34,6 +34,7 @@ from lpn.flight.locate.tags import tags_on_map
 from lpn.flight.locate.tracks import best_track, full_track
 from lpn.flight.locate.words import Reason
 from lpn.flight.maps import Map, Window, open_map
+from tests.conftest import Refused
 from tests.lpn.flight.locate.scenery import SIDE, GridModel, ground_to_photo, land, photo_of, photographed, write_map
 from tools.fixtures.photos import write_photo
 
@@ -510,7 +511,12 @@ def test_windows_have_the_sizes_that_frames_show(town: Map, flight: Flight) -> N
 
 
 def test_the_commands_write_a_track_and_measures(
-    town: Map, flight: Flight, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    town: Map,
+    flight: Flight,
+    tmp_path: Path,
+    refused: Refused,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     write_flight(replace(flight, frames=flight.frames[:2]), tmp_path / "flight")
     where = ["--map", str(town.sheets[0].raster.path), "--flight", str(tmp_path / "flight")]
@@ -527,14 +533,12 @@ def test_the_commands_write_a_track_and_measures(
     said = " ".join(capsys.readouterr().out.split())
     assert "1 of 1 photos are corrected by hand." in said
     assert "Errors are against corrections by hand (1), and the GPS tags of the other photos" in said
-    assert main(["locate", *where, "--out", str(tmp_path / "track.shp")]) == 2
-    assert "named track.shp" in capsys.readouterr().err
+    assert "named track.shp" in refused("locate", *where, "--out", tmp_path / "track.shp")
     survey = tmp_path / "survey.csv"
     eastings = town.frame.utm(PLACES[:2]).tolist()
     survey.write_text("photo,easting,northing\n" + "".join(f"{i},{e - 1},{n}\n" for i, (e, n) in enumerate(eastings)))
     compared = ["--positions", str(survey), "--no-corrections"]
-    assert main(["locate", *where, *compared]) == 2
-    assert "without their CRS" in capsys.readouterr().err
+    assert "without their CRS" in refused("locate", *where, *compared)
     compared += ["--crs", "32632", "--residuals", str(tmp_path / "residuals.csv"), "--json", str(tmp_path / "all.json")]
     assert main(["locate", *where, *compared]) == 0
     said = capsys.readouterr().out
@@ -548,13 +552,9 @@ def test_the_commands_write_a_track_and_measures(
     monkeypatch.setattr(pipeline, "locate", lambda *_: pytest.fail("located before its survey was checked"))
     survey.write_text(survey.read_text() + "x.png,5,5\n0.png,5,5\n")
     same = ["--positions", str(survey), "--residuals", str(tmp_path / "flight" / ".." / "survey.csv")]
-    for wrong, words in (
-        (compared, "has two surveyed positions of its camera"),
-        (same, "--positions and --residuals both name"),
-        (["--crs", "32632"], "--crs belongs to --positions"),
-    ):
-        assert main(["locate", *where, *wrong]) == 2
-        assert words in capsys.readouterr().err
+    assert "has two surveyed positions of its camera" in refused("locate", *where, *compared)
+    assert "--positions and --residuals both name" in refused("locate", *where, *same)
+    assert "--crs belongs to --positions" in refused("locate", *where, "--crs", "32632")
 
 
 def test_the_command_says_beside_the_track_how_many_points_are_guesses(
@@ -575,7 +575,7 @@ def test_the_command_says_beside_the_track_how_many_points_are_guesses(
 
 
 def test_a_kind_reaches_each_model(
-    town: Map, data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    town: Map, data: Path, tmp_path: Path, refused: Refused, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     kinds = []
 
@@ -592,8 +592,7 @@ def test_a_kind_reaches_each_model(
         ["doctor", *bare],
         ["compare", str(data), "--model", "bare.pth", "lpn.onnx", "--kind", "dac", "auto"],
     ):
-        assert main(arguments) == 2
-        assert "It is not opened" in capsys.readouterr().err
+        assert "It is not opened" in refused(*arguments)
     assert kinds == ["dac"] * 3
 
 

@@ -15,6 +15,7 @@ from lpn.cli.main import main
 from lpn.core.errors import DataError, InputError, OutputError
 from lpn.flight.maps import Map, MapOptions, Window, open_map
 from lpn.flight.maps.folder import build_map
+from tests.conftest import Refused
 from tests.lpn.flight.maps.small_maps import EAST, NORTH, smooth, write_geotiff
 
 
@@ -83,7 +84,7 @@ def test_the_options_of_lpn_map_are_kept_in_its_folder(tmp_path: Path, capsys: p
     assert (kept.total_error(0.02), kept.place_error(0.02)) == (0.02, 0.0)
 
 
-def test_what_lpn_map_refuses_leaves_nothing_behind(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_lpn_map_refuses_leaves_nothing_behind(tmp_path: Path, refused: Refused) -> None:
     many = [write_geotiff(tmp_path / f"{i:02}.tif", smooth(60, 60)) for i in range(12)]
     degrees = write_geotiff(tmp_path / "b.tif", smooth(60, 60), matrix=(7e-6, 0, 9.0, 0, -5e-6, 48.0))
     build_map(many, tmp_path / "many").close()
@@ -92,10 +93,7 @@ def test_what_lpn_map_refuses_leaves_nothing_behind(tmp_path: Path, capsys: pyte
         ([tmp_path / "many"], "08.tif, 09.tif, and 2 more."),
         ([many[0], degrees], "look like degrees"),
     ):
-        assert main(["map", *map(str, files), "--out", str(tmp_path / "map")]) == 2
-        error = capsys.readouterr().err
-        assert words in error
-        assert error.count("\n") == 1
+        assert words in refused("map", *files, "--out", tmp_path / "map")
         assert not (tmp_path / "map").exists()
 
 
