@@ -25,26 +25,14 @@ from tools.world.geometry import overlap, rectangle
 from tools.world.jobs import check_folder
 from tools.world.plan import SPACING, plan_city
 
-SETTINGS = Settings(seed=5, buildings=24, views=4, pixels=48, tile_pixels=64, samples=1)
-
 rendering = pytest.mark.skipif(
     importlib.util.find_spec("bpy") is None, reason="needs Blender: pip install -e . 'bpy>=5.0,<5.1'"
 )
 
 
-@pytest.fixture(scope="module")
-def atlas() -> Atlas:
-    return make_atlas(SETTINGS)
-
-
-@pytest.fixture(scope="module")
-def city(atlas: Atlas) -> City:
-    return atlas.city
-
-
 @pytest.mark.slow
 def test_a_seed_plans_one_world_of_the_size_asked_for(atlas: Atlas) -> None:
-    again = make_atlas(SETTINGS)
+    again = make_atlas(atlas.settings)
     assert (again.world_json(), again.geo_csv()) == (atlas.world_json(), atlas.geo_csv())
     assert np.array_equal(again.city.stalls.chance, atlas.city.stalls.chance)
     assert again.city.architectures == atlas.city.architectures
@@ -119,7 +107,6 @@ def test_positions_are_those_of_the_buildings_and_poses_those_of_the_cameras(atl
         here = Position(building["latitude"], building["longitude"])
         assert metres([place], [here])[0] < 0.1
         stands = camera(place, origin)
-        assert stands is not None
         assert stands[:2] == pytest.approx((picture["x"], picture["y"]), abs=4)  # a sphere for an ellipsoid
         assert stands[2] == pytest.approx(picture["z"], abs=40)
 
@@ -136,33 +123,26 @@ def test_positions_are_those_of_the_buildings_and_poses_those_of_the_cameras(atl
 def test_places_cameras_and_sectors_are_those_of_edition_2(
     atlas: Atlas, vary: tuple[cameras.Factor, ...], digest: str
 ) -> None:
-    made = make_atlas(replace(SETTINGS, vary=vary)) if vary else atlas
-    plan = made.world_json() + made.geo_csv()
-    plan += json.dumps(
-        [[round(v, 3) for v in (s.x, s.y, s.reach, s.district, s.number)] for s in made.sectors]
-    ).encode()
+    made = make_atlas(replace(atlas.settings, vary=vary)) if vary else atlas
+    sectors = [[round(v, 3) for v in (s.x, s.y, s.reach, s.district, s.number)] for s in made.sectors]
+    plan = made.world_json() + made.geo_csv() + json.dumps(sectors).encode()
     assert hashlib.sha256(plan).hexdigest() == digest
 
 
 def test_a_folder_of_other_pictures_is_left_alone(tmp_path: Path, atlas: Atlas) -> None:
     file, plan = tmp_path / "world.json", json.loads(atlas.world_json())
-    check_folder(SETTINGS, file, WORLD)
+    check_folder(atlas.settings, file, WORLD)
     file.write_bytes(atlas.world_json())
-    check_folder(SETTINGS, file, WORLD)
-    file.write_text(
-        json.dumps({**plan, "settings": {name: plan["settings"][name] for name in plan["settings"] if name != "vary"}})
-    )
-    check_folder(SETTINGS, file, WORLD)
-    others = (
-        {"edition": 3},
-        {"format": "lpn-world/2"},
-        {"settings": {}},
-        {"settings": {**plan["settings"], "views": 5}},
-    )
+    check_folder(atlas.settings, file, WORLD)
+    plain = {name: value for name, value in plan["settings"].items() if name != "vary"}
+    file.write_text(json.dumps({**plan, "settings": plain}))
+    check_folder(atlas.settings, file, WORLD)
+    settings = [{}, {**plan["settings"], "views": 5}]
+    others = ({"edition": 3}, {"format": "lpn-world/2"}, *({"settings": one} for one in settings))
     for text in ("[]", "{", *(json.dumps({**plan, **other}) for other in others)):
         file.write_text(text)
         with pytest.raises(OutputError, match=r"made otherwise, by .* delete that folder, or choose another"):
-            check_folder(SETTINGS, file, WORLD)
+            check_folder(atlas.settings, file, WORLD)
 
 
 @pytest.mark.slow

@@ -46,21 +46,9 @@ def flight(tmp_path_factory: pytest.TempPathFactory) -> LocatedFlight:
         file = folder / f"photo{i}.png"
         cv2.imwrite(str(file), cv2.resize(ground, SIZE))
         tag = np.array([(i - 1) * STEP, 0.0])
-        latitude, longitude = town.frame.degrees([tag])[0]
-        frame = Frame(
-            file.name if i < 2 else "<b>photo2</b>.png",
-            file,
-            *SIZE,
-            time=2.0 * i,
-            latitude=float(latitude),
-            longitude=float(longitude),
-            height_above_ground=30.0 + i,
-            heading=0.0,
-            heading_source="gimbal",
-            pitch=-90.0,
-            roll=0.0,
-            fov=60.0,
-        )
+        name = file.name if i < 2 else "<b>photo2</b>.png"
+        known = {"heading": 0.0, "heading_source": "gimbal", "pitch": -90.0, "roll": 0.0, "fov": 60.0}
+        frame = Frame(name, file, *SIZE, 2.0 * i, *town.frame.degrees([tag])[0].tolist(), 30.0 + i, **known)
         frames.append(LocatedFrame(frame, tag))
     places = np.array([(x, y) for y in (30.0, 0.0, -30.0) for x in (-60.0, -30.0, 0.0, 30.0, 60.0)])
     for i, located in enumerate(frames):
@@ -75,10 +63,8 @@ def flight(tmp_path_factory: pytest.TempPathFactory) -> LocatedFlight:
     )
     described = [np.zeros((1, 2, 4), np.float32)] * 3
     retrieval = MapRetrieval(gallery, [FrameViews(60.0, 1.0, [0.0])] * 3, list(described), 32, {})
-    audit = TagAudit(2, 22.0, 45.0)
-    return LocatedFlight(
-        Flight("monday", tuple(f.frame for f in frames), ("A note.",)), town, frames, audit, ["Said."], retrieval
-    )
+    whole = Flight("monday", tuple(located.frame for located in frames), ("A note.",))
+    return LocatedFlight(whole, town, frames, TagAudit(2, 22.0, 45.0), ["Said."], retrieval)
 
 
 def shared_flight(flight: LocatedFlight, root: Path) -> SharedFlight:

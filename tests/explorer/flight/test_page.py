@@ -85,9 +85,7 @@ def test_where_tags_lag_the_figures_are_those_without_the_lag(flight: LocatedFli
     name, figure, source = data["accuracy"][2]
     assert (name, figure) == ("GPS tags without their lag of 1.9 s", "0.8 m")
     assert source == "Median of 2 photos, at most 1.0 m. With it 5.0 m."
-    assert (
-        page.chosen(FlightSnapshot(late), 1, ADDRESSES)["card"]["facts"][2] == "1.0 m from its GPS tag without the lag"
-    )
+    assert page.card(FlightSnapshot(late), 1)["facts"][2] == "1.0 m from its GPS tag without the lag"
 
 
 def test_frames_that_wait_for_their_registration_are_neither_accepted_nor_refused(flight: LocatedFlight) -> None:
@@ -106,11 +104,8 @@ def test_several_sheets_have_a_colour_each(flight: LocatedFlight, tmp_path: Path
 
 def test_a_card_has_verdict_place_and_grounds(seen: FlightSnapshot) -> None:
     cards = [page.chosen(seen, frame, ADDRESSES)["card"] for frame in range(3)]
-    assert [(card["mark"], card["state"], card["stage"]) for card in cards] == [
-        ("✓", "right", "registration"),
-        ("?", "contradicted", "registration"),
-        ("?", "unknown", "sequence"),
-    ]
+    states = [("✓", "right", "registration"), ("?", "contradicted", "registration"), ("?", "unknown", "sequence")]
+    assert [(card["mark"], card["state"], card["stage"]) for card in cards] == states
     assert cards[0]["headline"] == "Placed by its details, ± 1.0 m on this map"
     assert cards[0]["facts"] == ["1 of 3", "30 m high", "1.0 m from its GPS tag"]
     assert cards[0]["what"] == "Below the drone"
@@ -145,9 +140,8 @@ def test_a_photo_that_does_not_fit_beside_its_middle_is_in_doubt(flight: Located
 
 def test_accuracy_has_three_rows_with_their_sources(flight: LocatedFlight, monkeypatch: pytest.MonkeyPatch) -> None:
     def rows(**changes: Any) -> dict[str, tuple[str, str]]:
-        return {
-            name: (figure, source) for name, figure, source in text.accuracy(FlightSnapshot(replace(flight, **changes)))
-        }
+        accuracy = text.accuracy(FlightSnapshot(replace(flight, **changes)))
+        return {name: (figure, source) for name, figure, source in accuracy}
 
     known = rows(map_error=0.8)
     assert list(known) == ["On this map", "On Earth", "GPS tags"]

@@ -12,9 +12,11 @@ import cv2
 import pytest
 
 from explorer.app import App
+from explorer.compute import own_photos
 from explorer.opening import open_flight_over
 from lpn.flight.files import write_flight
 from lpn.flight.locate.corrections import NAME, read_corrections
+from lpn.flight.locate.matchers import SiftMatcher
 from lpn.sources import ModelOptions
 from tests.explorer.conftest import Tab
 from tests.lpn.flight.locate.scenery import land, small_flight, write_map
@@ -48,6 +50,7 @@ def flown(tmp_path_factory: pytest.TempPathFactory, model_file: Path) -> Iterato
     write_flight(small_flight(folder / "monday", town), folder / "monday")
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("LPN_CACHE", str(folder / "cache"))
+        patch.setattr(own_photos, "open_matchers", lambda: [SiftMatcher()])
         workspace = open_flight_over(
             folder / "town.tif", folder / "monday", ModelOptions(model=model_file), query="05.png", register=False
         )

@@ -15,6 +15,7 @@ from lpn.flight.files import Frame, make_flight, open_flight
 from lpn.flight.files.base import local_metres
 from lpn.flight.files.quality import flight_notes, with_courses
 from lpn.flight.locate.tracks import write_track
+from tests.conftest import Refused
 from tools.fixtures.photos import dji_xmp, exif, write_photo
 from tools.fixtures.videos import srt, write_video
 
@@ -52,11 +53,9 @@ def test_jumps_and_missing_positions_are_noted() -> None:
     assert not flight_notes(frames)
     nowhere = [replace(frame, latitude=None, longitude=None) for frame in frames]
     timeless = [replace(frame, time=None) for frame in line([*steady[:6], (5000.0, 60.0)])]
+    jumping = line([*steady[:6], (5000.0, 60.0), *steady[7:]])
     for odd, note in (
-        (
-            line([*steady[:6], (5000.0, 60.0), *steady[7:]]),
-            "The GPS tags jump 2 times, first by 5000 m after 5.jpg; tags about a",
-        ),
+        (jumping, "The GPS tags jump 2 times, first by 5000 m after 5.jpg; tags about a"),
         (timeless, "The GPS tags jump once, first by 5000 m after 5.jpg"),
         ([*frames[::2], *nowhere[1::2]], "6 of 12 photos have no GPS tag: 1.jpg, 3.jpg, 5.jpg, and 3 more."),
         (nowhere, "None of the 12 photos has a GPS tag. They can be placed without one"),
@@ -100,12 +99,9 @@ def test_maps_of_a_survey_program_are_no_photos(tmp_path: Path) -> None:
     write_photo(tmp_path / "odm" / "images" / "a.jpg", exif(47.0, 8.0))
     folder = tmp_path / "odm" / "odm_orthophoto"
     folder.mkdir()
-    for name, tags in (
-        ("odm_orthophoto.tif", {33550: (0.05, 0.05, 0.0)}),
-        ("odm_orthophoto.png", None),
-        ("b.tif", None),
-    ):
-        Image.new("RGB", (40, 30)).save(folder / name, **({} if tags is None else {"tiffinfo": tags}))
+    options = {"odm_orthophoto.tif": {"tiffinfo": {33550: (0.05, 0.05, 0.0)}}, "odm_orthophoto.png": {}, "b.tif": {}}
+    for name, given in options.items():
+        Image.new("RGB", (40, 30)).save(folder / name, **given)
     write_photo(folder / "mosaic.jpg").with_suffix(".jgw").write_text("0.05\n0\n0\n-0.05\n500000\n5300000\n")
     for flight in (open_flight(tmp_path / "odm"), make_flight([tmp_path / "odm"], tmp_path / "flight")):
         assert [frame.name for frame in flight.frames] == ["a.jpg", "b.tif"]
@@ -133,23 +129,14 @@ def test_maps_of_a_survey_program_are_no_photos(tmp_path: Path) -> None:
     ],
 )
 def test_wrong_files_are_refused_in_one_sentence(
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-    arguments: list[str],
-    message: str,
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, refused: Refused, arguments: list[str], message: str
 ) -> None:
     monkeypatch.chdir(tmp_path)
     write_photo(tmp_path / "photo.jpg")
     (tmp_path / "b").mkdir()
     for name in ("a.SRT", "a.txt", "a.mp4", "b/A.mp4"):
         (tmp_path / name).write_text("x")
-    try:
-        status = main.main(["flight", *arguments, "--out", "out"])
-    except SystemExit as stop:
-        status = int(stop.code or 0)
-    assert status == 2
-    assert message in " ".join("".join(capsys.readouterr()).split())
+    assert message in refused("flight", *arguments, "--out", "out")
     assert not (tmp_path / "out").exists()
 
 

@@ -78,10 +78,8 @@ def test_folders_that_are_no_flight_are_refused(tmp_path: Path) -> None:
     with pytest.raises(DataError, match=r"There is no photo in .*, or a folder that lpn flight wrote"):
         open_flight(tmp_path)
     (tmp_path / "a.mp4").touch()
-    for given, message in (
-        (tmp_path, r"make a flight of its videos \(a\.mp4\)"),
-        (tmp_path / "a.mp4", "is a file; exp"),
-    ):
+    messages = {tmp_path: r"make a flight of its videos \(a\.mp4\)", tmp_path / "a.mp4": "is a file; exp"}
+    for given, message in messages.items():
         with pytest.raises(DataError, match=rf"{message}.* with lpn flight {given} --out FLIGHT, and give FLIGHT\."):
             open_flight(given)
     header = written(tmp_path) / "flight.json"

@@ -152,5 +152,5 @@ def test_what_is_no_packet_has_no_property(packet: bytes) -> None:
 @pytest.mark.parametrize("piece", [b'a:b="', b"a:b>", b"a-", b"a:b  ", b"<a:RDF", b"<a:b>" * 3])
 def test_damage_takes_time_in_proportion_to_the_packet(piece: bytes) -> None:
     begin = time.process_time()
-    read(WHOLE[:200] + piece * (500_000 // len(piece)))
-    assert time.process_time() - begin < 60
+    read(WHOLE[:200] + piece * (250_000 // len(piece)))
+    assert time.process_time() - begin < 15

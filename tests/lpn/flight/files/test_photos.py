@@ -16,27 +16,16 @@ from lpn.core.images import load_picture
 from lpn.flight.files import open_flight
 from lpn.flight.files.photos import photo_of, read_photo
 from tools.fixtures.field_photos import FIELD
-from tools.fixtures.photos import (
-    dji_xmp,
-    exif,
-    photo_bytes,
-    tiff_exif,
-    with_segment,
-    write_photo,
-    xmp_packet,
-)
+from tools.fixtures.photos import dji_xmp, exif, photo_bytes, tiff_exif, with_segment, write_photo, xmp_packet
 
 BASE, GPS = ExifTags.Base, ExifTags.GPS
 NOON = {BASE.DateTimeOriginal: "2024:05:01 14:00:00"}
 
 
 def test_a_picture_that_was_saved_upright_has_the_longer_side_upright() -> None:
-    camera = {BASE.FocalLengthIn35mmFilm: 24}
-    for told in (
-        camera,
-        camera | {BASE.ExifImageWidth: 40, BASE.ExifImageHeight: 30},
-    ):  # a program may leave the old sizes
-        photo = photo_of(photo_bytes(exif(camera=told), size=(30, 40)), Path("b.jpg"))
+    for old in ({}, {BASE.ExifImageWidth: 40, BASE.ExifImageHeight: 30}):  # a program may leave the old sizes
+        camera = {BASE.FocalLengthIn35mmFilm: 24, **old}
+        photo = photo_of(photo_bytes(exif(camera=camera), size=(30, 40)), Path("b.jpg"))
         assert (photo.frame.width, photo.frame.height, photo.oddities) == (30, 40, ())
         assert photo.frame.fov == pytest.approx(2 * math.degrees(math.atan(math.hypot(36, 24) * 0.6 / 2 / 24)))
 
@@ -95,10 +84,9 @@ def test_times_are_utc_where_a_photo_tells_it(tmp_path: Path) -> None:
     write_photo(tmp_path / "0.jpg", exif(1.0, 2.0, camera=NOON, gps=drifted))
     assert "The camera's clock and UTC move apart by 9 s during the flight." in open_flight(tmp_path).notes
     zoned = later | {BASE.OffsetTimeOriginal: "+02:00"}
-    assert read_photo(write_photo(tmp_path / "3.jpg", exif(camera=zoned))).utc == 1714564810.25
-    assert read_photo(
-        write_photo(tmp_path / "4.jpg", xmp=dji_xmp(UTCAtExposure="2024-05-01T12:00:00.1234567"))
-    ).utc == (pytest.approx(1714564800.123456))
+    assert photo_of(photo_bytes(exif(camera=zoned)), Path("3.jpg")).utc == 1714564810.25
+    exposed = photo_bytes(xmp=dji_xmp(UTCAtExposure="2024-05-01T12:00:00.1234567"))
+    assert photo_of(exposed, Path("4.jpg")).utc == pytest.approx(1714564800.123456)
 
 
 def test_times_without_a_zone_are_from_the_first_photo_and_order_the_flight(tmp_path: Path) -> None:

@@ -13,7 +13,6 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-import cv2
 import numpy as np
 import pytest
 from msgspec.structs import replace as replace_record
@@ -45,7 +44,8 @@ from lpn.flight.locate.options import LocateOptions
 from lpn.flight.locate.registered_stage import PhotoSearch
 from lpn.flight.locate.tracks import best_track, track_bytes
 from lpn.flight.maps import Map
-from tests.lpn.flight.locate.scenery import GridModel, ground_to_photo, land, photo_of, write_map
+from tests.conftest import Refused
+from tests.lpn.flight.locate.scenery import GridModel, ground_to_photo, photographed
 from tools.fixtures.photos import exif, photo_bytes, write_photo
 from tools.fixtures.simulated_vehicle import SimulatedVehicle
 from tools.fixtures.videos import srt, turn, write_video
@@ -56,26 +56,25 @@ WIDTH = 2 * HEIGHT * math.tan(math.radians(FOV / 2))
 # To the east through the map's middle.
 PLACES = [(x, 5.0) for x in (-50.0, -35.0, -20.0, -5.0, 10.0, 25.0)]
 OPTIONS = LocateOptions(matcher="sift")
-
-
-@pytest.fixture(scope="module")
-def town(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Map]:
-    basemap = write_map(tmp_path_factory.mktemp("map") / "town.tif", land())
-    yield basemap
-    basemap.close()
+# Registrations of frames by name, which replace matching: place and turn, or None for a refusal.
+Laid = dict[str, tuple[float, ...] | None]
 
 
 @pytest.fixture(scope="module")
 def flight(town: Map, tmp_path_factory: pytest.TempPathFactory) -> Flight:
-    folder, degrees = tmp_path_factory.mktemp("photos"), town.frame.degrees(PLACES)
-    frames = []
-    for i, place in enumerate(PLACES):
-        file = folder / f"{i}.png"
-        cv2.imwrite(str(file), photo_of(land(), ground_to_photo(place, 90.0, WIDTH, SIZE), SIZE, i)[..., ::-1])
-        known = {"heading": 90.0, "heading_source": "gimbal", "pitch": -90.0, "roll": 0.0, "fov": FOV}
-        latitude, longitude = degrees[i].tolist()
-        frames.append(Frame(file.name, file, *SIZE, 1.5 * i, latitude, longitude, HEIGHT, **known))  # type: ignore[arg-type]
-    return Flight("friday", tuple(frames))
+    folder = tmp_path_factory.mktemp("photos")
+    return photographed(folder, town, PLACES, 90.0, SIZE, WIDTH, FOV, step=1.5, pitch=-90.0, roll=0.0)
+
+
+@pytest.fixture(scope="module")
+def described(tmp_path_factory: pytest.TempPathFactory) -> str:
+    return str(tmp_path_factory.mktemp("described"))
+
+
+@pytest.fixture(autouse=True)
+def _one_cache(described: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let all tests describe the map's windows once."""
+    monkeypatch.setenv("LPN_CACHE", described)
 
 
 def free_port(kind: int = socket.SOCK_DGRAM) -> int:
@@ -116,6 +115,12 @@ def lines_of(
     return [feature["properties"] | {"geometry": feature["geometry"]} for feature in features], said
 
 
+def registered(town: Map, frames: list[Frame]) -> list[bool]:
+    """Tell for each line of a run whether its place is an accepted registration's."""
+    lines, _ = lines_of(town, frames)
+    return [line["stage"] == "registration" and line["state"] == "accepted" for line in lines]
+
+
 def test_a_newer_picture_replaces_the_one_that_waits() -> None:
     frames, last = [Frame(str(i), Path(), 1, 1) for i in range(4)], threading.Event()
 
@@ -127,25 +132,19 @@ def test_a_newer_picture_replaces_the_one_that_waits() -> None:
     source = LiveSource(read, print)
     source.start()
     wait_until(lambda: source.dropped == 2)
-    taken = source.take(0)
-    assert taken is not None
-    assert taken.frame.name == "2"
+    assert source.take(0).frame.name == "2"
     assert not source.replaced()
     last.set()
     wait_until(source.replaced)
     assert source.dropped == 3
-    picture = source.take(0)
-    assert picture is not None
-    assert picture.frame.name == "3"
+    assert source.take(0).frame.name == "3"
     assert source.take(TIMEOUT) is None
     assert source.ended
 
 
 @pytest.fixture
-def laid(monkeypatch: pytest.MonkeyPatch) -> dict[str, tuple[float, ...] | None]:
-    """Registrations of frames by name, which replace matching: place and turn, or None for a refusal."""
-    places: dict[str, tuple[float, ...] | None] = {f"{i}.png": (*place, 0.0) for i, place in enumerate(PLACES)}
-
+def laid(monkeypatch: pytest.MonkeyPatch) -> Laid:
+    places: Laid = {f"{i}.png": (*place, 0.0) for i, place in enumerate(PLACES)}
     width = 50.0  # neighbours are 0.3 of it apart, so they are separate views
 
     def register(search: PhotoSearch) -> StageRecord:
@@ -167,9 +166,7 @@ def test_frames_are_registered_near_the_prediction_while_the_flight_goes_on(town
     assert said == []
 
 
-@pytest.mark.parametrize(
-    ("metres", "state", "doubt"), [(0.0, "accepted", ""), (40.0, "contradicted", "tag"), (None, "accepted", "")]
-)
+@pytest.mark.parametrize(("metres", "state", "doubt"), [(40.0, "contradicted", "tag"), (None, "accepted", "")])
 def test_a_line_doubts_a_place_as_the_track_of_a_whole_flight_does(
     town: Map, flight: Flight, metres: float | None, state: str, doubt: str
 ) -> None:
@@ -203,7 +200,7 @@ def contradict(monkeypatch: pytest.MonkeyPatch, *places: tuple[float, float]) ->
 
 
 def test_places_that_the_map_contradicts_prove_nothing_and_lead_no_later_frame(
-    town: Map, flight: Flight, laid: dict[str, tuple[float, ...] | None], monkeypatch: pytest.MonkeyPatch
+    town: Map, flight: Flight, laid: Laid, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     registered = lpn.flight.live.locator.register_photo
     contradict(monkeypatch)
@@ -223,7 +220,7 @@ def test_places_that_the_map_contradicts_prove_nothing_and_lead_no_later_frame(
 
 @pytest.mark.parametrize(("metres", "refused"), [(60.0, 0), (60.0, 9), (0.0, 10)])
 def test_ten_frames_in_a_row_without_a_certain_place_are_said_once(
-    town: Map, flight: Flight, laid: dict[str, tuple[float, ...] | None], metres: float, refused: int
+    town: Map, flight: Flight, laid: Laid, metres: float, refused: int
 ) -> None:
     longitude = float(town.frame.degrees([(PLACES[0][0] + metres, PLACES[0][1])])[0, 1])
     frames = [replace(flight.frames[0], name=f"at {i}", time=1.0 + i, longitude=longitude) for i in range(10)]
@@ -232,15 +229,13 @@ def test_ten_frames_in_a_row_without_a_certain_place_are_said_once(
     assert [line["state"] for line in lines] == ["refused"] * refused + ["contradicted"] * (10 - refused)
     last = f"the last one says: {lines[-1]['reason']} {lines[-1]['note']}"
     if refused < 10:
-        last = "its details place the last one; only its GPS tag disagrees, and may have drifted."
+        last = "details place the last one, and its GPS tag alone disagrees, which may have drifted."
     assert said == [said[0]]
     assert said[0].startswith("10 frames in a row have no certain place")
     assert said[0].endswith(last)
 
 
-def test_a_flight_that_leaves_the_map_is_said(
-    town: Map, flight: Flight, laid: dict[str, tuple[float, ...] | None]
-) -> None:
+def test_a_flight_that_leaves_the_map_is_said(town: Map, flight: Flight, laid: Laid) -> None:
     laid["0.png"] = (-70.0, 5.0, 0.0)
     beyond = [replace(flight.frames[0], name=f"sea {i}", time=1.0 + i) for i in range(10)]
     first = replace(flight.frames[0], latitude=None, longitude=None)
@@ -269,9 +264,7 @@ def test_registrations_prove_the_map(town: Map, flight: Flight) -> None:
     assert line["state"] == "refused"
 
 
-def test_a_drone_that_hovers_proves_no_map(
-    town: Map, flight: Flight, laid: dict[str, tuple[float, ...] | None]
-) -> None:
+def test_a_drone_that_hovers_proves_no_map(town: Map, flight: Flight, laid: Laid) -> None:
     laid |= dict.fromkeys(laid, (*PLACES[0], 0.0))
     locator = locator_of(town)
     photo = ArrivedPicture(flight.frames[0], 0).pixels()
@@ -280,44 +273,33 @@ def test_a_drone_that_hovers_proves_no_map(
 
 
 def test_a_registration_that_the_drone_can_hardly_reach_is_refused_until_others_agree(
-    town: Map, flight: Flight, laid: dict[str, tuple[float, ...] | None]
+    town: Map, flight: Flight, laid: Laid
 ) -> None:
     jumps = {"2.png": (80.0, 80.0), "4.png": (20.0, -80.0), "5.png": (25.0, -80.0), "6.png": (30.0, -80.0)}
     laid |= {name: (*place, 0.0) for name, place in jumps.items()}
     lines, said = lines_of(town, [*flight.frames, replace(flight.frames[-1], name="6.png", time=9.0)])
     assert [line["stage"] == "registration" for line in lines] == [True, True, False, True, False, False, True]
-    assert "can hardly have flown here" in lines[2]["note"]
+    assert "hardly can have flown here" in lines[2]["note"]
     assert said == []
 
 
-# Number of registrations before the turned ones.
-ON_MAP = 6
+# Turns of the registrations before those of another turn.
+USUAL = [0.0] * 6
+
+
+def hovering(flight: Flight, laid: Laid, turns: Sequence[float]) -> list[Frame]:
+    """Return frames at one place that are registered with these turns."""
+    frames = [replace(flight.frames[-1], name=f"turned {i}", time=9.0 + i) for i in range(len(turns))]
+    laid |= {frame.name: (*PLACES[-1], degrees) for frame, degrees in zip(frames, turns, strict=True)}
+    return frames
 
 
 def test_a_registration_that_is_turned_unlike_those_before_is_refused_until_ten_are(
-    town: Map, flight: Flight, laid: dict[str, tuple[float, ...] | None]
+    town: Map, flight: Flight, laid: Laid
 ) -> None:
-    turns = (179.0, -179.0, 0.0, 180.0, -1.0, 1.0)
-    frames = hovering(flight, laid, turns, [-171.0] * 10)
-    lines, _ = lines_of(town, frames)
-    assert [line["stage"] == "registration" for line in lines] == [True] * ON_MAP + [False] * 9 + [True]
-    unsure = [replace(frame, heading_source="aircraft") for frame in frames]
-    lines, _ = lines_of(town, unsure)
-    assert [line["stage"] == "registration" for line in lines] == [True] * (ON_MAP + 10)
-
-
-def hovering(
-    flight: Flight,
-    laid: dict[str, tuple[float, ...] | None],
-    usual: Sequence[float],
-    turns: Sequence[float],
-) -> list[Frame]:
-    """Return frames at one place that are registered with these turns."""
-    frames = []
-    for i, degrees in enumerate([*usual, *turns]):
-        frames.append(replace(flight.frames[-1], name=f"turned {i}", time=9.0 + i))
-        laid[frames[-1].name] = (*PLACES[-1], degrees)
-    return frames
+    frames = hovering(flight, laid, [179.0, -179.0, 0.0, 180.0, -1.0, 1.0, *[-171.0] * 10])
+    assert registered(town, frames) == [True] * 6 + [False] * 9 + [True]
+    assert all(registered(town, [replace(frame, heading_source="aircraft") for frame in frames]))
 
 
 CONTRADICTED = (20.0, 0.0)
@@ -325,26 +307,17 @@ CONTRADICTED = (20.0, 0.0)
 
 @pytest.mark.parametrize("between", [None, (*PLACES[-1], 40.0), (*CONTRADICTED, -171.0)])
 def test_photos_that_fit_nowhere_or_badly_and_one_of_yet_another_turn_begin_the_ten_anew(
-    town: Map,
-    flight: Flight,
-    laid: dict[str, tuple[float, ...] | None],
-    between: tuple[float, ...] | None,
-    monkeypatch: pytest.MonkeyPatch,
+    town: Map, flight: Flight, laid: Laid, between: tuple[float, ...] | None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     contradict(monkeypatch, CONTRADICTED)
-    frames = hovering(flight, laid, [0.0] * ON_MAP, [-171.0] * 16)
-    laid[frames[ON_MAP + 5].name] = between
-    lines, _ = lines_of(town, frames)
-    is_placed = [line["state"] == "accepted" and line["stage"] == "registration" for line in lines]
-    assert is_placed == [True] * ON_MAP + [False] * 15 + [True]
+    frames = hovering(flight, laid, [*USUAL, *[-171.0] * 16])
+    laid[frames[11].name] = between
+    assert registered(town, frames) == [True] * 6 + [False] * 15 + [True]
 
 
-def test_turns_that_drift_make_no_new_heading(
-    town: Map, flight: Flight, laid: dict[str, tuple[float, ...] | None]
-) -> None:
+def test_turns_that_drift_make_no_new_heading(town: Map, flight: Flight, laid: Laid) -> None:
     turns = (10.0, 14.9, 21.9, 38.4, 74.9, 88.9, 88.9, 88.9, 88.9, 88.9)
-    lines, _ = lines_of(town, hovering(flight, laid, [0.0] * ON_MAP, turns))
-    assert [line["stage"] == "registration" for line in lines] == [True] * ON_MAP + [False] * 10
+    assert registered(town, hovering(flight, laid, [*USUAL, *turns])) == [True] * 6 + [False] * 10
 
 
 def test_frames_that_cannot_be_read_and_clocks_that_jump_are_said_and_the_flight_goes_on(
@@ -392,7 +365,6 @@ def test_new_photos_below_a_folder_are_read_when_they_are_whole(tmp_path: Path) 
         assert source.take(TIMEOUT) is not None
     finally:
         source.close()
-    assert picture is not None
     assert (picture.frame.file, picture.turns) == (new, 1)
     assert picture.pixels().shape == (40, 30, 3)
     assert said == [f"Left out: 1 photo that {tmp_path.name} held before."]
@@ -407,14 +379,27 @@ def test_frames_of_a_video_have_their_times_and_its_turn(tmp_path: Path) -> None
     assert said == ["v.mp4 is turned by 90° by its file, and the heading of its telemetry with it."]
 
 
-@pytest.mark.parametrize("source", ["nowhere", "udp://127.0.0.1:1/?timeout=1000", "text.mp4", "notes.txt"])
-def test_a_source_that_cannot_be_opened_is_refused_in_a_sentence(tmp_path: Path, source: str) -> None:
+@pytest.mark.parametrize(
+    ("source", "said"),
+    [
+        ("nowhere", "There is no nowhere; give a folder"),
+        ("udp://127.0.0.1:1/?timeout=1000", "udp://127.0.0.1:1/ cannot be opened"),
+        ("text.mp4", "text.mp4 cannot be opened as a video"),
+        ("notes.txt", "is not a supported video"),
+    ],
+)
+def test_a_source_that_cannot_be_opened_is_refused_in_a_sentence(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, source: str, said: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
     for name in ("text.mp4", "notes.txt"):
-        (tmp_path / name).write_text("no video")
+        Path(name).write_text("no video")
+    with pytest.raises(InputError, match=said):
+        open_source(source, print)
+
+
+def test_a_source_is_shown_without_its_password() -> None:
     assert shown_name("rtsp://me:secret@cam:8554/drone?key=secret") == "rtsp://cam:8554/drone"
-    path = source if "nowhere" in source or "://" in source else str(tmp_path / source)
-    with pytest.raises(InputError, match=r"There is no|cannot be opened|is not a supported video"):
-        open_source(path, print)
 
 
 def arrived(frame: Frame, later: float = 0.0) -> ArrivedPicture:
@@ -500,6 +485,7 @@ def test_the_command_locates_what_a_vehicle_sends(
 ) -> None:
     pytest.importorskip("pymavlink")
     monkeypatch.setattr(lpn, "load", lambda *_, **__: GridModel())
+    monkeypatch.setenv("LPN_CACHE", str(tmp_path / "cache"))
     photos, out, port = tmp_path / "photos", tmp_path / "lines.jsonl", free_port()
     photos.mkdir()
     vehicle, started, start = SimulatedVehicle(photos, port), threading.Event(), LiveSource.start
@@ -531,20 +517,14 @@ def test_the_command_locates_what_a_vehicle_sends(
     lines = [json.loads(line)["properties"] for line in out.read_text().splitlines()]
     assert [line["frame"] for line in lines] == ["0.png", "1.png", "2.png"]
     assert all(line["telemetry_age"] < 2 for line in lines)
-    assert "Located 3 frames." in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert "windows of the map are described. This is done once" in said
+    assert "Located 3 frames." in said
 
 
-def test_what_is_neither_a_folder_nor_a_video_nor_a_stream_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "notes.txt").touch()
-    for source, said in ((tmp_path / "notes.txt", "is not a supported video"), ("0", "There is no 0; give a folder")):
-        with pytest.raises(InputError, match=said):
-            lpn.flight.live.frames.open_source(str(source), print)
-
-
-def test_a_field_of_view_that_cannot_be_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    command = ["locate", "--live", str(tmp_path), "--map", "town.tif", "--model", "grid.onnx", "--fov", "500"]
-    assert main(command) == 2
-    assert "--fov is 500; expected a number from 0.1 to 170." in capsys.readouterr().err
+def test_a_field_of_view_that_cannot_be_is_refused(tmp_path: Path, refused: Refused) -> None:
+    said = refused("locate", "--live", tmp_path, "--map", "town.tif", "--model", "grid.onnx", "--fov", 500)
+    assert "--fov is 500; expected a number from 0.1 to 170." in said
 
 
 def test_an_answer_is_moved_below_a_camera_of_known_tilt(flight: Flight) -> None:
@@ -556,9 +536,8 @@ def test_an_answer_is_moved_below_a_camera_of_known_tilt(flight: Flight) -> None
     assert below.radius == pytest.approx(math.hypot(3, 2 * 100 * 1.5 * degree, 100 * 5 * degree, tenth))
     turned = below_camera(frame, replace_record(middle, heading=270.0, turn=180.0))
     assert (turned.x, turned.y) == (pytest.approx(40), pytest.approx(20))
-    wrong = below_camera(
-        frame, replace_record(middle, turn=100.0)
-    )  # the file's heading is wrong, and the photo as it was taken
+    # Here the file's heading is wrong, and the photo is as it was taken.
+    wrong = below_camera(frame, replace_record(middle, turn=100.0))
     assert (wrong.x, wrong.y) == (below.x, below.y)
     for unknown in ({"pitch": None}, {"pitch": -20.0}, {"height_above_ground": None}):
         assert below_camera(replace(frame, **unknown), middle) is middle

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import cv2
 import numpy as np
@@ -50,13 +53,8 @@ def ground_to_photo(
     columns, rows = pixels
     turn = np.radians(heading)
     # Metres to the right and up in the picture.
-    place = np.array(
-        [
-            [np.cos(turn), -np.sin(turn), 0],
-            [np.sin(turn), np.cos(turn), 0],
-            [0, 0, 1.0],
-        ]
-    ) @ np.array([[1, 0, -centre[0]], [0, 1, -centre[1]], [0, 0, 1.0]])
+    turned = np.array([[np.cos(turn), -np.sin(turn), 0], [np.sin(turn), np.cos(turn), 0], [0, 0, 1.0]])
+    place = turned @ np.array([[1, 0, -centre[0]], [0, 1, -centre[1]], [0, 0, 1.0]])
     scale = columns / width
     lens = np.array([[scale, 0, 0], [0, -scale, 0], [2 * tilt / width, 0, 1]])
     shift = np.array([[1, 0, (columns - 1) / 2], [0, 1, (rows - 1) / 2], [0, 0, 1.0]])
@@ -81,26 +79,41 @@ def write_map(file: Path, picture: np.ndarray) -> Map:
     return open_map(write_geotiff(file, picture, matrix=matrix))
 
 
+def photographed(
+    folder: Path,
+    town: Map,
+    places: Sequence[tuple[float, float]],
+    headings: float | Sequence[float],
+    size: tuple[int, int],
+    width: float,
+    fov: float,
+    names: str = "{}.png",
+    step: float = 2.0,
+    **known: Any,
+) -> Flight:
+    """Photograph the drawn map straight from above, a photo each `step` seconds that shows `width` metres, with its GPS tag."""
+    height = round(width / 2 / math.tan(math.radians(fov / 2)), 6)
+    degrees = town.frame.degrees(places).tolist()
+    frames = []
+    for i, (place, heading) in enumerate(zip(places, np.broadcast_to(headings, len(places)).tolist(), strict=True)):
+        file = folder / names.format(i)
+        cv2.imwrite(str(file), photo_of(land(), ground_to_photo(place, heading, width, size), size)[..., ::-1])
+        told = {"heading": heading, "heading_source": "gimbal", "fov": fov, **known}
+        frames.append(Frame(file.name, file, *size, step * i, *degrees[i], height, **told))
+    return Flight("monday", tuple(frames))
+
+
 def small_flight(folder: Path, town: Map) -> Flight:
     """Photograph a drawn map; headings are 40 degrees, heights are known.
 
     The first frame has no position, the second no certain heading, the third is no picture, and the last was taken higher up.
     """
-    size, width = (96, 96), 60.0
-    frames = []
-    degrees = town.frame.degrees(FLOWN_PLACES)
-    for i, place in enumerate(FLOWN_PLACES):
-        file = folder / f"{i:02d}.png"
-        cv2.imwrite(str(file), photo_of(land(), ground_to_photo(place, 40.0, width, size), size)[..., ::-1])
-        latitude, longitude = degrees[i].tolist()
-        known = {"heading": 40.0, "heading_source": "gimbal", "fov": 90.0}
-        frames.append(Frame(file.name, file, *size, 2.0 * i, latitude, longitude, width / 2, **known))  # type: ignore[arg-type]
-    frames[0] = replace(frames[0], latitude=None, longitude=None)
-    frames[1] = replace(frames[1], heading_source="course")
+    flight = photographed(folder, town, FLOWN_PLACES, 40.0, (96, 96), 60.0, 90.0, "{:02d}.png")
+    first, second, *others = flight.frames
+    first, second = replace(first, latitude=None, longitude=None), replace(second, heading_source="course")
     (folder / "02.png").write_bytes(b"no picture")
-    last = len(FLOWN_PLACES)
-    frames.append(replace(frames[3], name="high.png", time=2.0 * last, height_above_ground=width * 0.7))
-    return Flight("monday", tuple(frames))
+    high = replace(others[1], name="high.png", time=2.0 * len(FLOWN_PLACES), height_above_ground=60.0 * 0.7)
+    return replace(flight, frames=(first, second, *others, high))
 
 
 class GridModel:

@@ -70,9 +70,8 @@ def test_missing_positions_and_times_are_left_out() -> None:
     velocities = track_velocities(times, positions)
     assert np.isnan(velocities[[0, 5, 9, 29]]).all()
     assert velocities[10, 1] == pytest.approx(3)
-    assert audit_tags(times, np.full_like(positions, np.nan), positions).sentence.startswith(
-        "No photo has both a GPS tag"
-    )
+    untagged = audit_tags(times, np.full_like(positions, np.nan), positions)
+    assert untagged.sentence.startswith("No photo has both a GPS tag")
 
 
 def test_tags_without_their_lag_are_where_they_were_taken() -> None:
@@ -80,11 +79,8 @@ def test_tags_without_their_lag_are_where_they_were_taken() -> None:
     tags = _flown(times - 2.0)
     moved = corrected_tags(times, tags, 2.0)
     assert np.isnan(moved[-1]).all()
-    assert (
-        np.linalg.norm(moved - _flown(times), axis=1)[:-1].max()
-        < 2.5
-        < np.linalg.norm(tags - _flown(times), axis=1).max()
-    )
+    off, lagging = (np.linalg.norm(one - _flown(times), axis=1)[:-1].max() for one in (moved, tags))
+    assert off < 2.5 < lagging
     times[20:] += 100
     moved = corrected_tags(times, tags, 2.0)
     assert np.flatnonzero(np.isnan(moved).any(axis=1)).tolist() == [19, 39]

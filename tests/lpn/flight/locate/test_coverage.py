@@ -33,13 +33,10 @@ def test_an_accepted_registration_comes_before_the_cameras_model() -> None:
     matrix = np.linalg.inv(ground_to_photo((0.0, 0.0), 0.0, 40.0, (80, 60))).ravel().tolist()
     stages = {"registration": StageRecord("accepted", "", 0.0, 0.0, homography=matrix)}
     found = outline(LocatedFrame(FRAME, TAG, stages))
-    assert found is not None
     assert found.registered
     np.testing.assert_allclose(found.corners[0], (-20.0, 15.0), atol=1e-9)
-    refused = outline(
-        LocatedFrame(FRAME, TAG, {"registration": StageRecord("refused", "", 0.0, 0.0, homography=matrix)})
-    )
-    assert refused is not None
+    stages = {"registration": StageRecord("refused", "", 0.0, 0.0, homography=matrix)}
+    refused = outline(LocatedFrame(FRAME, TAG, stages))
     assert not refused.registered
     np.testing.assert_allclose(refused.corners, footprint(FRAME) + TAG)
 
@@ -47,7 +44,6 @@ def test_an_accepted_registration_comes_before_the_cameras_model() -> None:
 def test_without_a_tag_the_sequence_places_the_picture_and_without_both_nothing_is_known() -> None:
     stages = {"sequence": StageRecord("accepted", "", 7.0, 9.0, radius=20.0)}
     found = outline(LocatedFrame(FRAME, None, stages))
-    assert found is not None
     # A camera at 30 m, 10 degrees from straight down, sees in its middle the ground 30 tan(10°) ahead.
     camera = found.corners[0] - footprint(FRAME)[0]
     ahead = 30 * np.tan(np.radians(10)) * np.array([np.sin(np.radians(40)), np.cos(np.radians(40))])

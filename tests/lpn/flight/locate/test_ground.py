@@ -9,21 +9,24 @@ import cv2
 import numpy as np
 import pytest
 
+from lpn.core.arrays import UInt8Array
 from lpn.flight.locate import ground
 from lpn.flight.locate.ground import MapFeatures
-from lpn.flight.locate.matchers import SiftMatcher
+from lpn.flight.locate.matchers import Features, SiftMatcher
 from lpn.flight.maps import Map
 from tests.lpn.flight.locate.scenery import land, write_map
 
 
 class _CountingMatcher(SiftMatcher):
-    """SIFT that counts the pictures it describes."""
+    """Describes each 32nd pixel by its colour, which is quick, and counts the pictures it describes."""
 
     described = 0
 
-    def features(self, *given):  # type: ignore[no-untyped-def]
+    def features(self, picture: UInt8Array, *_: object) -> Features:
         type(self).described += 1
-        return super().features(*given)
+        colours = picture[::32, ::32].astype(np.float32)
+        rows, columns = np.indices(colours.shape[:2]).reshape(2, -1)
+        return Features(32 * np.stack([columns, rows], axis=1).astype(np.float32), colours.reshape(-1, 3))
 
 
 @pytest.fixture
@@ -37,8 +40,6 @@ def test_blocks_are_described_once_for_all_runs_and_a_damaged_file_is_made_anew(
     first = MapFeatures(town, _CountingMatcher()).around(None, 0.0, 60.0)
     ground.in_memory.clear()
     again = MapFeatures(town, _CountingMatcher()).around(None, 0.0, 60.0)
-    assert first is not None
-    assert again is not None
     assert _CountingMatcher.described == 1
     assert len(first.points) > 50
     np.testing.assert_array_equal(again.points, first.points)
@@ -47,7 +48,6 @@ def test_blocks_are_described_once_for_all_runs_and_a_damaged_file_is_made_anew(
     file.write_bytes(file.read_bytes()[:1000])
     ground.in_memory.clear()
     mended = MapFeatures(town, _CountingMatcher()).around(None, 0.0, 60.0)
-    assert mended is not None
     np.testing.assert_array_equal(mended.points, first.points)
     ground.in_memory.clear()
     MapFeatures(town, _CountingMatcher()).around(None, 0.0, 60.0)
@@ -89,7 +89,7 @@ def test_the_blocks_that_were_used_last_stay_in_memory(town: Map, monkeypatch: p
 
 
 def test_blocks_follow_the_ground_width_and_too_many_are_refused(town: Map, monkeypatch: pytest.MonkeyPatch) -> None:
-    features = MapFeatures(town, SiftMatcher())
+    features = MapFeatures(town, _CountingMatcher())
     assert [features.resolution(width) / town.resolution for width in (60.0, 1000.0)] == [0.5, 2.0]
     middle = np.zeros((1, 2))
     monkeypatch.setattr(ground, "MAX_BLOCKS", 0)

@@ -36,9 +36,8 @@ def flight(**frames: LocatedFrame) -> LocatedFlight:
 
 def photo(name: str, tag: tuple[float, float] | None, **others: object) -> LocatedFrame:
     answer = StageRecord("accepted", "It agrees.", 0.0, 1000.0, radius=1.0, width=50.0, **others)  # type: ignore[arg-type]
-    return LocatedFrame(
-        Frame(name, Path(name), 80, 60), None if tag is None else np.array(tag), {"registration": answer}
-    )
+    place = None if tag is None else np.array(tag)
+    return LocatedFrame(Frame(name, Path(name), 80, 60), place, {"registration": answer})
 
 
 NEAR, FAR, UNTAGGED = photo("a.jpg", (0.0, 999.0)), photo("b.jpg", (0.0, 0.0)), photo("c.jpg", None)
@@ -59,13 +58,8 @@ def test_a_track_says_which_photos_were_checked_beside_their_middle() -> None:
     def compared(rows: int, east: float) -> MapAgreement:
         return MapAgreement([(0.1, 0.1, east, 0.0)] * rows, 8.0)
 
-    located = flight(
-        a=photo("a.jpg", None, agreement=compared(3, 0.5)),
-        b=photo("b.jpg", None, agreement=compared(2, 0.5)),
-        c=photo("c.jpg", None, agreement=compared(3, 5.0)),
-        d=photo("d.jpg", None),
-        e=REFUSED,
-    )
+    agreements = {"a": compared(3, 0.5), "b": compared(2, 0.5), "c": compared(3, 5.0), "d": None}
+    located = flight(**{name: photo(name, None, agreement=one) for name, one in agreements.items()}, e=REFUSED)
     for track in (full_track(located), best_track(located)):
         assert [point["checked_beside_middle"] for point in track] == ["yes", "no", "contradicted", "no", ""]
 
@@ -116,20 +110,17 @@ def test_where_tags_lag_the_errors_without_the_lag_come_first() -> None:
     late = flight(a=photo("a.jpg", (0.0, 990.0)), b=photo("b.jpg", (0.0, 990.0)))
     late.tags_without_lag = np.array([(0.0, 998.0), (np.nan, np.nan)])
     print_summary(late, Console(file=(written := io.StringIO()), width=140))
-    rows = [
-        [cell.strip() for cell in line.split("│")[1:4]] for line in written.getvalue().splitlines() if "tags" in line
-    ]
-    assert rows[:2] == [
-        ["registration, tags without their lag", "2", "2.0"],
-        ["registration, tags unchanged", "2", "10.0"],
-    ]
+    lines = [line for line in written.getvalue().splitlines() if "tags" in line]
+    first, second = ([cell.strip() for cell in line.split("│")[1:4]] for line in lines[:2])
+    assert first == ["registration, tags without their lag", "2", "2.0"]
+    assert second == ["registration, tags unchanged", "2", "10.0"]
 
 
 def test_without_a_truth_no_share_is_told() -> None:
     print_summary(flight(a=photo("a.jpg", None)), Console(file=(written := io.StringIO()), width=140))
     (row,) = (line for line in written.getvalue().splitlines() if "registration" in line)
     assert [cell.strip() for cell in row.split("│")[2:-1]] == ["1", *["-"] * 7]
-    assert "the errors of the places are unknown" in written.getvalue()
+    assert "how far off the places are is not known" in written.getvalue()
 
 
 def at(frame: str, latitude: float | None, longitude: float | None, **known: Any) -> TrackRow:
@@ -205,14 +196,9 @@ def test_figures_have_the_digits_of_their_columns(tmp_path: Path) -> None:
 def test_a_time_of_a_video_is_no_time_of_day() -> None:
     answer = StageRecord("refused", "No.")
     frames = [Frame(f"{i}.jpg", Path(f"{i}.jpg"), 8, 6, time) for i, time in enumerate((1.4e9 + 2.5, 12.0, None))]
-    located = [LocatedFrame(frame, None, {"registration": answer}) for frame in frames]
-    basemap = cast(Map, SimpleNamespace(frame=LocalFrame(46.8, -92.0)))
-    track = full_track(LocatedFlight(Flight("monday", tuple(frames)), basemap, located, None, [], None))
-    assert [(one.get("time_utc"), one.get("seconds")) for one in track] == [
-        ("2014-05-13T16:53:22.500Z", None),
-        (None, 12.0),
-        (None, None),
-    ]
+    track = full_track(flight(**{one.name: LocatedFrame(one, None, {"registration": answer}) for one in frames}))
+    told = [(one.get("time_utc"), one.get("seconds")) for one in track]
+    assert told == [("2014-05-13T16:53:22.500Z", None), (None, 12.0), (None, None)]
 
 
 def test_another_suffix_is_refused_and_nothing_is_left_behind(tmp_path: Path) -> None:

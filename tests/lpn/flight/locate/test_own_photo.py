@@ -1,4 +1,4 @@
-"""One photo of no flight on a drawn map: it is placed by its details alone, and a photo of another land is refused."""
+"""One photo of no flight on a drawn map: its details alone place it and lie at their places; one of another land is refused."""
 
 from __future__ import annotations
 
@@ -9,13 +9,17 @@ import numpy as np
 import pytest
 
 from lpn.core.demo import DEMO_FLIGHT, DEMO_PLACE
+from lpn.core.homography import apply_homography, corner_pixels, four_point_homography, inverse
 from lpn.core.images import load_picture
-from lpn.flight.files import Frame
+from lpn.flight.files import Frame, footprint
 from lpn.flight.locate import ground, registration
 from lpn.flight.locate.ground import MapFeatures
 from lpn.flight.locate.levelled import PhotoView
+from lpn.flight.locate.located import LocatedFrame
 from lpn.flight.locate.matchers import Ground, SiftMatcher, open_matchers
+from lpn.flight.locate.options import LocateOptions
 from lpn.flight.locate.own_photo import register_own_photo
+from lpn.flight.locate.registered_stage import PhotoSearch, register_photo
 from lpn.flight.locate.registration import PhotoPlace, Registration
 from lpn.flight.maps import Map, Window, open_map
 from tests.lpn.flight.locate.scenery import ground_to_photo, land, photo_of, write_map
@@ -23,11 +27,6 @@ from tests.lpn.flight.locate.scenery import ground_to_photo, land, photo_of, wri
 SIZE = (320, 240)
 # A file with height and field of view, so that one width of 70 m is tried; its size is the camera's.
 FLOWN = Frame("own.jpg", Path("own.jpg"), 4000, 3000, height_above_ground=35.0, fov=90.0)
-
-
-@pytest.fixture(scope="module")
-def town(tmp_path_factory: pytest.TempPathFactory) -> Map:
-    return write_map(tmp_path_factory.mktemp("own") / "town.tif", land())
 
 
 @pytest.fixture
@@ -44,18 +43,17 @@ def test_a_photo_of_which_nothing_is_known_is_placed_by_its_details(town: Map, f
     own = register_own_photo(town, features, photo(), None, [], lambda *counts: progress.append(counts))
     assert own.answer.accepted
     assert own.whole_map
-    assert np.hypot(own.answer.x - 20.0, own.answer.y + 30.0) < 1.0  # type: ignore[operator]
+    assert np.hypot(own.answer.x - 20.0, own.answer.y + 30.0) < 1.0
     assert own.answer.heading == pytest.approx(130.0, abs=1.0)
     assert own.answer.pose is None
     assert "Nothing tells the photo's field of view" in own.answer.finding
-    assert own.answer.radius is not None
     assert own.answer.radius >= 1.0, "the map's own error is part of it"
     assert progress[0] == (0, 4)
 
 
 @pytest.mark.parametrize(
     ("frame", "tried"),
-    [(FLOWN, ""), (None, "The width of its ground is unknown, so 9 to 246 m were tried.")],
+    [(FLOWN, ""), (None, "Nothing tells how much ground it shows, so 9 to 246 m across were tried.")],
 )
 def test_a_photo_of_another_land_is_refused(
     town: Map, features: list[MapFeatures], frame: Frame | None, tried: str
@@ -63,6 +61,7 @@ def test_a_photo_of_another_land_is_refused(
     own = register_own_photo(town, features, photo(of=1), frame, [])
     assert (own.answer.state, own.answer.finding) == ("refused", tried)
     assert own.answer.reason_and_note[0]
+    assert own.answer.details is None
 
 
 @pytest.mark.slow
@@ -97,21 +96,18 @@ def test_all_matchers_together_must_support_a_photo_of_anywhere(
     nothing = Ground(np.zeros((0, 2)), np.zeros((0, 1), np.float32), 1.0)
     answer = registration.proven(of_flight, PhotoView.plain(photo()), [(SiftMatcher(), nothing) for _ in others])
     assert answer.accepted == accepted
-    needed = 15 * (2 + len(others))
-    assert accepted or (
-        answer.refusal is not None
-        and answer.refusal.sentence
-        == (f"Its best place has a support of {own + sum(others)}, and a photo of unknown place needs {needed}.")
-    )
+    needs = f"Its best place has a support of {own + sum(others)}, and a photo of unknown place needs {15 * (2 + len(others))}."
+    assert accepted or answer.refusal.sentence == needs
 
 
 def test_a_large_map_is_searched_about_the_most_similar_windows(
-    town: Map, features: list[MapFeatures], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(ground, "MAX_BLOCKS", 3)
-    near = register_own_photo(town, features, photo(), None, [Window(25.0, -35.0, 60.0)], map_error=7.0)
+    town, windows = write_map(tmp_path / "town.tif", land()), [Window(25.0, -35.0, 60.0)]
+    features = [MapFeatures(town, SiftMatcher())]
+    near = register_own_photo(town, features, photo(), None, windows, map_error=7.0)
     assert (near.answer.accepted, near.whole_map, near.answer.map_error) == (True, False, 7.0)
-    assert near.answer.radius is not None
     assert near.answer.radius > 7
 
 
@@ -121,3 +117,35 @@ def test_what_the_progress_raises_ends_the_search(town: Map, features: list[MapF
 
     with pytest.raises(InterruptedError, match="0 of 4"):
         register_own_photo(town, features, photo(), None, [], leave)
+
+
+LARGE = (640, 480)
+WIDTH, HEADING = 90.0, 130.0
+CAMERA = Frame("own.jpg", Path("own.jpg"), *LARGE, height_above_ground=45.0, fov=90.0, heading=HEADING)
+TILTED = replace(CAMERA, pitch=-65.0, roll=0.0)
+
+
+@pytest.mark.parametrize(
+    ("true", "frame"),
+    [
+        (ground_to_photo((20.0, -30.0), HEADING, WIDTH, LARGE), CAMERA),
+        (four_point_homography(footprint(TILTED), corner_pixels(*LARGE)), TILTED),
+    ],
+    ids=["from above", "levelled"],
+)
+def test_details_lie_on_the_map_where_the_true_camera_has_them(town: Map, true: np.ndarray, frame: Frame) -> None:
+    photo, features = photo_of(land(), true, LARGE), [MapFeatures(town, SiftMatcher())]
+    answer = register_photo(PhotoSearch(town, features, LocatedFrame(frame, None), photo, LocateOptions()))
+    details = answer.details
+    assert answer.inliers > len(details.rows) == 24
+    assert 0 < details.median < details.limit
+    on_map = details.on_map(np.array(answer.homography).reshape(3, 3), *LARGE)
+    by_camera = apply_homography(inverse(true), details.places * LARGE - 0.5)
+    assert np.median(np.linalg.norm(on_map - by_camera, axis=1)) < 0.5, "some pixels of the map"
+    rows = np.floor(4 * details.places[:, 1])
+    assert (np.diff(rows) >= 0).all(), "numbered from the top to the bottom"
+    if frame is CAMERA:
+        assert details.limit == pytest.approx(0.015 * WIDTH, rel=0.02)
+        assert (details.metres <= details.limit).all()
+        for quarter in ((0, 0), (0, 1), (1, 0), (1, 1)):
+            assert ((details.places >= 0.5) == quarter).all(axis=1).sum() >= 3, "the sample is spread over the photo"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator
+import os
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,9 +15,9 @@ import pytest
 
 from lpn.cli.main import main
 from lpn.core.errors import DataError, InputError
-from lpn.core.homography import apply_homography, corner_pixels
+from lpn.core.homography import apply_homography, corner_pixels, four_point_homography
 from lpn.datasets.geo import geodesic
-from lpn.flight.files import Flight, Frame, footprint
+from lpn.flight.files import Flight, footprint, open_flight, write_flight
 from lpn.flight.locate import pipeline, ranked_stages, registered_stage
 from lpn.flight.locate.corrections import Correction, set_correction
 from lpn.flight.locate.ground import MapFeatures
@@ -33,15 +33,10 @@ from lpn.flight.locate.sequence import SequencePoint
 from lpn.flight.locate.tags import tags_on_map
 from lpn.flight.locate.tracks import best_track, full_track
 from lpn.flight.locate.words import Reason
-from lpn.flight.maps import Map, Window
-from tests.lpn.flight.locate.scenery import (
-    SIDE,
-    GridModel,
-    ground_to_photo,
-    land,
-    photo_of,
-    write_map,
-)
+from lpn.flight.maps import Map, Window, open_map
+from tests.conftest import Refused
+from tests.lpn.flight.locate.scenery import SIDE, GridModel, ground_to_photo, land, photo_of, photographed, write_map
+from tools.fixtures.photos import write_photo
 
 SIZE = (360, 270)
 HEIGHT = 80.0
@@ -54,44 +49,19 @@ HEADINGS = [90.0, 85.0, 92.0, 88.0]
 
 
 @pytest.fixture(scope="module")
-def town(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Map]:
-    # The map is coarser than the photos.
-    picture = cv2.resize(land(), (SIDE // 2, SIDE // 2), interpolation=cv2.INTER_AREA)
-    with_map = write_map(tmp_path_factory.mktemp("map") / "town.tif", picture)
-    yield with_map
-    with_map.close()
-
-
-@pytest.fixture(scope="module")
-def photos(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+def flight(town: Map, tmp_path_factory: pytest.TempPathFactory) -> Flight:
     folder = tmp_path_factory.mktemp("photos")
-    files = []
-    for i, (place, heading) in enumerate(zip(PLACES, HEADINGS, strict=True)):
-        picture = photo_of(land(), ground_to_photo(place, heading, WIDTH, SIZE), SIZE, i)
-        # The third photo was saved upside down.
-        picture = picture[::-1, ::-1] if i == 2 else picture
-        files.append(folder / f"{i}.png")
-        cv2.imwrite(str(files[-1]), np.ascontiguousarray(picture[..., ::-1]))
-    return files
-
-
-@pytest.fixture
-def flight(town: Map, photos: list[Path]) -> Flight:
-    degrees = town.frame.degrees(PLACES)
-    frames = [
-        Frame(file.name, file, *SIZE, 2.0 * i, *degrees[i], HEIGHT, None, None, HEADINGS[i], "gimbal", -90.0, 0.0, FOV)
-        for i, file in enumerate(photos)
-    ]
-    return Flight("monday", tuple(frames))
+    flown = photographed(folder, town, PLACES, HEADINGS, SIZE, WIDTH, FOV, pitch=-90.0, roll=0.0)
+    third = str(folder / "2.png")
+    cv2.imwrite(third, cv2.imread(third)[::-1, ::-1])  # it was saved upside down
+    return flown
 
 
 def test_a_flight_is_registered_without_a_model_and_the_turned_picture_is_named(town: Map, flight: Flight) -> None:
     found = locate(town, flight, None, SIFT)
     answers = [located.stages["registration"] for located in found.frames]
     assert all(answer.accepted for answer in answers), [answer.sentence for answer in answers]
-    errors = [error for located in found.frames if (error := located.error("registration")) is not None]
-    assert len(errors) == 4
-    assert max(errors) < 0.6
+    assert max(located.error("registration") for located in found.frames) < 0.6
     assert found.stages == ["registration"]
     assert any("1 photo is turned by about 180 degrees against its heading: 2.png" in note for note in found.notes)
     assert "turned by 180 degrees" in found.frames[2].sentence
@@ -132,11 +102,11 @@ def test_a_run_goes_on_after_a_kill(town: Map, flight: Flight, monkeypatch: pyte
 
 
 @pytest.mark.parametrize(
-    ("count", "tagged", "corrected", "proven"),
-    [(4, 0, False, 4), (4, 1, False, 4), (5, 0, False, 0), (4, 0, True, 0)],
+    ("count", "tagged", "corrected", "alone"),
+    [(4, 0, False, True), (4, 1, False, True), (5, 0, False, False), (4, 0, True, False)],
 )
 def test_a_few_photos_without_tags_prove_the_map_one_by_one(
-    count: int, tagged: int, corrected: bool, proven: int, town: Map, flight: Flight, monkeypatch: pytest.MonkeyPatch
+    count: int, tagged: int, corrected: bool, alone: bool, town: Map, flight: Flight, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Four photos are too few for a flight's evidence: without a tag, each must be proven like a single photo."""
     searches: list[registered_stage.PhotoSearch] = []
@@ -150,7 +120,6 @@ def test_a_few_photos_without_tags_prove_the_map_one_by_one(
     frames = [frame if i < tagged else replace(frame, latitude=None, longitude=None) for i, frame in enumerate(frames)]
     kept = {"0.png": Correction.of(_corners((3.0, 0.0), 90.0), town.frame)} if corrected else None
     locate(town, replace(flight, frames=tuple(frames)), None, SIFT, corrections=kept)
-    alone = proven > 0
     assert [one.anywhere for one in searches] == [True, False] * (tagged * alone) + [alone] * (count - tagged * alone)
 
 
@@ -166,14 +135,11 @@ def test_a_correction_is_the_truth_and_stands_in_place_of_the_registration(
     monkeypatch.setattr(registered_stage, "register_frame", lambda *_: answer)
     # The last frame has no tilt, so a correction gives only its middle; the first has 10 degrees of roll.
     frames = (replace(flight.frames[0], roll=10.0), *flight.frames[1:3], replace(flight.frames[3], pitch=None))
-    kept = {
-        name: Correction.of(_corners(place, heading), town.frame)
-        for name, place, heading in (("0.png", (3.0, 0.0), 90.0), ("3.png", (50.0, 60.0), 88.0), ("x.png", (0, 0), 0))
-    }
+    laid = {"0.png": ((3.0, 0.0), 90.0), "3.png": ((50.0, 60.0), 88.0), "x.png": ((0, 0), 0)}
+    kept = {name: Correction.of(_corners(*given), town.frame) for name, given in laid.items()}
     flown = replace(flight, frames=frames)
     found = locate(town, flown, None, SIFT, corrections=kept)
     first, second, _, last = found.frames
-    assert first.by_hand is not None
     assert first.by_hand.camera
     # Looking to the left by 10 degrees with the top to the east, the camera is south of its picture's middle.
     np.testing.assert_allclose(first.truth(True), (3.0, -HEIGHT * math.tan(math.radians(10))), atol=1e-3)
@@ -182,33 +148,22 @@ def test_a_correction_is_the_truth_and_stands_in_place_of_the_registration(
     assert second.error("registration") == pytest.approx(math.hypot(3 + 15, 4 + 28), abs=1e-3)
     np.testing.assert_allclose(last.truth(False), (50.0, 60.0), atol=1e-3)
     np.testing.assert_allclose(last.truth(True), PLACES[3], atol=1e-3)
-    assert {point["frame"]: point["stage"] for point in full_track(found)} == {
-        "1.png": "registration",
-        "2.png": "registration",
-        "0.png": "by hand",
-        "3.png": "by hand",
-    }
-    by_hand = full_track(found)[-2]
+    whole, best = full_track(found), best_track(found)
+    stages = {"0.png": "by hand", "1.png": "registration", "2.png": "registration", "3.png": "by hand"}
+    assert {point["frame"]: point["stage"] for point in whole} == stages
+    assert [(point["frame"], point["stage"]) for point in best] == list(stages.items())
+    by_hand = whole[-2]
+    assert best[0] == by_hand
     assert by_hand["metres_from_tag"] is not None
     assert by_hand["reason"] == "A person laid the photo by hand."
     assert by_hand["note"].startswith("The GPS tag lies ")
     assert by_hand["note"].endswith("The registration lies 18.1 m from there.")
-    best = best_track(found)
-    assert [(point["frame"], point["stage"]) for point in best] == [
-        ("0.png", "by hand"),
-        ("1.png", "registration"),
-        ("2.png", "registration"),
-        ("3.png", "by hand"),
-    ]
-    assert best[0] == by_hand
     lost = replace(found.frames[1], stages={"registration": StageRecord("refused", "Too few.", 5.0, 5.0)})
     (point,) = best_track(replace(found, frames=[lost]))
-    assert [point.get(name) for name in ("state", "latitude", "reason", "note")] == [
-        *("refused", None, "Not located.", "Too few."),
-    ]
+    told = [point.get(name) for name in ("state", "latitude", "reason", "note")]
+    assert told == ["refused", None, "Not located.", "Too few."]
     assert found.notes[0].startswith("2 of 4 photos are corrected by hand.")
     assert "left out: x.png." in found.notes[1]
-    assert found.audit is not None
     assert found.audit.largest > 80  # between the last frame's tag and its correction
     plain = locate(town, flown, None, SIFT)
     assert [point["stage"] for point in full_track(plain)] == ["registration"] * 4
@@ -253,13 +208,11 @@ def test_bad_frames_get_a_sentence_and_the_run_goes_on(town: Map, flight: Flight
 @pytest.mark.parametrize(
     ("moved", "count", "away"),
     [
-        ({"latitude": 10.0}, 4, None),
-        ({"latitude": 0.0, "longitude": 98.0}, 4, None),
-        ({"latitude": 0.0, "longitude": -171.0}, 4, None),
-        ({}, 4, 600.0),
-        ({"latitude": 0.0, "longitude": 98.0}, 1, None),
+        ({"latitude": 10.0}, 4, None),  # on the plane
+        ({"latitude": 0.0, "longitude": -171.0}, 4, None),  # on the globe's other side
+        ({}, 4, 600.0),  # near by
+        ({"latitude": 0.0, "longitude": 98.0}, 1, None),  # one photo alone, a quarter of the globe away
     ],
-    ids=["on the plane", "a quarter of the globe away", "on its other side", "near by", "one photo alone"],
 )
 def test_a_flight_elsewhere_and_a_tag_far_away_are_told_and_left_out(
     town: Map, flight: Flight, moved: dict[str, float], count: int, away: float | None
@@ -271,9 +224,7 @@ def test_a_flight_elsewhere_and_a_tag_far_away_are_told_and_left_out(
     assert np.isnan(tags).any(axis=1).tolist() == [i < count for i in range(4)]
     assert len(notes) == 1
     if count == 1:
-        assert notes[0].startswith(
-            "By the GPS tags of 1 of 4 photos, the drone was beyond the map's edge; a photo taken"
-        )
+        assert notes[0].startswith("By the GPS tags of 1 of 4 photos, the drone was beyond the map's edge;")
         assert found is None
         return
     middle = town.frame.latitude, town.frame.longitude
@@ -372,10 +323,8 @@ def test_a_matcher_that_finds_one_of_two_equal_places_does_not_decide(flight: Fl
     height = width / 2 / math.tan(math.radians(FOV / 2))
     located = LocatedFrame(replace(flight.frames[0], file=file, height_above_ground=height), None)
     both, one = MapFeatures(town, _MutualMatcher()), MapFeatures(town, _OneEyedMatcher())
-    alone, after = (
-        registered_stage.register_frame(town, kinds, located, SIFT, FlightPrior(), None)
-        for kinds in ([one], [both, one])
-    )
+    alone = registered_stage.register_frame(town, [one], located, SIFT, FlightPrior(), None)
+    after = registered_stage.register_frame(town, [both, one], located, SIFT, FlightPrior(), None)
     assert alone.accepted
     assert alone.x == pytest.approx(50, abs=1)
     assert after.state == "refused"
@@ -386,7 +335,6 @@ def test_a_place_that_earlier_matches_hardly_support_is_no_rival(town: Map) -> N
     size, width = (240, 180), 60.0
     photo = PhotoView.plain(photo_of(land(), ground_to_photo((50.0, 10.0), 0.0, width, size), size))
     described = MapFeatures(town, SiftMatcher()).around(None, 0.0, width)
-    assert described is not None
     found = register(SiftMatcher(), photo, described, Expectation(width, 0.0))
     searches = [(SiftMatcher(), described), (_MutualMatcher(), described)]
     away = PhotoPlace(complex(width), -40 - 30j)
@@ -395,37 +343,28 @@ def test_a_place_that_earlier_matches_hardly_support_is_no_rival(town: Map) -> N
     assert contested(found, photo, searches, [found.places[0]]) is found
 
 
-def _tilted(folder: Path, pitch: float, roll: float, told: float) -> Frame:
-    """Render a tilted photo from 80 m above the land's middle, with another pitch in its frame."""
-    size = (480, 360)
-    camera = Frame(
-        "t.png", folder / "t.png", *size, None, None, None, HEIGHT, None, None, 20.0, "gimbal", pitch, roll, FOV
-    )
-    corners = footprint(camera, HEIGHT)
-    assert corners is not None
-    pixels = np.array([(-0.5, -0.5), (479.5, -0.5), (479.5, 359.5), (-0.5, 359.5)], np.float32)
-    picture = photo_of(land(), cv2.getPerspectiveTransform(corners.astype(np.float32), pixels), size)
-    cv2.imwrite(str(camera.file), np.ascontiguousarray(picture[..., ::-1]))
-    return replace(camera, pitch=told)
+def _tilted(flight: Flight, folder: Path) -> Flight:
+    """Render one photo from 80 m above the land's middle, tilted by 17 degrees."""
+    frame = replace(flight.frames[0], file=folder / "t.png", latitude=None, longitude=None, heading=20.0, pitch=-73.0)
+    to_photo = four_point_homography(footprint(frame, HEIGHT), corner_pixels(*SIZE))
+    cv2.imwrite(str(frame.file), photo_of(land(), to_photo, SIZE)[..., ::-1])
+    return replace(flight, frames=(frame,))
 
 
 def test_beyond_15_degrees_of_tilt_the_pose_tells_the_camera_and_without_it_the_middle_is_told(
-    town: Map, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    town: Map, flight: Flight, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    frame = _tilted(tmp_path, -73.0, 0.0, -73.0)
-    answer = locate(town, Flight("monday", (frame,)), None, SIFT).frames[0].stages["registration"]
-    assert answer.pose is not None
+    tilted = _tilted(flight, tmp_path)
+    answer = locate(town, tilted, None, SIFT).frames[0].stages["registration"]
     assert (answer.x, answer.y) == (answer.pose.east, answer.pose.north)
     assert answer.distance(np.zeros(2)) < 1.0
     assert "above flat ground" in answer.sentence
     monkeypatch.setattr(registered_stage, "photo_pose", lambda *_: "There is none.")
     monkeypatch.setattr(registered_stage, "FORMAT", "another")  # the cache has the answer with a pose
-    answer = locate(town, Flight("monday", (frame,)), None, SIFT).frames[0].stages["registration"]
+    answer = locate(town, tilted, None, SIFT).frames[0].stages["registration"]
     assert answer.accepted, answer.sentence
     assert not answer.camera
     assert "of the picture's middle" in answer.sentence
-    assert answer.x is not None
-    assert answer.y is not None
     ahead = HEIGHT * math.tan(math.radians(17.0))
     turn = math.radians(20.0)
     assert math.hypot(answer.x - ahead * math.sin(turn), answer.y - ahead * math.cos(turn)) < 1.0
@@ -434,24 +373,14 @@ def test_beyond_15_degrees_of_tilt_the_pose_tells_the_camera_and_without_it_the_
 def test_retrieval_sequence_and_registration_agree(town: Map, flight: Flight) -> None:
     model = GridModel()
     upright = replace(flight, frames=tuple(frame for i, frame in enumerate(flight.frames) if i != 2))
-    options = replace(SIFT, overlap=0.88)
-    found = locate(town, upright, model, options)  # type: ignore[arg-type]
+    found = locate(town, upright, model, replace(SIFT, overlap=0.88))  # type: ignore[arg-type]
     assert found.stages == ["retrieval", "sequence", "registration"]
     for located in found.frames:
-        errors = located.error("retrieval"), located.error("sequence")
-        assert errors[0] is not None
-        assert errors[1] is not None
-        assert max(errors) < 15
-        retrieved = located.stages["retrieval"]
-        assert (retrieved.state, retrieved.radius) == ("not verified", None)
-        assert retrieved.sentence.endswith("not verified.")
-        assert located.stages["sequence"].accepted
-        assert located.stages["registration"].accepted
+        assert max(located.error("retrieval"), located.error("sequence")) < 15
+        assert [located.stages[name].state for name in found.stages] == ["not verified", "accepted", "accepted"]
+        assert located.stages["retrieval"].radius is None
         best = located.windows[0]
         assert sum(best.contributions) == pytest.approx(2 - 2 * best.score, abs=1e-5)
-        assert [window.score for window in located.windows] == sorted(
-            (window.score for window in located.windows), reverse=True
-        )
     measured = found.field_measures()
     assert measured["recall@1"] == 100
     assert measured["dis@1"] < 15
@@ -554,9 +483,8 @@ def test_a_retrieval_tells_its_score_and_margin(flight: Flight) -> None:
     scores = np.zeros((1, 25))
     scores[0, 12], scores[0, 0] = 0.9, 0.65
     (frame,) = _ranked(flight, scores, {})
-    assert frame.stages["retrieval"].sentence == (
-        "The best of 25 windows has the score 0.900; the margin to windows apart from it is 0.500 d²; not verified."
-    )
+    told = "The best of 25 windows has the score 0.900; the margin to windows apart from it is 0.500 d²; not verified."
+    assert frame.stages["retrieval"].sentence == told
 
 
 def test_frames_that_cannot_be_read_are_misses(town: Map, flight: Flight, tmp_path: Path) -> None:
@@ -583,13 +511,15 @@ def test_windows_have_the_sizes_that_frames_show(town: Map, flight: Flight) -> N
 
 
 def test_the_commands_write_a_track_and_measures(
-    town: Map, flight: Flight, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    town: Map,
+    flight: Flight,
+    tmp_path: Path,
+    refused: Refused,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    from lpn.flight.files import write_flight
-
     write_flight(replace(flight, frames=flight.frames[:2]), tmp_path / "flight")
-    map_file = str(town.sheets[0].raster.path)  # type: ignore[attr-defined]
-    where = ["--map", map_file, "--flight", str(tmp_path / "flight")]
+    where = ["--map", str(town.sheets[0].raster.path), "--flight", str(tmp_path / "flight")]
     track = tmp_path / "track.geojson"
     assert main(["locate", *where, "--matcher", "sift", "--limit", "1", "--out", str(track)]) == 0
     features = json.loads(track.read_text())["features"]
@@ -603,44 +533,38 @@ def test_the_commands_write_a_track_and_measures(
     said = " ".join(capsys.readouterr().out.split())
     assert "1 of 1 photos are corrected by hand." in said
     assert "Errors are against corrections by hand (1), and the GPS tags of the other photos" in said
-    alone = ["--no-corrections", "--out", str(track)]
-    assert main(["locate", *where, "--matcher", "sift", "--limit", "1", *alone]) == 0
-    assert [entry["properties"]["stage"] for entry in json.loads(track.read_text())["features"]] == ["registration"]
-    assert "by hand" not in capsys.readouterr().out
-    assert main(["locate", *where, "--out", str(tmp_path / "track.shp")]) == 2
-    assert "named track.shp" in capsys.readouterr().err
+    assert "named track.shp" in refused("locate", *where, "--out", tmp_path / "track.shp")
     survey = tmp_path / "survey.csv"
     eastings = town.frame.utm(PLACES[:2]).tolist()
     survey.write_text("photo,easting,northing\n" + "".join(f"{i},{e - 1},{n}\n" for i, (e, n) in enumerate(eastings)))
     compared = ["--positions", str(survey), "--no-corrections"]
-    assert main(["locate", *where, *compared]) == 2
-    assert "without their CRS" in capsys.readouterr().err
+    assert "without their CRS" in refused("locate", *where, *compared)
     compared += ["--crs", "32632", "--residuals", str(tmp_path / "residuals.csv"), "--json", str(tmp_path / "all.json")]
     assert main(["locate", *where, *compared]) == 0
-    assert "Against surveyed positions" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "Against surveyed positions" in said
+    assert "by hand" not in said
     measured = json.loads((tmp_path / "all.json").read_text())
     assert measured["notes"] == ["Radii of registrations include 1.5 m for the error of the map itself."]
     assert (measured["frames"], measured["corrected"], measured["stages"]["registration"]["photos"]) == (2, 0, 2)
     assert measured["surveyed"]["registration"]["camera"]["bias_east"] == pytest.approx(1.0, abs=0.6)
     assert len((tmp_path / "residuals.csv").read_text().splitlines()) == 3
-    monkeypatch.setattr(
-        pipeline, "locate", lambda *_: pytest.fail("the flight was located before its survey was checked")
-    )
+    monkeypatch.setattr(pipeline, "locate", lambda *_: pytest.fail("located before its survey was checked"))
     survey.write_text(survey.read_text() + "x.png,5,5\n0.png,5,5\n")
-    assert main(["locate", *where, *compared]) == 2
-    assert "has two surveyed positions of its camera" in capsys.readouterr().err
     same = ["--positions", str(survey), "--residuals", str(tmp_path / "flight" / ".." / "survey.csv")]
-    assert main(["locate", *where, *same]) == 2
-    assert "--positions and --residuals both name" in capsys.readouterr().err
-    assert main(["locate", *where, "--crs", "32632"]) == 2
-    assert "--crs belongs to --positions" in capsys.readouterr().err
+    assert "has two surveyed positions of its camera" in refused("locate", *where, *compared)
+    assert "--positions and --residuals both name" in refused("locate", *where, *same)
+    assert "--crs belongs to --positions" in refused("locate", *where, "--crs", "32632")
 
 
 def test_the_command_says_beside_the_track_how_many_points_are_guesses(
     town: Map, flight: Flight, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    located = locate(town, flight, None, SIFT)
-    located.frames[0].stages = {"retrieval": StageRecord("not verified", "It is the most similar window.", 0.0, 0.0)}
+    placed = StageRecord("accepted", "It agrees.", 0.0, 0.0, radius=1.0)
+    guessed = StageRecord("not verified", "It is the most similar window.", 0.0, 0.0)
+    stages = [{"retrieval": guessed}, *[{"registration": placed}] * 3]
+    frames = [LocatedFrame(frame, None, of_frame) for frame, of_frame in zip(flight.frames, stages, strict=True)]
+    located = LocatedFlight(flight, town, frames, None, [], None)
     monkeypatch.setattr("lpn.flight.commands.locate.LocateCommand.located", lambda *_: (None, located))
     track = tmp_path / "track.geojson"
     assert main(["locate", "--map", "town", "--flight", "monday", "--best", "--out", str(track)]) == 0
@@ -651,31 +575,40 @@ def test_the_command_says_beside_the_track_how_many_points_are_guesses(
 
 
 def test_a_kind_reaches_each_model(
-    town: Map,
-    flight: Flight,
-    data: Path,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
+    town: Map, data: Path, tmp_path: Path, refused: Refused, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    import lpn
-    from lpn.flight.files import write_flight
-
     kinds = []
 
     def load(*_: object, kind: str | None = None, **__: object) -> None:
         kinds.append(kind)
         raise InputError("It is not opened.")
 
-    monkeypatch.setattr(lpn, "load", load)
-    write_flight(replace(flight, frames=flight.frames[:1]), tmp_path / "flight")
-    where = ["--map", str(town.sheets[0].raster.path), "--flight", str(tmp_path / "flight")]  # type: ignore[attr-defined]
+    monkeypatch.setattr("lpn.load", load)
+    write_photo(tmp_path / "a.jpg")
+    where = ["--map", str(town.sheets[0].raster.path), "--flight", str(tmp_path), "--out", str(tmp_path / "track.csv")]
     bare = ["--model", "bare.pth", "--kind", "dac"]
     for arguments in (
-        ["locate", *where, *bare, "--out", str(tmp_path / "track.csv")],
+        ["locate", *where, *bare],
         ["doctor", *bare],
         ["compare", str(data), "--model", "bare.pth", "lpn.onnx", "--kind", "dac", "auto"],
     ):
-        assert main(arguments) == 2
-        assert "It is not opened" in capsys.readouterr().err
+        assert "It is not opened" in refused(*arguments)
     assert kinds == ["dac"] * 3
+
+
+# Two photos as taken, and two that someone turned by 180 degrees.
+PHOTOS = ("DJI_0024", "DJI_0028", "DJI_0031", "DJI_0034")
+
+
+@pytest.mark.slow
+def test_photos_of_brighton_are_registered_and_turned_ones_are_named() -> None:
+    if "LPN_FLIGHTS" not in os.environ:
+        pytest.skip("LPN_FLIGHTS names no folder of real flights")
+    pytest.importorskip("rasterio")
+    folder = Path(os.environ["LPN_FLIGHTS"]) / "brighton"
+    flight = open_flight(folder / "photos")
+    chosen = tuple(frame for frame in flight.frames if frame.file.stem in PHOTOS)
+    found = locate(open_map(folder / "map.jpg"), replace(flight, frames=chosen), None, LocateOptions())
+    assert [located.stages["registration"].accepted for located in found.frames] == [True] * 4
+    assert max(located.error("registration") or 99.0 for located in found.frames) < 4
+    assert any("2 photos are turned" in note and "DJI_0024" in note and "DJI_0028" in note for note in found.notes)

@@ -93,10 +93,8 @@ def _brute(
 ) -> tuple[list[np.ndarray], float]:
     """Posteriors (5, K) and the log likelihood, from all paths."""
     frames = len(emitted)
-    matrices = [
-        _transition(motion, float(times[t + 1] - times[t]), headings[t], headings[t + 1], beyond)
-        for t in range(frames - 1)
-    ]
+    steps = zip(np.diff(times).tolist(), headings, headings[1:], strict=False)
+    matrices = [_transition(motion, elapsed, before, after, beyond) for elapsed, before, after in steps]
     flat = [one.ravel() for one in emitted]
     posterior = [np.zeros(one.size) for one in emitted]
     begin = [_BEGIN / 2, 0.9 / 3] if beyond else [0.0, 1 / 5]
@@ -297,13 +295,10 @@ def _land(
     looks /= np.linalg.norm(looks, axis=1, keepdims=True)
     near = np.linalg.norm(truth[:, None] - places, axis=2).argmin(axis=1)
     seen = looks[near] + rng.normal(size=(len(near), 30)) / 4
-    windows = (
-        looks
-        if not mapped
-        else np.random.default_rng(mapped).permutation(looks.T).T
-        @ np.linalg.qr(np.random.default_rng(mapped).normal(size=(30, 30)))[0]
-    )
-    return seen @ windows.T, truth, at / 2.5, headings, places
+    if mapped:
+        turned = np.linalg.qr(np.random.default_rng(mapped).normal(size=(30, 30)))[0]
+        looks = np.random.default_rng(mapped).permutation(looks.T).T @ turned
+    return seen @ looks.T, truth, at / 2.5, headings, places
 
 
 def _standardised(values: np.ndarray) -> np.ndarray:
@@ -318,10 +313,8 @@ def test_a_flight_that_leaves_the_map_is_followed_beyond_its_edge() -> None:
         shown, off = places[:, 0] < 240, truth[:, 0] > 315  # the drone flies to and fro over 475 m
         scores, alike = _standardised(values[:, shown]), motion.alike(elapsed_seconds(times), 100.0)
         for i, beyond in enumerate((places[:0], places[~shown])):
-            logs = [
-                emissions(one[:, None], 0.33, beyond=len(beyond), alike=own)
-                for one, own in zip(scores, alike, strict=True)
-            ]
+            of_frames = zip(scores[..., None], alike, strict=True)
+            logs = [emissions(one, 0.33, beyond=len(beyond), alike=own) for one, own in of_frames]
             states = np.concatenate([places[shown], beyond])
             found = _smoothed(logs.__getitem__, headings, states, times, motion, 75.0, beyond=len(beyond))
             false[i] += (off & (found.nearby > 0.98)).sum()

@@ -34,7 +34,6 @@ def test_nothing_of_the_demo_s_flights_is_computed_again(
     assert described == []
     lags = place is DEMO_PLACE
     assert (located.late_tags is not None, located.judge_of(0)) == (lags, "its details" if lags else "its GPS tag")
-    assert whole.audit is not None
     assert whole.audit.has_lag == lags
     assert not lags or "or the camera looks 8.6 m ahead" in whole.audit.sentence
     assert whole.stages == ["retrieval", "sequence", "registration"]
@@ -47,7 +46,6 @@ def test_answers_of_another_model_map_or_flight_are_not_taken(tmp_path: Path) ->
     folder = tmp_path / "answers"
     shutil.copytree(DEMO_PLACE[0].with_name(DEMO_ANSWERS), folder)
     answers = ShippedAnswers.open(folder, model, basemap, flight)
-    assert answers is not None
     assert set(answers.record.registration) == {frame.name for frame in flight.frames}
     assert ShippedAnswers.open(folder, lpn.load(DEMO_BASELINE), basemap, flight) is None
     assert ShippedAnswers.open(folder, model, open_map(DEMO_FLIGHT[0]), flight) is None

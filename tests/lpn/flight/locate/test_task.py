@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 
@@ -19,7 +18,7 @@ from lpn.flight.maps import Map
 from lpn.library.analyser import QueryAnalyser, QueryRequest, describe_tile
 from lpn.models.base import Model
 from lpn.tasks.task import Task
-from tests.lpn.flight.locate.scenery import FLOWN_PLACES, land, small_flight, write_map
+from tests.lpn.flight.locate.scenery import FLOWN_PLACES
 
 
 @pytest.fixture(scope="module")
@@ -28,21 +27,10 @@ def model(model_file: Path) -> Model:
 
 
 @pytest.fixture(scope="module")
-def town(tmp_path_factory: pytest.TempPathFactory) -> Map:
-    picture = cv2.resize(land(), (400, 400), interpolation=cv2.INTER_AREA)
-    return write_map(tmp_path_factory.mktemp("map") / "town.tif", picture)
-
-
-@pytest.fixture(scope="module")
-def flight(town: Map, tmp_path_factory: pytest.TempPathFactory) -> Flight:
-    return small_flight(tmp_path_factory.mktemp("monday"), town)
-
-
-@pytest.fixture(scope="module")
-def located(town: Map, flight: Flight, model: Model) -> LocatedFlight:
+def located(town: Map, monday: Flight, model: Model) -> LocatedFlight:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(retrieval, "MIN_DISTINCT", 2)  # an untrained network's descriptors are much alike
-        return locate(town, flight, model, LocateOptions(register=False, overlap=0.5, sizes=(51.0, 71.0)))
+        return locate(town, monday, model, LocateOptions(register=False, overlap=0.5, sizes=(51.0, 71.0)))
 
 
 @pytest.fixture(scope="module")
@@ -56,7 +44,6 @@ def _analyser(task: Task) -> QueryAnalyser:
 
 @pytest.mark.parametrize("query", [1, 5])
 def test_rankings_and_contributions_are_those_of_the_retrieval(task: Task, located: LocatedFlight, query: int) -> None:
-    assert located.retrieval is not None
     assert set(located.retrieval.means) == {"satellite", "drone"}  # so the descriptors are centred
     analysis = _analyser(task).analyse(task, QueryRequest(query, evidence=True), 5)
     first, best = located.retrieval.first(query, 5), located.retrieval.best(query, 1)[0]
@@ -71,10 +58,8 @@ def test_evidence_of_centred_descriptors_adds_up(task: Task) -> None:
     analysis = _analyser(task).analyse(task, QueryRequest(5, evidence=True), 3)
     np.testing.assert_allclose(analysis.query.descriptor, task.query_descriptors[5], atol=1e-5)
     np.testing.assert_allclose(analysis.tile.descriptor, task.gallery_descriptors[analysis.chosen.index], atol=1e-5)
-    assert task.model is not None
     assert task.model.for_parallel_inference().means is task.model.means
     assert task.contract.claim.endswith("the length of the mean's term held")
-    assert analysis.pair_evidence is not None
     evidence = analysis.pair_evidence.evidence
     assert evidence.score == pytest.approx(analysis.chosen.score, abs=1e-5)
     for side in (evidence.query, evidence.tile):
@@ -83,13 +68,10 @@ def test_evidence_of_centred_descriptors_adds_up(task: Task) -> None:
 
 def test_true_tiles_hold_the_tag_and_have_the_frame_s_own_size(task: Task, located: LocatedFlight) -> None:
     found = located.retrieval
-    assert found is not None
-    assert task.truth is not None
     sizes, places = found.gallery.sizes, found.gallery.places
     assert len(set(sizes)) > 1
     for i in (5, len(FLOWN_PLACES)):
         tag, truth = located.frames[i].tag, task.truth[i]
-        assert tag is not None
         own = sizes == found.views[i].level
         holds = np.abs(places - tag).max(axis=1) <= sizes / 2
         assert len(truth.good)
@@ -100,7 +82,6 @@ def test_true_tiles_hold_the_tag_and_have_the_frame_s_own_size(task: Task, locat
 
 
 def test_frames_without_a_position_or_that_cannot_be_read_are_no_failures(task: Task) -> None:
-    assert task.known is not None
     assert np.flatnonzero(~task.known).tolist() == [0, 2]
     assert not task.outcomes.failed[[0, 2]].any()
     assert task.metrics["queries"] == len(task.queries) - 2
@@ -112,7 +93,6 @@ def test_frames_without_a_position_or_that_cannot_be_read_are_no_failures(task: 
 
 def test_errors_are_metres_from_the_tag(task: Task, located: LocatedFlight) -> None:
     analysis = _analyser(task).analyse(task, QueryRequest(5), 3)
-    assert analysis.errors_m is not None
     assert analysis.errors_m[analysis.matches[0].index] == pytest.approx(located.frames[5].error("retrieval"), abs=0.5)
     distance = task.table.columns["distance"]
     assert np.flatnonzero(~distance.known).tolist() == [0]
@@ -129,5 +109,4 @@ def test_no_window_is_cut_before_it_is_shown(
     assert task.outcomes.rank.shape == (len(task.queries),)
     assert not cuts
     assert task.gallery[7].load().shape == (*model.input_size, 3)
-    assert located.retrieval is not None
     assert cuts == [located.retrieval.gallery.windows[7]]

@@ -97,61 +97,56 @@ def test_answers_that_were_refused_or_not_verified_contradict_nothing() -> None:
 
 PLACED = "Placed by its details, ± 1.0 m on this map"
 GUESS = StageRecord("not verified", "The best window.", 1.0, 1.0)
+TAG_OFF = "Registration and tag lie 60.0 m apart; their radii allow 15.3 m."
+NEIGHBOURS_OFF = "Registration and sequence lie 97.0 m apart; their radii allow 57.0 m."
+NEAR, FEW = "Matches agree. It lies 3.0 m from its GPS tag.", "Too few matches."
 
 
+# The tag and the answers; the verdict's sign, stage, headline, and reason.
 @pytest.mark.parametrize(
-    ("tagged", "stages", "sign", "stage", "headline", "reason"),
+    ("tag", "stages", "expected"),
     [
+        (TAG, {"registration": registration(3.0), "sequence": sequence(5.0)}, (True, "registration", PLACED, NEAR)),
         (
-            *(True, {"registration": registration(3.0), "sequence": sequence(5.0)}, True, "registration"),
-            *(PLACED, "Matches agree. It lies 3.0 m from its GPS tag."),
+            TAG,
+            {"registration": msgspec.structs.replace(registration(3.0), place_error=0.5)},
+            (True, "registration", PLACED.replace("this map", "earth"), NEAR),
         ),
         (
-            *(
-                True,
-                {"registration": msgspec.structs.replace(registration(3.0), place_error=0.5)},
-                True,
-                "registration",
-            ),
-            *("Placed by its details, ± 1.0 m on earth", "Matches agree. It lies 3.0 m from its GPS tag."),
+            TAG,
+            {"registration": registration(60.0), "sequence": sequence(50.0)},
+            (None, "registration", f"{PLACED}, but its GPS tag disagrees", TAG_OFF),
         ),
         (
-            *(True, {"registration": registration(60.0), "sequence": sequence(50.0)}, None, "registration"),
-            f"{PLACED}, but its GPS tag disagrees",
-            "Registration and tag lie 60.0 m apart; their radii allow 15.3 m.",
+            TAG,
+            {"registration": registration(3.0), "sequence": sequence(100.0)},
+            (True, "registration", PLACED, f"{NEAR} Its neighbours would place it 97.0 m from here."),
         ),
         (
-            *(True, {"registration": registration(3.0), "sequence": sequence(100.0)}, True, "registration", PLACED),
-            "Matches agree. It lies 3.0 m from its GPS tag. Its neighbours would place it 97.0 m from here.",
+            None,
+            {"registration": registration(3.0), "sequence": sequence(100.0)},
+            (None, "registration", f"{PLACED}, but its neighbours disagree", NEIGHBOURS_OFF),
         ),
         (
-            *(False, {"registration": registration(3.0), "sequence": sequence(100.0)}, None, "registration"),
-            f"{PLACED}, but its neighbours disagree",
-            "Registration and sequence lie 97.0 m apart; their radii allow 57.0 m.",
+            TAG,
+            {"registration": REFUSED, "sequence": sequence(5.0)},
+            (None, "sequence", "Placed by its neighbours only, ± 10 m on this map", FEW),
         ),
         (
-            *(True, {"registration": REFUSED, "sequence": sequence(5.0)}, None, "sequence"),
-            *("Placed by its neighbours only, ± 10 m on this map", "Too few matches."),
+            TAG,
+            {"registration": REFUSED, "sequence": REFUSED, "retrieval": GUESS},
+            (None, "retrieval", "Not placed, a best guess only", FEW),
         ),
-        (
-            *(True, {"registration": REFUSED, "sequence": REFUSED, "retrieval": GUESS}, None, "retrieval"),
-            *("Not placed, a best guess only", "Too few matches."),
-        ),
-        (True, {"retrieval": REFUSED}, False, None, "Not located", "Too few matches."),
-        (True, {}, False, None, "Not located", "No stage has an answer."),
+        (TAG, {"retrieval": REFUSED}, (False, None, "Not located", FEW)),
+        (TAG, {}, (False, None, "Not located", "No stage has an answer.")),
     ],
 )
 def test_only_a_registration_that_nothing_contradicts_is_believed(
-    tagged: bool,
-    stages: dict[str, StageRecord],
-    sign: bool | None,
-    stage: str | None,
-    headline: str,
-    reason: str,
+    tag: np.ndarray | None, stages: dict[str, StageRecord], expected: tuple[bool | None, str | None, str, str]
 ) -> None:
-    found = judged(TAG if tagged else None, **stages)
-    assert (found.sign, found.stage, found.headline, found.reason) == (sign, stage, headline, reason)
-    assert found.contradicted == (stage == "registration" and sign is None)
+    found = judged(tag, **stages)
+    assert (found.sign, found.stage, found.headline, found.reason) == expected
+    assert found.contradicted == (found.stage == "registration" and found.sign is None)
     assert found.state == ("contradicted" if found.contradicted else found.answer.state)
 
 
@@ -180,6 +175,5 @@ def test_errors_of_placed_photos_are_against_the_tags_whatever_a_person_correcte
     verdicts = [judge(one) for one in frames]
     assert (verdicts[0].state, verdicts[0].columns["stage"], verdicts[0].doubt) == ("accepted", "by hand", [])
     errors = placed_errors(frames, verdicts)
-    assert errors is not None
     assert (errors.photos, errors.median) == (1, 3.0)
     assert placed_errors(frames[1:], verdicts[1:]) is None

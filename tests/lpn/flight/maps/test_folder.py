@@ -15,6 +15,7 @@ from lpn.cli.main import main
 from lpn.core.errors import DataError, InputError, OutputError
 from lpn.flight.maps import Map, MapOptions, Window, open_map
 from lpn.flight.maps.folder import build_map
+from tests.conftest import Refused
 from tests.lpn.flight.maps.small_maps import EAST, NORTH, smooth, write_geotiff
 
 
@@ -62,18 +63,8 @@ def test_a_map_folder_holds_copies_of_its_sheets(tmp_path: Path, capsys: pytest.
 
 def test_the_options_of_lpn_map_are_kept_in_its_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     Image.fromarray(smooth(100, 160)).save(tmp_path / "a.png")
-    command = [
-        "map",
-        str(tmp_path / "a.png"),
-        "--out",
-        str(tmp_path / "map"),
-        "--corners",
-        "48",
-        "9",
-        "47.9995",
-        "9.0007",
-    ]
-    command += ["--bands", "2", "--keep-borders", "--place", "A town"]
+    command = ["map", str(tmp_path / "a.png"), "--out", str(tmp_path / "map"), "--bands", "2", "--keep-borders"]
+    command += ["--corners", "48", "9", "47.9995", "9.0007", "--place", "A town"]
     for wrong, words in (
         (["--photographed", "2014-13-19"], "pictures is '2014-13-19'; expected a day such as 2014-10-19"),
         (["--photographed", "yesterday"], "pictures is 'yesterday'; expected a day"),
@@ -93,7 +84,7 @@ def test_the_options_of_lpn_map_are_kept_in_its_folder(tmp_path: Path, capsys: p
     assert (kept.total_error(0.02), kept.place_error(0.02)) == (0.02, 0.0)
 
 
-def test_what_lpn_map_refuses_leaves_nothing_behind(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_lpn_map_refuses_leaves_nothing_behind(tmp_path: Path, refused: Refused) -> None:
     many = [write_geotiff(tmp_path / f"{i:02}.tif", smooth(60, 60)) for i in range(12)]
     degrees = write_geotiff(tmp_path / "b.tif", smooth(60, 60), matrix=(7e-6, 0, 9.0, 0, -5e-6, 48.0))
     build_map(many, tmp_path / "many").close()
@@ -102,10 +93,7 @@ def test_what_lpn_map_refuses_leaves_nothing_behind(tmp_path: Path, capsys: pyte
         ([tmp_path / "many"], "08.tif, 09.tif, and 2 more."),
         ([many[0], degrees], "look like degrees"),
     ):
-        assert main(["map", *map(str, files), "--out", str(tmp_path / "map")]) == 2
-        error = capsys.readouterr().err
-        assert words in error
-        assert error.count("\n") == 1
+        assert words in refused("map", *files, "--out", tmp_path / "map")
         assert not (tmp_path / "map").exists()
 
 
@@ -147,20 +135,12 @@ def test_a_damaged_map_folder_is_refused(tmp_path: Path) -> None:
     whole = manifest.read_text()
     with pytest.raises(InputError, match="open it alone"):
         open_map([tmp_path / "map", path])
+    wrong = {"sheets": [], "latitude": 91, "surveyed_error": -1, "error": -1, "place": {"photographed": "2014-99-19"}}
     for text, words in (
         (whole.replace("lpn-map/2", "lpn-map/3"), "later version"),
         (whole.replace("lpn-map/2", "lpn-map/1"), "of an older version"),
         (whole[:50], "is damaged"),
-        (json.dumps(json.loads(whole) | {"sheets": []}), "is damaged"),
-        *(
-            (json.dumps(json.loads(whole) | {name: value}), "is damaged")
-            for name, value in (
-                ("latitude", 91),
-                ("surveyed_error", -1),
-                ("error", -1),
-                ("place", {"photographed": "2014-99-19"}),
-            )
-        ),
+        *((json.dumps(json.loads(whole) | {name: value}), "is damaged") for name, value in wrong.items()),
     ):
         manifest.write_text(text)
         with pytest.raises(DataError, match=words):

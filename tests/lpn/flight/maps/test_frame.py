@@ -1,12 +1,16 @@
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pyproj
 import pytest
 
-from lpn.core.errors import InputError
-from lpn.flight.maps import LocalFrame, Window
+from lpn.core.errors import InputError, PictureError
+from lpn.flight.maps import LocalFrame, NamedWindow, Window, open_map
+from lpn.flight.maps.named_window import WindowCut, caption_of, covers_part_of, describe_offset
 from lpn.flight.maps.window import grid
+from tests.lpn.flight.maps.small_maps import smooth, write_geotiff
 
 
 @pytest.mark.parametrize("origin", [(48.0, 9.0), (-33.9, 151.2), (65.0, 179.99), (0.0, 0.0)])
@@ -58,11 +62,8 @@ def test_unknown_positions_stay_unknown() -> None:
 
 def test_a_windows_pixels_lie_where_its_heading_says() -> None:
     window = Window(100.0, 200.0, 40.0, heading=90.0)  # east points up
-    np.testing.assert_allclose(window.to_ground([(19.5, 19.5)], 40), [(100, 200)])
-    np.testing.assert_allclose(window.to_ground([(19.5, -0.5)], 40), [(120, 200)], atol=1e-12)  # the middle of the top
-    np.testing.assert_allclose(
-        window.to_ground([(39.5, 19.5)], 40), [(100, 180)], atol=1e-12
-    )  # the middle of the right
+    pixels = [(19.5, 19.5), (19.5, -0.5), (39.5, 19.5)]  # the middles of the picture, of its top, and of its right
+    np.testing.assert_allclose(window.to_ground(pixels, 40), [(100, 200), (120, 200), (100, 180)], atol=1e-12)
     np.testing.assert_allclose(window.corners, [(120, 220), (120, 180), (80, 180), (80, 220)], atol=1e-12)
     points = np.random.default_rng(0).uniform(-10, 300, (20, 2))
     turned = Window(-3.0, 7.0, 90.0, heading=-33.0)
@@ -91,3 +92,75 @@ def test_impossible_grids_are_refused(size: float, step: float) -> None:
 def test_impossible_windows_are_refused(numbers: tuple[float, float, float, float]) -> None:
     with pytest.raises(InputError, match="size above 0 m"):
         Window(*numbers)
+
+
+@pytest.mark.parametrize(
+    ("window", "ending"),
+    [
+        (Window(12.3, -45.6, 70.0), ",70m"),
+        (Window(0, 0, 83.666, -0.004), ",83.67m"),
+        (Window(5, 5, 9.5, -30.0), ",9.5m,330deg"),
+    ],
+)
+def test_the_name_of_a_window_leads_back_to_it(window: Window, ending: str) -> None:
+    frame = LocalFrame(-48.0, 9.0)
+    named = NamedWindow.all_of([window], frame)[0]
+    assert named.name.endswith(ending)
+    assert NamedWindow.parse(named.name) == named
+    (again,) = NamedWindow.all_on([named], frame)
+    assert np.hypot(again.x - window.x, again.y - window.y) < 0.01
+    assert again.size == pytest.approx(window.size, abs=0.005)
+    assert (again.heading - window.heading + 180) % 360 - 180 == pytest.approx(0, abs=0.005)
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "",
+        "0001/0001.jpg",
+        "48.0,9.0,70m",
+        "48.0000000,9.0000000,0m",
+        "98.0000000,9.0000000,7m",
+        "48.0000000,9.0000000,7m,360deg",
+        "48.0000000,9.0000000,7m.jpg",
+    ],
+)
+def test_other_names_are_no_windows(name: str) -> None:
+    assert NamedWindow.parse(name) is None
+
+
+def test_a_window_is_cut_again_from_its_name(tmp_path: Path) -> None:
+    town = open_map(write_geotiff(tmp_path / "town.tif", smooth(200, 300)))
+    window = Window(10.0, -20.0, 40.0, 30.0)
+    (named,) = NamedWindow.all_on(NamedWindow.all_of([window], town.frame), town.frame)
+    cut = WindowCut(town, named, 64)()
+    np.testing.assert_allclose(cut, town.read(window, 64)[0], atol=2)
+    assert covers_part_of(town, named)
+    assert not covers_part_of(town, Window(5000.0, 0.0, 40.0))
+
+
+def test_a_damaged_map_is_a_picture_that_cannot_be_read(tmp_path: Path) -> None:
+    file = write_geotiff(tmp_path / "town.tif", smooth(200, 300), compress="deflate")
+    town = open_map(file)
+    town.close()
+    data = bytearray(file.read_bytes())
+    data[len(data) // 4 : 3 * len(data) // 4] = bytes(len(data) // 2)
+    file.write_bytes(data)
+    with pytest.raises(PictureError):
+        WindowCut(town, Window(0, 0, 90.0), 64)()
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "place"),
+    [
+        (-46.1, 0.2, "46 m west of the map's middle"),
+        (1234.0, -13.0, "1,234 m east and 13 m south of the map's middle"),
+        (0.3, -0.4, "in the map's middle"),
+    ],
+)
+def test_a_place_is_said_in_metres_and_no_degrees(x: float, y: float, place: str) -> None:
+    assert describe_offset(x, y) == place
+
+
+def test_a_window_has_a_short_caption() -> None:
+    assert caption_of(Window(-46.1, 12.0, 36.6)) == "46 m W, 12 m N, 37 m wide"

@@ -63,7 +63,6 @@ def listener(tmp_path: Path) -> Iterator[tuple[str, Path]]:
     heard = tmp_path / "heard.txt"
     heard.touch()
     process = subprocess.Popen([sys.executable, "-c", _LISTENER, heard], stdout=subprocess.PIPE, text=True)
-    assert process.stdout is not None
     yield f"http://127.0.0.1:{int(process.stdout.readline())}", heard
     process.kill()
     process.communicate()
@@ -281,8 +280,7 @@ def test_no_crs_makes_proj_open_a_path(tmp_path: Path, capfd: pytest.CaptureFixt
 def test_a_crs_may_name_grids_without_a_path() -> None:
     from rasterio.crs import CRS
 
-    mercator = CRS.from_epsg(3857)
-    assert "nadgrids=@null" in mercator.to_wkt()
+    mercator = CRS.from_epsg(3857)  # with nadgrids=@null
     for text in (mercator.to_wkt(), mercator.to_proj4(), "+proj=longlat +ellps=bessel +nadgrids=BETA2007.gsb"):
         assert parse_crs(text)
 
@@ -294,7 +292,6 @@ def test_overviews_and_notes_beside_a_file_are_used(tmp_path: Path) -> None:
     with rasterio.Env(TIFF_USE_OVR=True), rasterio.open(path, "r+") as file:
         file.build_overviews([2], rasterio.enums.Resampling.average)
     (tmp_path / "a.aux").write_text(r"\relax")  # of LaTeX
-    assert (tmp_path / "a.tif.ovr").is_file()
     files = {file.name for file in open_map(path).sheets[0].raster.files()}
     assert files == {"a.tif", "a.tif.ovr"}
 

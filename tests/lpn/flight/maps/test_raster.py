@@ -55,17 +55,15 @@ def with_notes(path: Path, *bands: str) -> Path:
         ("uint8", 100, 255),
         ("uint16", 255, 65_535),
         ("int16", 1, 32_767),
-        ("int32", 255, 2**31 - 1),
         ("float32", 255, 1),
     ],
 )
 def test_alpha_of_a_smaller_range_than_its_type_is_alpha(tmp_path: Path, kind: str, full: float, usual: float) -> None:
     options = {"photometric": "RGB", "alpha": "yes"}
-    towns = [
-        open_map(write(tmp_path / f"{number}" / "town.tif", with_alpha(kind, OPAQUE * most), **options))
-        for number, most in enumerate((full, usual))
-        if not (tmp_path / f"{number}").mkdir()
-    ]
+    towns = []
+    for number, most in enumerate((full, usual)):
+        (tmp_path / f"{number}").mkdir()
+        towns.append(open_map(write(tmp_path / f"{number}" / "town.tif", with_alpha(kind, OPAQUE * most), **options)))
     assert towns[0].frame == towns[1].frame
     assert towns[0].notes == towns[1].notes
     for town in towns:
@@ -75,13 +73,8 @@ def test_alpha_of_a_smaller_range_than_its_type_is_alpha(tmp_path: Path, kind: s
 
 
 def test_partial_alpha_has_data_where_gdal_says_so(tmp_path: Path) -> None:
-    import rasterio
-
     alpha = np.repeat(np.arange(64)[None, :, None] * 4, 64, axis=0)  # a gradient, and NIR taken for alpha, look so
-    path = write(tmp_path / "town.tif", with_alpha("uint8", alpha), photometric="RGB", alpha="yes")
-    with rasterio.open(path) as file:
-        assert (file.dataset_mask() > 0).mean() == 63 / 64
-    town = open_map(path)
+    town = open_map(write(tmp_path / "town.tif", with_alpha("uint8", alpha), photometric="RGB", alpha="yes"))
     assert share(town) == pytest.approx(63 / 64, abs=0.01)
     assert town.notes == [
         "Band 4 of town.tif is marked as alpha, and most of it is between clear and opaque; data is where it is above 0. If it "
@@ -96,25 +89,18 @@ def test_jpeg_smears_neither_alpha_nor_nodata_into_the_map(tmp_path: Path) -> No
     alpha = np.concatenate([picture, inside[:, :, None] * 255], 2).astype(np.uint8)
     options = {"compress": "jpeg", "tiled": True, "blockxsize": 256, "blockysize": 256}
     path = write_geotiff(tmp_path / "alpha.tif", alpha, photometric="RGB", alpha="yes", **options)
-    import rasterio
-
-    with rasterio.open(path) as file:
-        assert (file.dataset_mask() > 0).mean() > inside.mean() + 0.015
     assert open_map(path).overview(300)[1].mean() == pytest.approx(inside.mean(), abs=0.006)
     small = np.concatenate([picture, inside[:, :, None]], 2).astype(np.uint8)
     path = write_geotiff(tmp_path / "small.tif", small, photometric="RGB", alpha="yes", interleave="band", **options)
     assert open_map(path).overview(300)[1].mean() == pytest.approx(inside.mean(), abs=0.03)
     path = write_geotiff(tmp_path / "nodata.tif", picture, photometric="YCBCR", nodata=0, **options)
-    with rasterio.open(path) as file:
-        assert (file.dataset_mask() > 0).mean() > inside.mean() + 0.05
     assert open_map(path).overview(300)[1].mean() == pytest.approx(inside.mean(), abs=0.006)
 
 
 def test_alpha_of_grey_and_of_many_bands(tmp_path: Path) -> None:
     grey = np.concatenate([PICTURE[:, :, :1], OPAQUE * 255], 2).astype(np.uint16)
-    assert share(write(tmp_path / "grey.tif", grey, photometric="MINISBLACK", alpha="yes")) == pytest.approx(
-        0.75, abs=0.002
-    )
+    path = write(tmp_path / "grey.tif", grey, photometric="MINISBLACK", alpha="yes")
+    assert share(path) == pytest.approx(0.75, abs=0.002)
     # GDAL has no mask for these, as it has one for two and for four bands.
     many = np.concatenate([PICTURE, PICTURE[:, :, :2], OPAQUE * 255], 2).astype(np.uint8)
     path = write(tmp_path / "many.tif", many, photometric="MINISBLACK")
@@ -164,6 +150,7 @@ def test_nodata_of_floats(tmp_path: Path, nodata: float) -> None:
 def test_nodata_of_each_band(tmp_path: Path) -> None:
     values = PICTURE.copy()
     values[:, :16] = (7, 8, 9)
+    values[:, 16:32, 0] = 7  # one band alone does not hide a pixel
     notes = [f"<NoDataValue>{value}</NoDataValue>" for value in (7, 8, 9)]
     path = with_notes(write(tmp_path / "town.tif", values), *notes)
     assert share(path) == pytest.approx(0.75, abs=0.002)
@@ -250,15 +237,22 @@ def test_few_bits_are_stretched(tmp_path: Path) -> None:
     assert np.ptp(town.overview(64)[0]) == 255
 
 
-@pytest.mark.parametrize("kind", ["CMYK", "CIELAB", "YCBCR"])
-def test_other_colour_spaces_are_shown_as_gdal_converts_them(tmp_path: Path, kind: str) -> None:
-    values = np.zeros((64, 64, 4 if kind == "CMYK" else 3), np.uint8)
-    values[:] = {"CMYK": (255, 0, 255, 0), "CIELAB": (200, 136, 120), "YCBCR": (0, 200, 0)}[kind]
+@pytest.mark.parametrize(
+    ("kind", "colour", "shown"),
+    [
+        ("CMYK", (255, 0, 255, 0), (0, 255, 0)),
+        ("CIELAB", (200, 136, 120), (0, 236, 0)),
+        ("YCBCR", (0, 200, 0), (0, 200, 0)),
+    ],
+)
+def test_other_colour_spaces_are_shown_as_gdal_converts_them(
+    tmp_path: Path, kind: str, colour: tuple[int, ...], shown: tuple[int, ...]
+) -> None:
+    values = np.zeros((64, 64, len(colour)), np.uint8)
+    values[:] = colour
     compress = {"compress": "jpeg"} if kind == "YCBCR" else {}
     path = write(tmp_path / "town.tif", values, photometric=kind, **compress)
-    red, green, blue = colour_of(path)
-    expected = {"CMYK": (0, 255, 0), "YCBCR": (0, 200, 0), "CIELAB": (0, 236, 0)}[kind]
-    assert (red, green, blue) == pytest.approx(expected, abs=12)
+    assert colour_of(path) == pytest.approx(shown, abs=12)
 
 
 def test_colours_that_nothing_converts_are_refused(tmp_path: Path) -> None:

@@ -83,17 +83,12 @@ def test_corners_come_from_options_lists_and_names(tmp_path: Path) -> None:
     (tmp_path / "map.csv").write_text(
         f"Filename,Top_left_lat,Top_left_lon,Bottom_right_lat,Bottom_right_long\ntwo.png,{top},{left},{bottom},{right}\n"
     )
-    (tmp_path / "satellite_coordinates_range.csv").write_text(
-        "mapname,LT_lat_map,LT_lon_map,RB_lat_map,RB_lon_map,region\n"
-        f"satellite01.png,{top},{left},{bottom},{right},here\n"
-    )
-    towns = [
-        open_map(tmp_path / names[0], MapOptions(corners=CORNERS)),
-        open_map(tmp_path / "map.csv"),
-        open_map(tmp_path / names[1]),
-        open_map(tmp_path / names[2]),
-        open_map(tmp_path),  # its list names the sheets
-    ]
+    head = "mapname,LT_lat_map,LT_lon_map,RB_lat_map,RB_lon_map,region"
+    row = f"satellite01.png,{top},{left},{bottom},{right},here"
+    (tmp_path / "satellite_coordinates_range.csv").write_text(f"{head}\n{row}\n")
+    towns = [open_map(tmp_path / names[0], MapOptions(corners=CORNERS))]
+    # Of a folder, its list names the sheets.
+    towns += [open_map(path) for path in (tmp_path, *(tmp_path / name for name in ("map.csv", *names[1:])))]
     for town in towns:
         outer = town.frame.xy([top, bottom], [left, right])
         np.testing.assert_allclose([outer[0, 0], outer[1, 1]], town.bounds[:2], atol=0.01)
@@ -116,19 +111,16 @@ def test_ground_control_points_that_fit_a_plane_are_a_transform(tmp_path: Path) 
 
 
 def test_the_finest_sheet_wins_and_fills_its_gaps(tmp_path: Path) -> None:
-    coarse = write_geotiff(
-        tmp_path / "coarse.tif", np.full((60, 60, 3), 50, np.uint8), matrix=(2, 0, EAST, 0, -2, NORTH)
-    )
+    grey = np.full((60, 60, 3), 50, np.uint8)
+    coarse = write_geotiff(tmp_path / "coarse.tif", grey, matrix=(2, 0, EAST, 0, -2, NORTH))
     fine = np.full((80, 80, 3), 200, np.uint8)
     fine[20:40] = 0
     write_geotiff(tmp_path / "fine.tif", fine, matrix=(0.5, 0, EAST + 40, 0, -0.5, NORTH - 40), nodata=0)
     town = open_map([coarse, tmp_path / "fine.tif"])
     assert [sheet.name for sheet in town.sheets] == ["fine.tif", "coarse.tif"]
     assert town.resolution == pytest.approx(0.5, rel=1e-3)
-    centre = town.frame.xy(
-        *reversed(pyproj.Transformer.from_crs(32632, 4326, always_xy=True).transform(EAST + 60, NORTH - 60))
-    )
-    picture, valid = town.read(Window(*centre[0].tolist(), 60), 60)
+    centre = pyproj.Transformer.from_crs(32632, 4326).transform(EAST + 60, NORTH - 60)
+    picture, valid = town.read(Window(*town.frame.xy(*centre)[0].tolist(), 60), 60)
     assert valid.all()
     assert picture[30, 5].tolist() == [50] * 3  # west of the fine sheet
     assert picture[15, 30].tolist() == [200] * 3  # on it
@@ -158,11 +150,7 @@ METRES = (0.5, 0, EAST, 0, -0.5, NORTH)
 @pytest.mark.parametrize(
     ("crs", "matrix", "words"),
     [
-        (
-            "EPSG:32632",
-            (7e-6, 0, 9.0, 0, -5e-6, 48.0),
-            "EPSG:32632, which is not in degrees, and they look like degrees",
-        ),
+        ("EPSG:32632", (7e-6, 0, 9.0, 0, -5e-6, 48.0), "which is not in degrees, and they look like degrees"),
         ("EPSG:4326", METRES, "is in degrees, and they lie outside the world"),
         ("EPSG:3857", (0.5, 0, 0, 0, -0.5, 9e9), "0 m wide on the ground; its transform does not fit"),
         ("EPSG:32632", (0.5, 0, 9e9, 0, -0.5, NORTH), "does not cover them"),
@@ -179,8 +167,8 @@ def test_a_wrong_crs_is_refused(tmp_path: Path, crs: str, matrix: tuple[float, .
 def test_a_map_of_the_world_and_a_position_by_rpcs_are_refused(tmp_path: Path) -> None:
     from rasterio.rpc import RPC
 
-    whole = (0.1, 0, -180.0, 0, -0.1, 90.0)
-    refused(write_geotiff(tmp_path / "a.tif", smooth(1800, 3600)[:, :, :1], "EPSG:4326", whole), "at most 400 km")
+    whole = (0.5, 0, -180.0, 0, -0.5, 90.0)
+    refused(write_geotiff(tmp_path / "a.tif", smooth(360, 720)[:, :, :1], "EPSG:4326", whole), "at most 400 km")
     one = [1.0] + [0.0] * 19
     position = RPC(0, 1, 48, 0.01, one, one, 30, 30, 9, 0.01, one, one, 30, 30, None, None)
     refused(write_geotiff(tmp_path / "b.tif", smooth(60, 60), None, None, rpcs=position), "RPCs only", "gdalwarp -rpc")
@@ -208,11 +196,7 @@ def test_broken_lists_are_refused(tmp_path: Path, text: str, words: str) -> None
         ("a.tif", b"", "is empty and cannot be read as a map ("),
         ("a.tif", b"oid\nsha", "begins with 'oid sha' and cannot"),
         ("a.tif", b"PK\x03\x04", "a.tif cannot be read as a map ("),
-        (
-            "a.tif",
-            b"PK\x03\x04",
-            "; expected a GeoTIFF, a picture, or an .mbtiles of pictures, so convert, unpack, or copy",
-        ),
+        ("a.tif", b"PK", "; expected a GeoTIFF, a picture, or an .mbtiles of pictures, so convert, unpack, or copy"),
         ("a.mbtiles", b"SQLite format 3\0" + bytes(100), "cannot be read as a map"),
         ("a.MP4", b"\0", "; make a flight of it with lpn flight."),
         ("a.pth", b"\0", "; give a model with --model."),
@@ -262,7 +246,6 @@ def test_a_local_crs_is_read_by_its_code(tmp_path: Path, wkt: str, place: tuple[
 @pytest.mark.parametrize(
     ("crs", "matrix", "place"),
     [
-        ("EPSG:32632", (2, 0, EAST, 0, 2, NORTH - 128), (47.996723, 9.000858)),  # from the south up
         ("EPSG:32632+5773", (2, 0, EAST, 0, -2, NORTH), (47.996723, 9.000858)),  # with heights
         ("EPSG:31467", (2, 0, 3_500_000, 0, -2, 5_317_000), (47.990545, 8.999834)),  # northing comes first
         ("EPSG:2180", (2, 0, 500_000, 0, -2, 500_000), (52.365372, 19.000940)),
@@ -282,6 +265,7 @@ def test_a_raster_from_the_south_up_is_not_mirrored(tmp_path: Path) -> None:
     picture = smooth(120, 160)
     north = open_map(write_geotiff(tmp_path / "a.tif", picture))
     south = open_map(write_geotiff(tmp_path / "b.tif", picture[::-1], matrix=(0.5, 0, EAST, 0, 0.5, NORTH - 60)))
+    assert south.frame == north.frame
     np.testing.assert_array_equal(cut(south), cut(north))
 
 
@@ -339,8 +323,6 @@ def test_other_rasters_with_a_georeference_are_the_geotiff(tmp_path: Path, drive
         ("EPSG:2334", "Xian 1980, by which places may be off by more than 100 m"),
         ("+proj=utm +zone=32 +ellps=bessel +units=m", "by more than 100 m"),
         ("EPSG:4807", "by some 2 m"),
-        ("EPSG:4818", "by some 6 m"),
-        ("EPSG:4806", "by some 4 m"),
         ("EPSG:4004", "Not specified based on Bessel 1841 ellipsoid, by which places may be off by more than 100 m"),
         ("EPSG:4019", ""),
         ("+proj=utm +zone=32 +ellps=bessel +towgs84=598,74,418,0.2,0,-2.5,6.7", ""),
@@ -355,10 +337,8 @@ def test_a_map_on_an_old_datum_tells_how_far_off_it_may_be(crs: str, words: str)
 
 
 def test_a_map_has_one_note_for_all_sheets_on_an_old_datum(tmp_path: Path) -> None:
-    files = [
-        write_geotiff(tmp_path / name, smooth(120, 160), "EPSG:31467", (0.5, 0, x, 0, -0.5, 5_400_000))
-        for name, x in (("a.tif", 3_500_000), ("b.tif", 3_500_000))
-    ]
+    place = (0.5, 0, 3_500_000, 0, -0.5, 5_400_000)
+    files = [write_geotiff(tmp_path / name, smooth(60, 60), "EPSG:31467", place) for name in ("a.tif", "b.tif")]
     (note,) = open_map(files).notes
     assert note.startswith("The datum of a.tif, b.tif is Deutsches Hauptdreiecksnetz, by which")
 

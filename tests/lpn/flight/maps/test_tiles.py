@@ -14,16 +14,7 @@ from lpn.core.errors import InputError, OutputError
 from lpn.flight.maps import Map, MapOptions, Window, open_map
 from lpn.flight.maps.folder import build_map
 from tests.lpn.flight.maps.small_maps import refused, smooth, write_geotiff
-from tools.fixtures.small_tiles import (
-    NORTH,
-    WEST,
-    ZOOM,
-    bounds_text,
-    encoded,
-    matrix,
-    write_folder,
-    write_mbtiles,
-)
+from tools.fixtures.small_tiles import NORTH, WEST, ZOOM, bounds_text, encoded, matrix, write_folder, write_mbtiles
 
 PICTURE = smooth(512, 512)
 FINE = smooth(1024, 1024)
@@ -197,11 +188,7 @@ def test_tiles_that_are_no_pictures_have_no_data(
 @pytest.mark.parametrize(
     ("file", "text", "words"),
     [
-        (
-            "tilemapresource.xml",
-            "<TileMap><SRS>EPSG:4326</SRS><TileSets profile='geodetic'/></TileMap>",
-            "in EPSG:4326",
-        ),
+        ("tilemapresource.xml", "<TileMap><SRS>EPSG:4326</SRS><TileSets/></TileMap>", "in EPSG:4326"),
         ("tilemapresource.xml", "<TileMap><SRS></SRS><TileSets profile='raster'/></TileMap>", "in raster"),
         ("metadata.json", '{"profile": "geodetic"}', "in geodetic"),
     ],
