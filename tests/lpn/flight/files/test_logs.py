@@ -58,8 +58,8 @@ def waypoint(name: str) -> str:
 
 
 ONE, TWO = "100MEDIA/DJI_0001.JPG", "101MEDIA/DJI_0001.JPG"
-NOT_TOLD = "so none of them has its values; write their folders in it."
-FAR = "km from the photos' own in the median; check that it is of this flight"
+NOT_TOLD = "so none of them has its values; write the photos' folders into the log."
+FAR = "km from those of the photos in the median; check that the log is of this flight"
 TWICE = (
     "1 of 1 photos are listed more than once in log.csv with different values, such as a.jpg in lines 2 and 3 and 4;"
 )
@@ -91,7 +91,7 @@ LISTED = "filename,lat,lon\na.jpg,47.4,8.5\na.jpg,47.3,8.5\na.jpg,47.4,8.6\n"
         ("log.csv", "#Label,X/Longitude,Y/Latitude\na,8.5,47.3\n", {"a.JPG": None}, (47.3,), "by name", "fits none"),
         ("track.gpx", waypoint("a.jpg"), {"a.jpg": None}, (47.1,), "by name", "fits none"),
         ("log.csv", "filename,lat,lon\n1.jpg,60.4,22.4\n", {"a.jpg": exif(1.0, 2.0)}, (1.0,),
-         "log.csv fits none of the 1 photos by name, and was not used.", "gives the"),
+         "log.csv fits no photo by name, and was not used.", "gives the"),
         # By time
         ("log.csv", AIRDATA, {"a.jpg": taken(4, place=(1.0, 2.0)), "b.jpg": exif(1.0, 2.0)}, (47.0004, 1.0),
          "gives the values of 1 of 2 photos, by UTC", "constant offset"),
@@ -100,7 +100,7 @@ LISTED = "filename,lat,lon\na.jpg,47.4,8.5\na.jpg,47.3,8.5\na.jpg,47.4,8.6\n"
         ("track.gpx", TRACK, {"a.jpg": taken(3, 14), "b.jpg": taken(12, 14)}, (47.303, 47.312),
          "2 photos, by their clock, with a constant offset: the log's clock is 2 h behind the photos'; they replace", "by UTC"),
         ("track.gpx", UNTIMED, {"a.jpg": exif(47.3, 8.5)}, (47.3,),
-         "track.gpx has 2 points without a time, so it fits no picture; export a track with times.", "gives the"),
+         "track.gpx has no point with a time, so it fits no picture; export a track with times.", "gives the"),
     ],
 )  # fmt: skip
 def test_photos_take_the_rows_that_are_theirs(
@@ -195,7 +195,7 @@ def test_each_video_has_its_own_recording_of_a_log(tmp_path: Path) -> None:
         ("log.csv", AIRDATA, None, 47.0003, ""),
         ("log.csv", "filename,lat,lon\n1.jpg,60.4,22.4\n", None, None, "log.csv has no times"),
         ("track.gpx", TRACK, None, 47.3, "track.gpx does not say when the video began; its first row counts as the beginning"),
-        ("track.gpx", TRACK, 10, 47.31, "The time in the video's file says where in track.gpx it began"),
+        ("track.gpx", TRACK, 10, 47.31, "The video's start in track.gpx follows from the video file's time"),
     ],
 )  # fmt: skip
 def test_a_video_takes_its_positions_from_a_log(
@@ -309,7 +309,7 @@ def test_dates_of_every_spelling_are_read_for_the_file_as_a_whole(
 ) -> None:
     log = read_log(written(tmp_path, "date,lat,lon\n" + "".join(f"{date},47.3,8.5\n" for date in dates)))
     assert log.entries[0].clock == clock
-    assert any("nothing in it rules that out" in note for note in log.notes) == says
+    assert any("no date in it rules that out" in note for note in log.notes) == says
 
 
 def test_the_first_row_of_a_moment_counts_and_fractions_of_seconds_come_from_the_elapsed_time(tmp_path: Path) -> None:

@@ -120,7 +120,7 @@ def test_without_a_truth_no_share_is_told() -> None:
     print_summary(flight(a=photo("a.jpg", None)), Console(file=(written := io.StringIO()), width=140))
     (row,) = (line for line in written.getvalue().splitlines() if "registration" in line)
     assert [cell.strip() for cell in row.split("│")[2:-1]] == ["1", *["-"] * 7]
-    assert "how far off the places are is not known" in written.getvalue()
+    assert "the errors of the places are unknown" in written.getvalue()
 
 
 def at(frame: str, latitude: float | None, longitude: float | None, **known: Any) -> TrackRow:

@@ -53,7 +53,7 @@ def test_a_photo_of_which_nothing_is_known_is_placed_by_its_details(town: Map, f
 
 @pytest.mark.parametrize(
     ("frame", "tried"),
-    [(FLOWN, ""), (None, "Nothing tells how much ground it shows, so 9 to 246 m across were tried.")],
+    [(FLOWN, ""), (None, "The width of its ground is unknown, so 9 to 246 m were tried.")],
 )
 def test_a_photo_of_another_land_is_refused(
     town: Map, features: list[MapFeatures], frame: Frame | None, tried: str

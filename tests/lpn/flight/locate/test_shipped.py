@@ -26,10 +26,10 @@ OPTIONS = LocateOptions(overlap=OFFERED_OVERLAP, register=False)
 def test_nothing_of_the_demo_s_flights_is_computed_again(
     place: tuple[Path, Path], accepted: int, tmp_path: Path
 ) -> None:
-    model, described = lpn.load(DEMO_MODEL), []
-    shipped = place[0].with_name(DEMO_ANSWERS)
+    model, basemap, flight = lpn.load(DEMO_MODEL), open_map(place[0]), open_flight(place[1])
+    shipped, described = place[0].with_name(DEMO_ANSWERS), []
     with listening(lambda stage, done, _: described.append((stage, done))):
-        located = locate(open_map(place[0]), open_flight(place[1]), model, OPTIONS, shipped=shipped)
+        located = locate(basemap, flight, model, OPTIONS, shipped=shipped)
     whole = registered(located, model, OPTIONS)
     assert described == []
     lags = place is DEMO_PLACE
