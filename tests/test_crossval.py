@@ -27,6 +27,11 @@ BASE = ("base", QUICK)
 TASK = "drone-to-satellite"
 
 
+@pytest.fixture(autouse=True)
+def _shallow(monkeypatch: pytest.MonkeyPatch) -> None:
+    trainings.make_resnets_shallow(monkeypatch)
+
+
 @pytest.fixture(scope="module")
 def places(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return small_worlds.make_dataset(tmp_path_factory.mktemp("crossval") / "places", train=13, test=4)
