@@ -132,12 +132,6 @@ def test_options_of_any_kind_are_refused_in_one_sentence(text: str, tmp_path: Pa
     assert time.process_time() - started < 20
 
 
-@pytest.mark.parametrize("text", ["2001-99-99", "1" * 5000, "!!bool x", "!!timestamp x", "!!float x"])
-def test_an_option_that_is_not_used_may_be_anything(text: str, tmp_path: Path) -> None:
-    (tmp_path / "opts.yaml").write_text(f"a: {text}\nh: 384\n")
-    assert read_options(tmp_path / "opts.yaml")["h"] == 384
-
-
 def test_options_that_are_lists_are_no_reason_to_refuse(tmp_path: Path) -> None:
     (tmp_path / "opts.yaml").write_text(BOMB + "data_dir: *g\nname: two\nh: 384\n1: 2\n")
     read = read_options(tmp_path / "opts.yaml")

@@ -115,16 +115,6 @@ def test_a_flipped_byte_is_found_in_every_file(
         load_torch(tmp_path / "net.pth")
 
 
-def test_rows_of_a_damaged_store_are_not_taken_over(model_file: Path, data: Path, store: Path) -> None:
-    model, files = lpn.load(model_file), descriptors.pictures_below(data / "test" / "query_drone")
-    whole = np.array(descriptors.open_store(store).descriptors)
-    array = np.lib.format.open_memmap(next(store.glob("*/vectors.npy")), mode="r+")
-    array[2] = -array[2]
-    del array
-    made = descriptors.describe(model, files[:-1], "drone", store, root=data)
-    np.testing.assert_allclose(made.descriptors, whole[:-1], atol=1e-6)
-
-
 def test_files_of_earlier_versions_without_checksums_are_read(model_file: Path, tmp_path: Path) -> None:
     proto = onnx.load_model(model_file)
     del proto.metadata_props[[entry.key for entry in proto.metadata_props].index("seal")]

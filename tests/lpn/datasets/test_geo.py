@@ -109,13 +109,3 @@ def test_mistakes_in_a_file_of_positions_are_named(tmp_path: Path, text: str, sa
     (tmp_path / "geo.csv").write_bytes(b"path,latitude,longitude\n\xff\xfe,1,2\n")
     with pytest.raises(DataError, match="UTF-8"):
         Positions(tmp_path)
-
-
-def test_columns_and_paths_may_have_another_order_and_another_system_s_form(tmp_path: Path) -> None:
-    pictures = [Picture(tmp_path / "a" / name, 1, "1") for name in ("2.jpg", "1.jpg")]
-    for text in (
-        "\ufeffPath,latitude,longitude\na/1.jpg,1,2\r\na/2.jpg,3,4\n",
-        "latitude,longitude,path\n1,2,a/1.jpg\n3,4,a/2.jpg\n",
-        'path,latitude,longitude\nA\\1.JPG,1,2\n"a/2.jpg",3,4\n',
-    ):
-        assert Positions(write(tmp_path, text)).of(pictures) == [Position(3, 4), Position(1, 2)]

@@ -82,7 +82,6 @@ def test_pictures_named_and_not_there_are_left_out(tmp_path: Path) -> None:
     ("name", "text", "said"),
     [
         ("all_souls_1_query.txt", "oxc1_all_souls_000001 1 2 3\n", "expected one line: a picture's name and its box"),
-        ("all_souls_1_query.txt", "oxc1_all_souls_000001 1 2 3 x\n", "all_souls_1_query.txt says"),
         ("all_souls_1_query.txt", "oxc1_all_souls_000001 1 2 nan 9\n", "expected one line"),
         ("all_souls_1_query.txt", "oxc1_all_souls_000001 9 2 3 9\n", "expected one line"),
         ("all_souls_1_query.txt", "", "says 'nothing' in 0 lines"),

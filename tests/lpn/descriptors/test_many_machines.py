@@ -27,7 +27,7 @@ from lpn.core.files import exclusive_lock
 from lpn.core.progress import listening
 from lpn.descriptors import many_machines
 from lpn.descriptors.many_machines import DescribeWorker, Summary, describe_by_many
-from lpn.index import create_index, open_index
+from lpn.index import open_index
 from lpn.models.onnx_engine import Engine
 from tests.lpn.models.test_own_models import graph
 from tools.fixtures import small_worlds
@@ -112,10 +112,6 @@ def test_two_workers_say_what_one_machine_says(
                 assert not waiting.done()
                 time.sleep(0.02)
         assert waiting.result().computed == 0
-    with create_index(tmp_path / "index", alone.kind) as index:
-        index.add(alone.names, alone.float32)
-    with pytest.raises(StoreError, match="is an index, which descriptors would replace"):
-        describe(model_file, folder, tmp_path / "index")
 
 
 @pytest.mark.slow

@@ -169,6 +169,8 @@ UNUSED_OPTIONS = {
     "an unknown tag": "out: !Path runs",
     "an alias": "a: &1 [0]\nb: *1",
     "a huge number": "seed: " + "9" * 5000,
+    "no date": "day: 2001-99-99",
+    "no truth value": "flag: !!bool x",
 }
 
 

@@ -44,8 +44,29 @@ def test_parts_lie_in_the_file_as_the_published_code_lays_them(tmp_path: Path) -
     assert (cosines.argmax(axis=2) == np.arange(4)).all()
 
 
-def test_a_saved_result_gives_the_figures_of_its_model(data: Path, model_file: Path, tmp_path: Path) -> None:
-    savemat(tmp_path / "pytorch_result.mat", contents(data, model_file))
+@pytest.fixture(scope="module")
+def of_model(data: Path, model_file: Path) -> dict[str, Any]:
+    """The entries of a result of the small model."""
+    return contents(data, model_file)
+
+
+@pytest.fixture
+def values(of_model: dict[str, Any]) -> dict[str, Any]:
+    return dict(of_model)
+
+
+@pytest.fixture
+def result(values: dict[str, Any], tmp_path: Path) -> Path:
+    savemat(tmp_path / "r.mat", values)
+    return tmp_path / "r.mat"
+
+
+def save_without_paths(file: Path, values: dict[str, Any]) -> Path:
+    savemat(file, {key: value for key, value in values.items() if "path" not in key})
+    return file
+
+
+def test_a_saved_result_gives_the_figures_of_its_model(data: Path, model_file: Path, result: Path) -> None:
     model, dataset = lpn.load(model_file), open_dataset(data)
     steps: list[tuple[int, Callable[[Task], Task]]] = [
         (1, lambda task: task),
@@ -54,64 +75,47 @@ def test_a_saved_result_gives_the_figures_of_its_model(data: Path, model_file: P
         (4, centred),
     ]
     for n, step in steps:
-        saved = load_saved(tmp_path / "pytorch_result.mat", n)
-        found = measure(step(saved_task(saved)))
+        found = measure(step(saved_task(load_saved(result, n))))
         expected = measure(step(lazy_task(model, dataset, "drone-to-satellite")))
         assert (found.recall, found.task, found.queries) == (expected.recall, "drone-to-satellite", 14)
         assert found.ap == pytest.approx(expected.ap, abs=1e-9)
         assert "descriptors as saved" in found.sentence
 
 
-def test_a_saved_result_is_centred_part_by_part_only(
-    data: Path, model_file: Path, tmp_path: Path, refused: Refused
-) -> None:
-    savemat(tmp_path / "r.mat", contents(data, model_file))
-    arguments = ["evaluate", str(tmp_path / "r.mat"), "--centre"]
-    assert "--n-parts" in refused(*arguments)
-    assert main([*arguments, "--n-parts", "4"]) == 0
+def test_a_saved_result_is_centred_part_by_part_only(result: Path, refused: Refused) -> None:
+    assert "--n-parts" in refused("evaluate", result, "--centre")
 
 
-def test_its_pictures_are_found_by_path_or_by_label(data: Path, model_file: Path, tmp_path: Path) -> None:
-    values, dataset = contents(data, model_file), open_dataset(data)
-    savemat(tmp_path / "r.mat", values)
-    views, queries, gallery = load_saved(tmp_path / "r.mat").pictures(dataset)
+def test_its_pictures_are_found_by_path_or_by_label(data: Path, values: dict[str, Any], result: Path) -> None:
+    dataset = open_dataset(data)
+    views, queries, gallery = load_saved(result).pictures(dataset)
     assert views == VIEWS
     assert queries == dataset.queries("drone")
     assert gallery == dataset.gallery("satellite")[::-1]
     for key in ("gallery_f", "gallery_label"):
         values[key] = values[key][::-1]
-    savemat(tmp_path / "r.mat", {key: value for key, value in values.items() if "path" not in key})
-    saved = load_saved(tmp_path / "r.mat")
+    saved = load_saved(save_without_paths(result, values))
     assert saved.task == "saved"
     assert saved.pictures(dataset)[2] == dataset.gallery("satellite")
-    values["gallery_label"] = np.where(
-        np.isin(values["gallery_label"], values["query_label"]), values["gallery_label"], -1
-    )
-    savemat(tmp_path / "r.mat", {key: value for key, value in values.items() if "path" not in key})
-    assert load_saved(tmp_path / "r.mat").pictures(dataset)[2] == dataset.gallery("satellite")
+    known = np.isin(values["gallery_label"], values["query_label"])
+    values["gallery_label"] = np.where(known, values["gallery_label"], -1)
+    assert load_saved(save_without_paths(result, values)).pictures(dataset)[2] == dataset.gallery("satellite")
     values["query_label"] = np.array(values["query_label"]) + 1
-    savemat(tmp_path / "r.mat", {key: value for key, value in values.items() if "path" not in key})
     with pytest.raises(DataError, match="in the order of their labels"):
-        load_saved(tmp_path / "r.mat").pictures(dataset)
+        load_saved(save_without_paths(result, values)).pictures(dataset)
 
 
-def test_pictures_of_another_data_set_are_not_taken(data: Path, model_file: Path, tmp_path: Path) -> None:
-    savemat(tmp_path / "r.mat", contents(data, model_file))
+def test_pictures_of_another_data_set_are_not_taken(result: Path, tmp_path: Path) -> None:
     other = small_worlds.make_dataset(tmp_path / "other", train=1, test=3)
     with pytest.raises(DataError, match="/home/someone/test/query_drone/0007"):
-        load_saved(tmp_path / "r.mat").pictures(open_dataset(other))
+        load_saved(result).pictures(open_dataset(other))
 
 
-def test_without_pictures_nothing_is_named_or_paired(
-    data: Path, model_file: Path, tmp_path: Path, refused: Refused
-) -> None:
-    values = contents(data, model_file)
-    for name in ("r.mat", "s.mat"):
-        savemat(tmp_path / name, {key: value for key, value in values.items() if "path" not in key})
-    files = [tmp_path / name for name in ("r.mat", "s.mat")]
+def test_without_pictures_nothing_is_named_or_paired(values: dict[str, Any], tmp_path: Path, refused: Refused) -> None:
+    files = [save_without_paths(tmp_path / name, values) for name in ("r.mat", "s.mat")]
     for words in (["compare", *files], ["evaluate", files[0], "--per-query", tmp_path / "q.csv"]):
         assert "r.mat holds no pictures; give the data set that it was computed on as --data." in refused(*words)
-    task = saved_task(load_saved(tmp_path / "r.mat"))
+    task = saved_task(load_saved(files[0]))
     steps: list[Callable[[], object]] = [lambda: task.table, lambda: measure(task, 3), measure(task).ranked]
     for step in steps:
         with pytest.raises(InputError, match=r"r\.mat holds no pictures; give the data set"):
@@ -120,10 +124,9 @@ def test_without_pictures_nothing_is_named_or_paired(
 
 
 def test_csls_and_the_title_need_no_pictures(
-    data: Path, model_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    data: Path, model_file: Path, result: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    savemat(tmp_path / "r.mat", contents(data, model_file))
-    assert main(["evaluate", str(tmp_path / "r.mat"), "--csls", "3", "--json", str(tmp_path / "f.json")]) == 0
+    assert main(["evaluate", str(result), "--csls", "3", "--json", str(tmp_path / "f.json")]) == 0
     assert capsys.readouterr().out.splitlines()[0].strip() == "r.mat"
     alone = lpn.evaluate(model_file, data, "drone-to-satellite", csls=3)
     found = json.loads((tmp_path / "f.json").read_text())

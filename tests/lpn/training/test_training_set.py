@@ -178,15 +178,7 @@ def test_pair_losses_compare_the_rows_of_one_place_only() -> None:
     assert not outputs["drone"][0].grad.any()
 
 
-TINY = {
-    "backbone": "resnet18",
-    "last_layer": "layer3",
-    "size": 32,
-    "width": 0,
-    "batch": 3,
-    "epochs": 2,
-    "warmup_epochs": 0,
-}
+TINY = {"backbone": "resnet18", "last_layer": "layer3", "size": 32, "batch": 3, "epochs": 2, "warmup_epochs": 0}
 
 
 @pytest.mark.parametrize("name", ["paper", "small", "metric-released"])

@@ -50,15 +50,9 @@ def dinov2() -> State:
             old = next((one for one in names if key.startswith(one)), "")
             state[key.replace(old, names[old], 1) if old else key] = value
         elif name[:2] not in ("q.", "k.", "v."):
-            own_name = {
-                "proj": "attn.proj",
-                "fc1": "mlp.fc1",
-                "fc2": "mlp.fc2",
-                "scale1": "ls1.gamma",
-                "scale2": "ls2.gamma",
-            }
+            to = {"proj": "attn.proj", "fc1": "mlp.fc1", "fc2": "mlp.fc2", "scale1": "ls1.gamma", "scale2": "ls2.gamma"}
             layer, dot, kind = name.partition(".")
-            state[f"blocks.{block}.{own_name.get(layer, layer)}{dot}{kind}"] = value
+            state[f"blocks.{block}.{to.get(layer, layer)}{dot}{kind}"] = value
         else:
             kind = name[2:]
             state[f"blocks.{block}.attn.qkv.{kind}"] = torch.cat([given[f"{block}.{one}.{kind}"] for one in "qkv"])

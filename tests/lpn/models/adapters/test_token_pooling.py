@@ -122,13 +122,15 @@ def test_a_folder_of_transformers_answers_as_transformers(kind: str, prefix: int
         lpn.load(tmp_path / "network", "cpu")
 
 
-@pytest.mark.parametrize("pooling", ["gem", "cls+mean"])
-def test_an_export_gives_the_same_parts_and_account(pooling: str, tmp_path: Path) -> None:
-    file = timm_file("test_vit.r160_in1k", 32, tmp_path)
+@pytest.mark.parametrize(
+    ("name", "side", "pooling"), [("test_resnet", 64, "gem"), ("test_vit.r160_in1k", 32, "cls+mean")]
+)
+def test_an_export_gives_the_same_parts_and_account(name: str, side: int, pooling: str, tmp_path: Path) -> None:
+    file = timm_file(name, side, tmp_path)
     model = lpn.load(file, "cpu", pooling=pooling)
     export(file, tmp_path / "small.onnx", pooling=pooling)
     exported = lpn.load(tmp_path / "small.onnx")
-    pictures = seeded.pictures(42, 3, 32, 32)
+    pictures = seeded.pictures(42, 3, side, side)
     own = model.part_embeddings(pictures, "street")
     assert relative_by_part(exported.part_embeddings(pictures, "street"), own) < TOLERANCE
     assert exported.contract == model.contract
