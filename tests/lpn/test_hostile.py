@@ -109,9 +109,7 @@ def test_a_pth_whose_tensors_repeat_one_number_takes_no_memory(tmp_path: Path) -
 
 def test_a_pth_of_tensors_without_numbers_is_refused(tmp_path: Path) -> None:
     torch.save({"model_1.model.conv1.weight": torch.zeros(3, device="meta")}, tmp_path / "net.pth")
-    with pytest.raises(
-        ModelFileError, match=r"conv1\.weight is no plain tensor but quantised, sparse, complex, or without"
-    ):
+    with pytest.raises(ModelFileError, match=r"conv1\.weight is no plain tensor but quantised, sparse, .*or without"):
         load_torch(tmp_path / "net.pth")
 
 

@@ -88,11 +88,6 @@ def test_everything_but_training_works_without_torch(data: Path, model_file: Pat
         ("evaluate x.mat", "no saved result at x.mat"),
         ("evaluate x.mat --n-parts 0", "number of parts is 0"),
         ("export --model MODEL --out x.onnx", "already"),
-        ("describe --model MODEL --images DATA --view street --out s", "no 'street' view"),
-        ("train --data DATA --out run --recipe secret", "no recipe 'secret'"),
-        ("train --data DATA --out run", "let --init auto find them, or say --from-scratch"),
-        ("train --data DATA --out run --init x --from-scratch", "exclude each other"),
-        ("train --data DATA --out run --lr nan", "lr = nan"),
         ("fly", "no command 'fly'"),
     ],
 )

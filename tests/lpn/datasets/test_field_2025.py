@@ -140,8 +140,6 @@ def test_geotext_has_views_by_name_and_distractors(tmp_path: Path, images: bool,
     assert [picture.label for picture in dataset.train("street")] == [800, 801]
     report = check_dataset(dataset)
     assert report.healthy
-    assert [(gap.name, len(gap.names)) for gap in report.gaps] == [
-        ("satellite-to-street", 1),
-        ("drone-to-street", drones),
-    ]
+    gaps = [(gap.name, len(gap.names)) for gap in report.gaps]
+    assert gaps == [("satellite-to-street", 1), ("drone-to-street", drones)]
     assert all(name.startswith("0002/") for gap in report.gaps for name in gap.names)

@@ -126,11 +126,8 @@ def test_one_pair_a_split_is_enough(tmp_path: Path) -> None:
     ],
 )
 def test_what_is_wrong_with_the_matlab_file_is_said(values: dict[str, object], said: str, tmp_path: Path) -> None:
-    whole = {
-        "panoIds": np.array(["abc", "def", "ghi"]),
-        "trainSet": {"trainInd": np.array([[1.0]])},
-        "valSet": {"valInd": np.array([[2.0]])},
-    }
+    whole = {"trainSet": {"trainInd": np.array([[1.0]])}, "valSet": {"valInd": np.array([[2.0]])}}
+    whole["panoIds"] = np.array(["abc", "def", "ghi"])
     savemat(tmp_path / "ACT_data.mat", {name: of for name, of in (whole | values).items() if of is not None})
     with pytest.raises(DataError, match=said):
         open_dataset(tmp_path)

@@ -226,10 +226,7 @@ EMPTY: dict[str, tuple[Callable[[State], object], str]] = {
     "complex": (lambda state: {**state, KERNELS: state[KERNELS].to(torch.complex64)}, NO_PLAIN),
     "quantised": (lambda state: {KERNELS: torch.quantize_per_tensor(state[KERNELS], 0.1, 0, torch.qint8)}, NO_PLAIN),
     "kernels of 8 bits": (lambda state: {**state, KERNELS: (state[KERNELS] * 100).to(torch.int8)}, NO_PLAIN),
-    "diverged": (
-        lambda state: {**state, KERNELS: state[KERNELS] * np.nan},
-        f"In net.pth, {KERNELS} holds values that ",
-    ),
+    "diverged": (lambda state: {**state, KERNELS: state[KERNELS] * np.nan}, f"In net.pth, {KERNELS} holds values"),
     "another method": (
         lambda _: {"temp": torch.ones(1), "vision.norm": torch.ones(4)},
         "net.pth is not a checkpoint of a known model: it holds temp, vision.norm. Name its method with",

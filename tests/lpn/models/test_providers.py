@@ -122,10 +122,7 @@ def test_a_variable_takes_the_place_of_auto(model_file: Path, monkeypatch: pytes
     assert not gpu.asked
     assert lpn.load(model_file, "cuda").device == "cuda"
     monkeypatch.setenv("LPN_PROVIDER", "gpu")
-    for file, reason in (
-        (model_file, "has no gpu, but "),
-        (safetensors, "provider 'gpu' is not PyTorch's, .* LPN_PROVIDER"),
-    ):
+    for file, reason in ((model_file, "has no gpu, but "), (safetensors, "'gpu' is not PyTorch's, .* LPN_PROVIDER")):
         with pytest.raises(InputError, match=reason):
             lpn.load(file)
 
@@ -156,9 +153,7 @@ def test_onnx_runtime_s_own_refusal_is_one_sentence(model_file: Path, monkeypatc
 def test_a_gpu_that_fails_later_is_no_damaged_file(model_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     FakeGpu(monkeypatch)
     model = lpn.load(model_file)
-    with pytest.raises(
-        InputError, match=r"cannot be computed on cuda \(out of memory\); compute on the CPU \(--provider cpu"
-    ):
+    with pytest.raises(InputError, match=r"cannot be computed on cuda \(out of memory\); compute on the CPU \("):
         model.run(seeded.pictures(0, providers.GPU_BATCH + 1, 64, 64), "drone")
 
 

@@ -155,15 +155,8 @@ def test_a_transformer_s_linear_layers_compute_in_8_bits_and_its_account_stays_e
 
 @pytest.mark.slow
 def test_a_network_of_relu6_computes_in_8_bits_and_stays_exact(data: Path, tmp_path: Path) -> None:
-    spec = ModelSpec(
-        "timm:tf_efficientnet_lite0",
-        views=("satellite", "drone"),
-        n_parts=2,
-        embedding=8,
-        classes=3,
-        input_size=(64, 64),
-    )
-    made = LPN(spec)
+    sizes = {"n_parts": 2, "embedding": 8, "classes": 3, "input_size": (64, 64)}
+    made = LPN(ModelSpec("timm:tf_efficientnet_lite0", views=("satellite", "drone"), **sizes))
     backbone = made.branch("satellite").model
     backbone.load_state_dict(seeded.entries({key: list(value.shape) for key, value in backbone.state_dict().items()}))
     save(made, tmp_path / "lite.safetensors")

@@ -485,14 +485,11 @@ def test_a_world_is_named_as_one_and_refused_while_pictures_are_missing(model_fi
 
 
 def test_clauses_that_differ_are_said_with_the_rows_they_hold_for() -> None:
-    rows = {
-        "Baseline": "Protocol: mirror added; ranked.",
-        "LPN": "Protocol: mirror added; ranked.",
-        "SAFA": "Protocol: as it is; ranked.",
+    rows = dict.fromkeys(("Baseline", "LPN"), "Protocol: mirror added; ranked.") | {
+        "SAFA": "Protocol: as it is; ranked."
     }
-    assert report.protocol_note(rows) == (
-        "Protocol: ranked. Not in every row: mirror added (all but SAFA); as it is (SAFA)."
-    )
+    note = "Protocol: ranked. Not in every row: mirror added (all but SAFA); as it is (SAFA)."
+    assert report.protocol_note(rows) == note
     assert report.protocol_note({"LPN": rows["LPN"]}) == rows["LPN"]
 
 

@@ -73,10 +73,8 @@ def test_pictures_are_turned_to_the_nearest_pixel() -> None:
 
 def test_turned_queries_have_descriptors_of_their_own_in_the_released_protocol(model: Model, tmp_path: Path) -> None:
     dataset = open_dataset(small_worlds.make_dataset(tmp_path / "places", train=0, test=4))
-    said = [
-        measure(turned(lazy_task(model, dataset, "satellite-to-drone", released=released), 45)).sentence
-        for released in (False, True)
-    ]
+    tasks = [lazy_task(model, dataset, "satellite-to-drone", released=released) for released in (False, True)]
+    said = [measure(turned(task, 45)).sentence for task in tasks]
     assert "queries turned 45°, bicubic" in said[0]
     assert "queries turned 45° (nearest pixel)" in said[1]
     assert "without their EXIF orientation" in said[1]

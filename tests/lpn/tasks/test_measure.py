@@ -240,10 +240,8 @@ def read_drawn(model: Model, pictures: Sequence[Picture], view: str, change: Cha
     del view, change
     rows = []
     for picture in pictures:
-        place, own = (
-            np.random.default_rng(seed)
-            for seed in (picture.label, zlib.crc32("/".join(picture.path.parts[-4:]).encode()))
-        )
+        seeds = picture.label, zlib.crc32("/".join(picture.path.parts[-4:]).encode())
+        place, own = map(np.random.default_rng, seeds)
         rows.append(place.standard_normal((model.n_parts, 6)) + 1.5 * own.standard_normal((model.n_parts, 6)))
     return normalise(np.array(rows, np.float32))
 
@@ -286,10 +284,8 @@ def test_denseuav_is_measured_in_degrees(tmp_path: Path, model: Model) -> None:
     total, near = 0.0, 0
     for row, picture in zip(query, queries, strict=True):
         order = np.argsort(-(tiles.astype(float) @ row), kind="stable")
-        off = [
-            abs(float(np.float32(120.38 + 0.0002 * picture.label) - np.float32(120.38 + 0.0002 * gallery[i].label)))
-            for i in order
-        ]
+        here, *there = (np.float32(120.38 + 0.0002 * of.label) for of in (picture, *(gallery[i] for i in order)))
+        off = [abs(float(here - place)) for place in there]
         total += sum((3 - i) * math.exp(-5000 * off[i]) for i in range(3)) / 6
         near += off[0] * 111_320 * math.cos(math.radians(30.32)) < 50
     assert found.measures["sdm_denseuav@3"] == pytest.approx(total / len(queries), rel=1e-6)
@@ -384,11 +380,8 @@ def test_junk_is_left_out_and_names_are_no_formulas(by_lists: bool) -> None:
     query, gallery = (rng.standard_normal((count, 2, 3)).astype(np.float32) for count in (3, 6))
     labels = np.array([0, 1, 2, -1, 1, 0])
     none = np.zeros(0, np.int64)
-    truth = [
-        Truth(np.array([0, 5]), np.array([1, 3])),
-        Truth(np.array([1, 4]), np.array([3])),
-        Truth(none, none, known=False),
-    ]
+    truth = [Truth(np.array(good), np.array(junk)) for good, junk in (([0, 5], [1, 3]), ([1, 4], [3]))]
+    truth.append(Truth(none, none, known=False))
     lists = truth if by_lists else None
     task = replace(
         descriptor_task(query, gallery, np.arange(3), labels, lists),

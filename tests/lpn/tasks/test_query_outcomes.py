@@ -264,11 +264,8 @@ def test_confusions_and_blame_count_failures() -> None:
     outcomes = outcomes_of([0, 1, 4, 1, 2, -1, -1], [2, 1, 1, 0, 3, 3, -1], [2, 0, 1, 1, 1, -1, -1])
     places, tiles = np.array([3, 3, 3, 2, 3, 9, 9]), np.array([1, 2, 3, 2])
     found = breakdown.confusions(outcomes, places, tiles)
-    assert [(c.place, c.answered, c.queries.tolist(), c.tile) for c in found] == [
-        (3, 2, [1, 2, 4], 1),
-        (2, 1, [3], 0),
-        (9, 2, [5], 3),
-    ]
+    listed = [(c.place, c.answered, c.queries.tolist(), c.tile) for c in found]
+    assert listed == [(3, 2, [1, 2, 4], 1), (2, 1, [3], 0), (9, 2, [5], 3)]
     assert breakdown.blame(outcomes).tolist() == [1, 3, 0]
     chosen = np.array([4, 3, 0])
     assert [len(c.queries) for c in breakdown.confusions(outcomes, places, tiles, chosen)] == [1, 1]

@@ -167,9 +167,7 @@ def test_files_that_do_not_fit_get_a_sentence(tmp_path: Path, change: dict[str, 
 
 def test_labels_that_fit_nothing_are_no_result_of_zero_percent(tmp_path: Path) -> None:
     savemat(tmp_path / "r.mat", small() | {"query_label": np.arange(3) + 1000})
-    with pytest.raises(
-        DataError, match=r"None of the query labels of r\.mat, such as 1000, is a gallery label, such as 0"
-    ):
+    with pytest.raises(DataError, match=r"the query labels of r\.mat, such as 1000, is a gallery label, such as 0"):
         saved_task(load_saved(tmp_path / "r.mat"))
 
 
@@ -229,11 +227,9 @@ def test_every_form_gives_the_same_descriptors(
     found = array_task(*files, write_list(tmp_path), N, order)
     for got, expected in zip((found.query_descriptors, found.gallery_descriptors), arrays, strict=True):
         np.testing.assert_allclose(got, expected, atol=1e-7)
-    flat = [
+    for side, array in zip(("query", "gallery"), shaped, strict=True):
         save(tmp_path, kind, side, array.reshape(len(array), -1))
-        for side, array in zip(("query", "gallery"), shaped, strict=True)
-    ]
-    again = array_task(*flat, n_parts=N, order=order)
+    again = array_task(*files, n_parts=N, order=order)
     np.testing.assert_allclose(again.gallery_descriptors, arrays[1], atol=1e-7)
 
 
@@ -292,10 +288,8 @@ def test_the_command_evaluates_plain_arrays(
     assert figures["ap"] == pytest.approx(expected["ap"])
     places = np.array([[46 + 0.1 * row, 7 + 0.1 * row] for row in range(G)])
     best = np.argmax(arrays[0].reshape(Q, -1) @ arrays[1].reshape(G, -1)[:6].T, axis=1)
-    steps = [
-        metres([Position(*places[query])], [Position(places[tile][0] + 0.001, places[tile][1])])[0]
-        for query, tile in enumerate(best)
-    ]
+    asked, shown = places[:Q], places[best] + (0.001, 0)
+    steps = metres([Position(*place) for place in asked], [Position(*place) for place in shown])
     assert figures["median error m"] == pytest.approx(np.median(steps), rel=1e-6)
     assert figures["within 25 m"] == 100 * np.mean(np.array(steps) <= 25)
     assert main([*given, "--paths", str(write_list(tmp_path, positions=False)), "--json", str(out)]) == 0
@@ -345,10 +339,13 @@ def test_complete_positions_measure_metres_without_labels(
     assert figures["median error m"] == labelled["median error m"]
 
 
-def rewrite(change: Callable[[str], str]) -> Callable[[Path], None]:
+def edited(*changes: tuple[str, str]) -> Callable[[Path], None]:
     def write(folder: Path) -> None:
         file = folder / "paths.csv"
-        file.write_text(change(file.read_text()))
+        text = file.read_text()
+        for old, new in changes:
+            text = re.sub(old, new, text)
+        file.write_text(text)
 
     return write
 
@@ -367,25 +364,16 @@ def put(name: str, content: Callable[[], object]) -> Callable[[Path], None]:
 @pytest.mark.parametrize(
     ("harm", "message"),
     [
-        (
-            rewrite(lambda text: text.replace("query,place 3", "quary,place 3")),
-            "Line 5 of paths.csv has the side 'quary'",
-        ),
-        (rewrite(lambda text: text.replace("file,side", "path,side")), "expected file,side"),
-        (rewrite(lambda text: text.replace("q/1.png", "../1.png")), "without '..'"),
-        (rewrite(lambda text: text.replace("46.100", "461")), "Line 3 of paths.csv has the position"),
-        (rewrite(lambda text: text + "g/8.png,gallery,1,,\n"), "8 lines of the side gallery, and the array 7 rows"),
-        (rewrite(lambda text: text + "g/8.png,gallery\n"), "has 2 values; expected 5"),
+        (edited(("query,place 3", "quary,place 3")), "Line 5 of paths.csv has the side 'quary'"),
+        (edited(("file,side", "path,side")), "expected file,side"),
+        (edited(("q/1.png", "../1.png")), "without '..'"),
+        (edited(("46.100", "461")), "Line 3 of paths.csv has the position"),
+        (edited((r"\Z", "g/8.png,gallery,1,,\n")), "8 lines of the side gallery, and the array 7 rows"),
+        (edited((r"\Z", "g/8.png,gallery\n")), "has 2 values; expected 5"),
+        (edited(("query,place ", "query,0"), ("46.100,7.1", ",")), "the first of their labels are '00' and 'place 0'"),
+        (edited(("46.100,7.1", "0.0,0")), "Line 3 of paths.csv .* both empty where they are unknown"),
         (put("query.npy", lambda: b"nonsense"), "query.npy is no array that NumPy saved"),
         (put("query.npy", lambda: np.array([{}], object)), r"query.npy holds Python objects.*'float32'"),
-        (
-            rewrite(lambda text: text.replace("query,place ", "query,0").replace("46.100,7.1", ",")),
-            "the first of their labels are '00' and 'place 0'",
-        ),
-        (
-            rewrite(lambda text: text.replace("46.100,7.1", "0.0,0")),
-            "Line 3 of paths.csv .* both empty where they are unknown",
-        ),
         (put("query.npy", lambda: np.ones((Q, N, D), np.int64)), "int64 of shape"),
         (put("query.npy", lambda: np.ones((Q, N, D + 1), np.float32)), "rows of 3 x 5, and gallery.npy of 3 x 4"),
         (put("query.npy", lambda: np.zeros((Q, N, D), np.float32)), "5 rows of query.npy, the first being row 1"),

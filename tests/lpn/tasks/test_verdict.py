@@ -33,28 +33,18 @@ def ranked(cosines: object, weights: object = None, true: tuple[int, ...] | None
 
 
 @pytest.mark.parametrize(
-    ("cosines", "weights", "headline", "parts"),
+    ("tenths", "weights", "headline", "parts"),
     [
-        ([[0.9, 0.5, 0.5, 0.5], [0.5] * 4], None, "Ring 1 adds most: 0.200 of the lead of 0.200", (0,)),
-        (
-            [[0.9, 0.9, 0.1, 0.5], [0.5, 0.6, 0.6, 0.5]],
-            None,
-            "Rings 1 and 2 decide: without either one, a wrong tile wins",
-            (0, 1),
-        ),
-        ([[0.5, 0.5, 0.5, 0.9], [0.4, 0.4, 0.8, 0.6]], None, "Ring 4 decides: without it, a wrong tile wins", (3,)),
-        (
-            [[0.8, 0.5, 0.5, 0.8], [0.5] * 4],
-            None,
-            "Rings 1 and 4 add most, alike: 0.150 and 0.150 of the lead of 0.300",
-            (0, 3),
-        ),
-        ([[0.5] * 4, [0.5] * 4], None, "Nearly a tie: the nearest wrong tile is 0.001 behind or less", ()),
-        ([[0.9, 0.1, 0.1, 0.1], [0.4, 0.9, 0.9, 0.9]], (1, 0, 0, 0), "Lead over the nearest wrong tile: 1.000", ()),
+        ([[9, 5, 5, 5], [5] * 4], None, "Ring 1 adds most: 0.200 of the lead of 0.200", (0,)),
+        ([[9, 9, 1, 5], [5, 6, 6, 5]], None, "Rings 1 and 2 decide: without either one, a wrong tile wins", (0, 1)),
+        ([[5, 5, 5, 9], [4, 4, 8, 6]], None, "Ring 4 decides: without it, a wrong tile wins", (3,)),
+        ([[8, 5, 5, 8], [5] * 4], None, "Rings 1 and 4 add most, alike: 0.150 and 0.150 of the lead of 0.300", (0, 3)),
+        ([[5] * 4, [5] * 4], None, "Nearly a tie: the nearest wrong tile is 0.001 behind or less", ()),
+        ([[9, 1, 1, 1], [4, 9, 9, 9]], (1, 0, 0, 0), "Lead over the nearest wrong tile: 1.000", ()),
     ],
 )
-def test_a_right_answer(cosines: object, weights: object, headline: str, parts: tuple[int, ...]) -> None:
-    verdict = judge(ranked(cosines, weights), NAMES, "ring")
+def test_a_right_answer(tenths: list[list[int]], weights: object, headline: str, parts: tuple[int, ...]) -> None:
+    verdict = judge(ranked(np.array(tenths) / 10, weights), NAMES, "ring")
     assert (verdict.sign, verdict.headline, verdict.parts) == (True, headline, parts)
     assert verdict.sentence.startswith(f"It leads the nearest wrong tile by {verdict.lead:.3f}")
     assert verdict.gains is not None

@@ -110,9 +110,7 @@ def test_timm_is_imported_where_torchvision_is_missing_and_no_stand_in_stays(mon
     for name in [name for name in sys.modules if name.partition(".")[0] == "timm"]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "timm", None)
-    with pytest.raises(
-        InputError, match=r"comes from timm, which is not installed; pip install 'lpn-explorer\[models\]'"
-    ):
+    with pytest.raises(InputError, match=r"comes from timm, which is not installed; pip install 'lpn-.*\[models\]'"):
         timm_networks.named_network("test_vit", (64, 64))
 
 
@@ -127,11 +125,7 @@ def _two_blocks() -> State:
 @pytest.mark.parametrize(
     ("state", "lost", "message"),
     [
-        (
-            small_mccg(2),
-            "model_1.classifier_mcb1.add_block.0.weight",
-            r"lacks model_1\.classifier_mcb1\.add_block\.0\.weight",
-        ),
+        (small_mccg(2), "model_1.classifier_mcb1.add_block.0.weight", r"lacks model_1\.classifier_mcb1\.add_block\.0"),
         (small_denseuav(), "head.head.classifier.add_block.1.bias", r"lacks head\.head\.classifier\.add_block\.1\.b"),
         (_two_blocks(), "backbone.backbone.blocks.0.norm1.weight", r"lacks backbone\.backbone\.blocks\.0\.norm1"),
         (_two_blocks(), "backbone.backbone.blocks.0.attn.qkv.bias", r"has .*blocks\.1\.attn\.qkv\.bias, and others"),

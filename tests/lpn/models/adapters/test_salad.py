@@ -29,12 +29,8 @@ METHODS = {"SALAD": ("backbone.model.", "aggregator."), "MegaLoc": ("backbone.",
 def dinov2() -> State:
     """A DINOv2 of two blocks under torch.hub's names, with positions of 4 x 4 patches."""
     shapes: dict[str, list[int]] = {"patch.weight": [WIDTH, 3, PATCH, PATCH], "patch.bias": [WIDTH]}
-    shapes |= {
-        "class": [1, 1, WIDTH],
-        "positions": [1, SIDE * SIDE + 1, WIDTH],
-        "norm.weight": [WIDTH],
-        "norm.bias": [WIDTH],
-    }
+    shapes |= {"class": [1, 1, WIDTH], "positions": [1, SIDE * SIDE + 1, WIDTH]}
+    shapes |= {"norm.weight": [WIDTH], "norm.bias": [WIDTH]}
     for block in "01":
         own = {f"{name}.weight": [WIDTH, WIDTH] for name in ("q", "k", "v", "proj")}
         own |= {f"{name}.{kind}": [WIDTH] for name in ("norm1", "norm2") for kind in ("weight", "bias")}
