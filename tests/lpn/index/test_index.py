@@ -337,18 +337,17 @@ def test_what_is_no_index_is_told_in_a_sentence(tmp_path: Path) -> None:
             open_index(tmp_path / "index")
 
 
-@pytest.mark.parametrize("error", [OSError(28, "No space left on device"), OSError("512 requested and 0 written")])
-def test_a_full_disk_is_told_in_a_sentence(error: OSError, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_full_disk_is_told_in_a_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     tiles = Tiles.draw(50)
     with create_index(tmp_path / "index", KIND) as index:
         tiles.add_to(index)
 
         def full(*_: Any) -> None:
-            raise error
+            raise OSError(28, "No space left on device")
 
         with monkeypatch.context() as patch:
             patch.setattr(np.lib.format, "write_array_header_1_0", full)
-            with pytest.raises(StoreError, match=rf"cannot be written \({error.strerror or error}\)"):
+            with pytest.raises(StoreError, match=r"cannot be written \(No space left on device\)"):
                 index.add(["more"], tiles.descriptors[:1])
         index.add(["more"], tiles.descriptors[:1])
         assert index.count() == 51

@@ -223,6 +223,7 @@ EMPTY: dict[str, tuple[Callable[[State], object], str]] = {
     "numbers as names": (lambda state: dict(enumerate(state.values())), "net.pth holds 0, 1, 2, 3, and "),
     "itself": (lambda _: LOOPED, "net.pth holds model; expected"),
     "sparse": (lambda _: {KERNELS: torch.zeros(3).to_sparse()}, NO_PLAIN),
+    "without values": (lambda _: {KERNELS: torch.zeros(3, device="meta")}, NO_PLAIN),
     "complex": (lambda state: {**state, KERNELS: state[KERNELS].to(torch.complex64)}, NO_PLAIN),
     "quantised": (lambda state: {KERNELS: torch.quantize_per_tensor(state[KERNELS], 0.1, 0, torch.qint8)}, NO_PLAIN),
     "kernels of 8 bits": (lambda state: {**state, KERNELS: (state[KERNELS] * 100).to(torch.int8)}, NO_PLAIN),
