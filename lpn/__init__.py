@@ -21,7 +21,7 @@ A task has the outcome of each query. `explore` shows a task, or a model on a da
 
     >>> task = lpn.open_task("ROOT", "drone-to-satellite", model="city-lpn")
     >>> task.evaluate().queries
-    14
+    6
 
 `Contract`, `ForwardPass`, `Heads`, and `Partition` turn any part-based network into a `Model`. Every error that a user can
 correct derives from `LPNError`. docs/library.md has a line for each name. Nothing here needs a browser. Names are imported on

@@ -10,7 +10,7 @@ import io
 import os
 import shutil
 from collections import Counter
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Callable, Generator, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -19,10 +19,11 @@ import pytest
 import torch
 from hypothesis import HealthCheck, settings
 from rich.console import Console
+from scipy.io import loadmat
 
 from lpn.cli.main import main
 from lpn.core.files import exclusive_lock
-from lpn.datasets import open_dataset
+from lpn.datasets import matlab, open_dataset
 from lpn.models.checkpoints import save
 from lpn.models.export import export
 from lpn.training.recipes import RECIPES
@@ -116,6 +117,19 @@ def _copy_registry(registry: Any) -> Any:
     own = copy.copy(registry)
     own.functions = {operator: list(found) for operator, found in registry.functions.items()}
     return own
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _matlab_files_read_here() -> Iterator[None]:
+    """Read MATLAB files in this process: only damaged ones need one of their own, and its start takes half a second."""
+
+    def read(path: Path, names: Sequence[str], simplify: bool) -> dict[str, Any]:
+        values = loadmat(path, simplify_cells=simplify, variable_names=names)
+        return {name: values[name] for name in names if name in values}
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(matlab, "_read", read)
+        yield
 
 
 @pytest.fixture(autouse=True)

@@ -82,10 +82,8 @@ def test_both_models_are_packed_with_descriptors_that_the_explorer_finds(
     for name, parts in (("lpn", 4), ("baseline", 1)):
         model = lpn.load(root / f"{name}.onnx")
         assert model.n_parts == parts
-        for role, view, pictures in (
-            ("query", "drone", dataset.queries("drone")),
-            ("gallery", "satellite", dataset.gallery("satellite")),
-        ):
+        for role, view, side in (("query", "drone", dataset.queries), ("gallery", "satellite", dataset.gallery)):
+            pictures = side(view)
             found = descriptors.shipped_or_cached(model, pictures, view, root, role)
             assert found.shape == (len(pictures), parts, 512)
     assert not cache_folder().exists()  # nothing was described again

@@ -27,6 +27,11 @@ BASE = ("base", QUICK)
 TASK = "drone-to-satellite"
 
 
+@pytest.fixture(autouse=True)
+def _shallow(monkeypatch: pytest.MonkeyPatch) -> None:
+    trainings.make_resnets_shallow(monkeypatch)
+
+
 @pytest.fixture(scope="module")
 def places(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return small_worlds.make_dataset(tmp_path_factory.mktemp("crossval") / "places", train=13, test=4)
@@ -150,7 +155,6 @@ def test_the_command_prints_what_the_table_says(
         ("--trial a:lr", "has 'lr'; expected setting=value"),
         ("--trial a:seed=3", "seeds are given with --seeds"),
         ("--trial a:epochs=many", "has 'epochs=many'"),
-        ("--trial a:epochs=0", "epochs = 0; expected a whole number of at least 1"),
         ("--trial a:metric=best", "has 'metric=best'"),
         ("--trial a --trial a:lr=0.1 --from-scratch", "each with a name of its own"),
         ("--folds 0 --from-scratch", "number of folds is 0; expected 2 or more"),

@@ -62,10 +62,7 @@ def test_an_index_names_the_windows_of_its_map() -> None:
 def test_a_flight_keeps_its_photos_and_a_persons_corrections() -> None:
     flight = open_flight(FORMATS / "flight")
     np.testing.assert_allclose(flight.degrees, [(48, 9), (48.0002, 9)])
-    assert [(one.name, one.pitch, one.fov) for one in flight.frames] == [
-        ("DJI_0000.JPG", -90, 70),
-        ("DJI_0001.JPG", -90, 70),
-    ]
+    assert [(one.name, one.pitch, one.fov) for one in flight.frames] == [(f"DJI_000{i}.JPG", -90, 70) for i in (0, 1)]
     assert all(one.file.is_file() for one in flight.frames)
     ((name, correction),) = read_corrections(FORMATS / "flight" / "corrections.csv").items()
     assert name == "DJI_0000.JPG"

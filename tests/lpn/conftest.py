@@ -9,6 +9,7 @@ import torch
 
 import lpn
 from lpn.datasets import open_dataset
+from lpn.descriptors import describe, pictures_below
 from lpn.models.base import Model
 from lpn.models.checkpoints import save
 from lpn.models.export import export
@@ -22,6 +23,14 @@ from tests.conftest import MakeOnce
 @pytest.fixture(scope="session")
 def model(model_file: Path) -> Model:
     return lpn.load(model_file)
+
+
+@pytest.fixture
+def store(model: Model, data: Path, tmp_path: Path) -> Path:
+    """The descriptors of the small data set's drone queries, in a store of a test's own."""
+    files = pictures_below(data / "test" / "query_drone")
+    describe(model, files, "drone", tmp_path / "store", root=data)
+    return tmp_path / "store"
 
 
 @pytest.fixture(scope="session")

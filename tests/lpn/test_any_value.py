@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import json
-from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -30,26 +29,30 @@ FILES = {
 }
 
 
+@pytest.fixture(scope="module")
+def store(tmp_path_factory: pytest.TempPathFactory) -> descriptors.Store:
+    kind = descriptors.DescriptorKind("0" * 16, 2, 4, view="drone")
+    folder = tmp_path_factory.mktemp("store")
+    return descriptors.write_store(folder, kind, [ROW], lambda partial: partial.put([0], np.zeros((1, 2, 4))))
+
+
 @MANY
 @given(file=st.sampled_from([(name, key) for name, keys in FILES.items() for key in keys]), value=VALUES)
-def test_a_store_with_any_value_is_read_or_refused(file: tuple[str, str], value: Any) -> None:
+def test_a_store_with_any_value_is_read_or_refused(store: descriptors.Store, file: tuple[str, str], value: Any) -> None:
     name, key = file
-    with TemporaryDirectory() as folder:
-        kind = descriptors.DescriptorKind("0" * 16, 2, 4, view="drone")
-        store = descriptors.write_store(
-            Path(folder), kind, [ROW], lambda partial: partial.put([0], np.zeros((1, 2, 4)))
-        )
-        changed = store.folder / name if name == "store.json" else store.parts[0].folder / name
-        values = json.loads(changed.read_bytes()) | {key: value}
-        if "checksum" in values:
-            values["checksum"] = crc_of_values({one: values[one] for one in values if one != "checksum"})
-        changed.write_text(json.dumps(values))
-        try:
-            read = descriptors.open_store(folder)
-            _ = read.rows, read.positions, read.float32
-        except LPNError:
-            return
+    changed = store.folder / name if name == "store.json" else store.parts[0].folder / name
+    whole = changed.read_bytes()
+    values = json.loads(whole) | {key: value}
+    if "checksum" in values:
+        values["checksum"] = crc_of_values({one: values[one] for one in values if one != "checksum"})
+    changed.write_text(json.dumps(values))
+    try:
+        read = descriptors.open_store(store.folder)
         assert len(read) == len(read.rows) == len(read.positions) == len(read.float32)
+    except LPNError:
+        pass
+    finally:
+        changed.write_bytes(whole)
 
 
 @MANY

@@ -23,10 +23,10 @@ ROOT = Path(__file__).parents[2]
 
 
 @pytest.fixture
-def desk(data: Path, tmp_path: Path) -> Path:
+def desk(tmp_path: Path) -> Path:
     """A folder with the files that docs/library.md and the docstring of `lpn` name."""
+    data = small_worlds.make_dataset(tmp_path / "ROOT", train=1, test=6)
     (tmp_path / "tiles").symlink_to(data / "test" / "gallery_satellite")
-    (tmp_path / "ROOT").symlink_to(data)
     small_worlds.write(tmp_path / "query.jpg", small_worlds.place(7))
     return tmp_path
 

@@ -99,10 +99,8 @@ def test_an_answer_s_distance_is_set_beside_those_of_right_answers_and_of_absent
     np.testing.assert_allclose(measured.right, expected, atol=1e-5)
     assert len(measured.absent) == 29
     middle = float(np.median(expected)) + 1e-4
-    assert measured.farther(middle) == (
-        float((measured.right < middle).mean()),
-        float((measured.absent >= middle).mean()),
-    )
+    shares = (measured.right < middle).mean(), (measured.absent >= middle).mean()
+    assert measured.farther(middle) == shares
     assert measured.farther(4.1) == (1.0, 0.0)
     assert replace(measured, right=expected[:5]).farther(4.1) is None
 

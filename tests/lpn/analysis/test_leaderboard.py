@@ -24,10 +24,9 @@ TASK = "drone-to-satellite"
 
 
 @pytest.fixture(scope="module")
-def page(
-    model_file: Path, one_part_model_file: Path, data: Path, tmp_path_factory: pytest.TempPathFactory
-) -> tuple[str, dict]:
+def page(model_file: Path, one_part_model_file: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[str, dict]:
     folder = tmp_path_factory.mktemp("leaderboard")
+    data = small_worlds.make_dataset(folder / "places", train=1, test=4)
     files = [str(folder / name) for name in ("page.md", "page.json")]
     models = [str(model_file), str(one_part_model_file)]
     options = ["--turns", "90", "--weathers", "--resamples", "20", "--page", files[0], "--json", files[1]]

@@ -15,7 +15,6 @@ import torch
 from safetensors import safe_open
 from safetensors.torch import save_file
 
-import lpn
 from lpn import descriptors
 from lpn.core.checksums import crc_of_values
 from lpn.core.errors import DataError, InputError, LPNError, ModelFileError, StoreError
@@ -23,6 +22,7 @@ from lpn.core.formats import is_newer
 from lpn.datasets import metadata
 from lpn.descriptors import open_store
 from lpn.index import DescriptorKind, create_index
+from lpn.models.base import Model
 from lpn.models.checkpoints import load_torch
 from lpn.models.onnx_engine import Engine
 from lpn.models.spec import ModelSpec
@@ -55,29 +55,19 @@ def of_later(file: Path) -> None:
         ("lpn-index/3", True),
         ("lpn-index/10", True),
         ("lpn-index/2", False),
-        ("lpn-index/1", False),
         ("lpn-index/3b", False),
         ("lpn-index/²", False),
         ("lpn-index/" + "9" * 5000, False),
         ("lpn-other/3", False),
-        ("lpn-index", False),
         (3, False),
-        (None, False),
     ],
 )
 def test_a_later_number_of_the_same_kind_is_newer(found: object, newer: bool) -> None:
     assert is_newer(found, "lpn-index/2") is newer
 
 
-@pytest.fixture
-def store(model_file: Path, data: Path, tmp_path: Path) -> Path:
-    files = descriptors.pictures_below(data / "test" / "gallery_satellite")
-    descriptors.describe(lpn.load(model_file), files, "satellite", tmp_path / "store", root=data)
-    return tmp_path / "store"
-
-
-def test_a_later_store_is_neither_read_nor_replaced(store: Path, model_file: Path, data: Path) -> None:
-    files = descriptors.pictures_below(data / "test" / "gallery_satellite")
+def test_a_later_store_is_neither_read_nor_replaced(store: Path, model: Model, data: Path) -> None:
+    files = descriptors.pictures_below(data / "test" / "query_drone")
     of_later(store / "store.json")
     before = (store / "store.json").read_bytes()
     with pytest.raises(StoreError, match=r"store\.json in .* was written " + LATER):
@@ -85,13 +75,13 @@ def test_a_later_store_is_neither_read_nor_replaced(store: Path, model_file: Pat
     with pytest.raises(StoreError, match=LATER):
         create_index(store, DescriptorKind("0123456789abcdef", 2, 8))
     with pytest.raises(StoreError, match=LATER):
-        descriptors.describe(lpn.load(model_file), files, "satellite", store, root=data)
+        descriptors.describe(model, files, "drone", store, root=data)
     assert (store / "store.json").read_bytes() == before
     (store / "store.json").unlink()
     (rows,) = store.glob("*/rows.json")
     of_later(rows)
     with pytest.raises(StoreError, match=r"rows\.json in .* was written " + LATER):
-        descriptors.describe(lpn.load(model_file), files, "satellite", store, root=data)
+        descriptors.describe(model, files, "drone", store, root=data)
     assert rows.exists()
 
 
@@ -159,9 +149,7 @@ def test_a_later_world_is_not_read(tmp_path: Path) -> None:
 )
 def test_a_damaged_plan_of_a_world_is_one_sentence(plan: str, tmp_path: Path) -> None:
     (tmp_path / "world.json").write_text(plan)
-    with pytest.raises(
-        DataError, match=r"world\.json in .* is damaged or not the plan of a rendered world; render it again"
-    ):
+    with pytest.raises(DataError, match=r"world\.json in .* is damaged or not the plan of .* world; render it again"):
         metadata.columns(tmp_path, ["test/query_drone/0300/image-01.webp"])
 
 

@@ -53,10 +53,8 @@ def test_libraries_say_warnings_and_not_how_their_connections_end(capsys: pytest
         except ValueError:
             logging.getLogger("viser").exception("It failed")
     found = lines(capsys)
-    assert [re.split(r" [A-Z]+ +", line)[1] for line in found] == [
-        "asyncio: slow",
-        "viser: It failed (ValueError: odd?value)",
-    ]
+    said = [re.split(r" [A-Z]+ +", line)[1] for line in found]
+    assert said == ["asyncio: slow", "viser: It failed (ValueError: odd?value)"]
 
 
 def test_no_text_of_others_breaks_a_line(logger: logging.Logger, capsys: pytest.CaptureFixture[str]) -> None:

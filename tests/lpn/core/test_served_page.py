@@ -19,10 +19,8 @@ def test_a_page_is_shown_in_a_cell_until_it_is_closed() -> None:
     page.close()
     assert ended == [1]
     assert page.closed
-    assert page._repr_mimebundle_() == {
-        "text/html": "<p>This LPN Explorer is closed.</p>",
-        "text/plain": "<LPN Explorer closed>",
-    }
+    closed = {"text/html": "<p>This LPN Explorer is closed.</p>", "text/plain": "<LPN Explorer closed>"}
+    assert page._repr_mimebundle_() == closed
 
 
 def test_a_page_that_asks_for_a_token_is_shown_as_a_link() -> None:

@@ -106,10 +106,8 @@ def test_no_filter_of_the_longest_takes_long(table: Table) -> None:
     for first in pieces:
         for second in pieces:
             texts += [(first + second) * 500, first * 330 + "a" + second * 330 + "=" + first * 330 + "<"]
-            texts += [
-                first * 330 + "and" + second * 330 + '"',
-                "a=" + first * 330 + "and" + second * 330 + '"' + " " * 330,
-            ]
+            joined = first * 330 + "and" + second * 330 + '"'
+            texts += [joined, "a=" + joined + " " * 330]
     texts.append(" " * 330 + "a" + " " * 330 + "=" + " " * 330 + "<")
     for text in texts:
         start = time.process_time()

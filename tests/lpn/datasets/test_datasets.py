@@ -44,10 +44,7 @@ def test_a_folder_without_a_task_says_what_it_lacks(tmp_path: Path) -> None:
     (tmp_path / "empty" / "test").mkdir(parents=True)
     small_worlds.write(tmp_path / "half" / "test" / "query_drone" / "0001" / "a.png", small_worlds.place(1))
     for name, lack in (
-        (
-            "photos",
-            "is a folder of pictures, and nothing says which of them show the same place; name the pairs in a pairs.csv",
-        ),
+        ("photos", "is a folder of pictures, and nothing says which of them show the same place; name the pairs"),
         ("empty", "has no pictures to test with; expected queries of one view and a gallery of another"),
         ("half", "has only test/query_drone; expected queries of one view and a gallery of another"),
     ):
@@ -81,16 +78,12 @@ def test_what_is_wrong_with_a_folder_is_said_in_one_sentence(tmp_path: Path) -> 
     with pytest.raises(DataError, match="no data set folder"):
         open_dataset(tmp_path / "absent")
     (tmp_path / "other").mkdir()
-    with pytest.raises(
-        DataError, match=r"holds other; expected a data set in a layout of docs/data\.md \(.*University-1652"
-    ):
+    with pytest.raises(DataError, match=r"holds other; expected a data set in a layout .*\(.*University-1652"):
         open_dataset(tmp_path)
     (tmp_path / "test" / "query_drone" / "0001").mkdir(parents=True)
     with pytest.raises(DataError, match="has no test queries of drone pictures; expected test/query_drone"):
         open_dataset(tmp_path).queries("drone")
-    with pytest.raises(
-        DataError, match=r"has no test gallery of satellite pictures; expected .*test/gallery_satellite"
-    ):
+    with pytest.raises(DataError, match=r"has no test gallery of satellite pictures; expected .*gallery_satellite"):
         open_dataset(tmp_path).gallery("satellite")
     small_worlds.write(tmp_path / "test" / "query_drone" / "castle" / "a.png", small_worlds.place(1))
     with pytest.raises(DataError, match="castle in test/query_drone is not a number"):
@@ -99,11 +92,8 @@ def test_what_is_wrong_with_a_folder_is_said_in_one_sentence(tmp_path: Path) -> 
 
 def test_a_world_is_told_from_university_1652(data: Path, tmp_path: Path) -> None:
     dataset = open_dataset(data)
-    assert (dataset.kind, dataset.panoramas, dataset.published_sizes["test/gallery_drone"].pictures) == (
-        "University-1652",
-        False,
-        51_355,
-    )
+    assert (dataset.kind, dataset.panoramas) == ("University-1652", False)
+    assert dataset.published_sizes["test/gallery_drone"].pictures == 51_355
     assert dataset.truth("drone-to-satellite") is None
     assert list(dataset.lists()) == [
         *("train/satellite", "train/drone", "test/query_drone", "test/query_satellite"),
@@ -155,11 +145,6 @@ def test_pairs_without_satellites_go_by_their_first_view(tmp_path: Path) -> None
     [
         ("", r"first line of pairs\.csv is empty; expected two or three of satellite, street, drone"),
         ("satellite\na.jpg\n", "first line"),
-        (
-            "satellite;drone,place\n",
-            r"Semicolons stand beside commas or tabs in it; separate all values by the same character\.",
-        ),
-        ("satellite,street,colour\n", "first line"),
         ("satellite,satellite,street\n", "first line"),
         ("satellite,street\n", "no line after the first"),
         (
@@ -168,11 +153,9 @@ def test_pairs_without_satellites_go_by_their_first_view(tmp_path: Path) -> None
         ),
         ("satellite,street,split\na.jpg,b.jpg,val\n", "has the split 'val'; expected train or test"),
         ("satellite,street,place\na.jpg,b.jpg,-3\n", "has the place '-3'; expected a whole number"),
-        ("satellite,street,place\na.jpg,b.jpg,1e5\n", "has the place '1e5'"),
         (f"satellite,street,place\na.jpg,b.jpg,{'9' * 30}\n", "has the place"),
         ("satellite,street,split\n,,test\n", "names no picture"),
         ("satellite,street\n../a.jpg,b.jpg\n", r"Line 2 of pairs\.csv names the file '\.\./a\.jpg'"),
-        ("satellite,street\n/a.jpg,b.jpg\n", "expected a path below"),
         ("satellite,street,place\na.jpg,b.jpg,1\na.jpg,c.jpg,2\n", r"Line 3 .* gives a\.jpg the place 2, after 1"),
         ("satellite,street\nabsent1.jpg,absent2.jpg\n", "the first file left out is absent1.jpg"),
     ],

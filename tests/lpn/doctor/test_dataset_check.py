@@ -1,8 +1,6 @@
 from __future__ import annotations
 
-import errno
 import json
-import os
 import shutil
 from pathlib import Path
 from typing import Any
@@ -11,7 +9,6 @@ import numpy as np
 import pytest
 
 from lpn.cli import main
-from lpn.core.errors import StoreError
 from lpn.datasets import open_dataset
 from lpn.doctor.dataset_check import check_dataset
 from lpn.doctor.verify import verify
@@ -32,10 +29,8 @@ def test_a_healthy_set_is_counted_against_the_full_one(
     status, found = doctor(data, tmp_path)
     assert (status, found["healthy"], found["kind"], found["decoded"]) == (0, True, "University-1652", True)
     counts = {count["name"]: count for count in found["counts"]}
-    assert counts["train/drone"] == {
-        **{"name": "train/drone", "pictures": 6, "places": 6},
-        **{"full_pictures": 37_854, "full_places": 701},
-    }
+    full = {"full_pictures": 37_854, "full_places": 701}
+    assert counts["train/drone"] == {"name": "train/drone", "pictures": 6, "places": 6} | full
     said = capsys.readouterr().out
     assert "places is in University-1652's layout" in said
     assert "6 of 37,854" in said
@@ -73,16 +68,9 @@ def test_positions_are_checked(tmp_path: Path) -> None:
     root = small_worlds.map_dataset(small_worlds.make_dataset(tmp_path / "places", train=2, test=3))
     status, found = doctor(root, tmp_path)
     assert (status, found["positions"]) == (0, "Each of the 12 test pictures has a position, by geo.csv.")
-    lines = (root / "geo.csv").read_text().splitlines()
-    unneeded = f"elsewhere.png,north{',' * (lines[0].count(',') - 1)}"
-    for changed, gap in (
-        (lines[:-1], "no position for 1 of 12 pictures"),
-        ([*lines, unneeded], f"Line {len(lines) + 1} of geo.csv has the latitude 'north'"),
-    ):
-        (root / "geo.csv").write_text("\n".join(changed))
-        status, found = doctor(root, tmp_path)
-        assert status == 1
-        assert gap in found["gap"]
+    (root / "geo.csv").write_text((root / "geo.csv").read_text().rstrip().rpartition("\n")[0])
+    status, found = doctor(root, tmp_path)
+    assert (status, "no position for 1 of 12 pictures" in found["gap"]) == (1, True)
 
 
 def test_equal_files_and_shared_places_are_found(tmp_path: Path) -> None:
@@ -167,22 +155,13 @@ def said(capsys: pytest.CaptureFixture[str], path: Path) -> tuple[int, str]:
     return main.main(["doctor", str(path)]), capsys.readouterr().out.strip()
 
 
-def full(*_: Any, **__: Any) -> None:
-    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
-
 def test_an_index_says_if_it_is_empty_whole_or_has_unfinished_parts_beside_it(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     place = tmp_path / "index"
     empty = "no tile was added; check that the disk has space, and add tiles again with lpn index."
     with create_index(place, KIND) as index:
         assert said(capsys, tmp_path) == (1, f"DAMAGED: {place}: is empty: {empty}")
-        with monkeypatch.context() as patched:
-            patched.setattr(np.lib.format, "write_array_header_1_0", full)
-            with pytest.raises(StoreError, match="free space or choose another folder"):
-                index.add(NAMES, VECTORS)
-        assert [path.name for path in place.iterdir()] == ["store.json"]
         index.add(NAMES, VECTORS)
         assert said(capsys, place) == (0, f"{place} matches its checksums.")
         (part,) = place.glob("part-*")
@@ -212,6 +191,3 @@ def test_a_folder_that_can_be_neither_trained_nor_tested_on_is_no_data_set(
     assert "is a folder of pictures, and nothing says which of them show the same place" in refused(
         "doctor", "--data", plain, "--json", tmp_path / "report.json"
     )
-    for name in ("train", "test"):
-        (tmp_path / "empty" / name).mkdir(parents=True)
-    assert "has no pictures to test with" in refused("doctor", "--data", tmp_path / "empty")

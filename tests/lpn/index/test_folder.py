@@ -237,9 +237,7 @@ def test_the_windows_that_an_index_is_made_for_are_in_its_manifest_and_checksum(
     with create_index(tmp_path / "index", kind) as index:
         assert index.kind == kind
     for other in (KIND, replace(kind, windows=WindowsRecord("town", (40.0, 60.0), 0.5, 8, 1000))):
-        with pytest.raises(
-            StoreError, match=r"windows of 40, 60 m with an overlap of 0.25 at 8 headings, of the map town"
-        ):
+        with pytest.raises(StoreError, match=r"windows of 40, 60 m with an overlap of 0.25 at 8 headings, of the map"):
             create_index(tmp_path / "index", other)
     manifest = tmp_path / "index" / "store.json"
     manifest.write_text(manifest.read_text().replace("0.25", "0.75"))

@@ -175,9 +175,7 @@ def test_of_a_large_index_the_tiles_are_ranked_that_its_engine_proposes(
     assert (task.outcomes.rank <= expected).all()
     assert (task.outcomes.rank[expected >= 2] >= 2).all()
     monkeypatch.setattr(index_tasks, "MOST_TILES", 5)
-    with pytest.raises(
-        InputError, match=r"30 tiles is searched for 10 queries, which gives \d+ tiles to rank; expected 5"
-    ):
+    with pytest.raises(InputError, match=r"30 tiles is searched for 10 queries, which gives \d+ tiles .*expected 5"):
         index_task(model, "model.onnx", index, queries)
     index.close()
 
@@ -260,9 +258,7 @@ def test_the_described_folder_is_found_among_all_heights(tmp_path: Path, model: 
     kind = DescriptorKind(model.fingerprint, 4, 512)
     index = create_index(tmp_path / "index", kind)
     index.add(["0001/0.jpg", "0001/1.jpg"], tiles[:2])
-    with pytest.raises(
-        InputError, match="Testing/150/gallery_drone/ and those below Testing/200/gallery_drone/ equally"
-    ):
+    with pytest.raises(InputError, match="150/gallery_drone/ and those below Testing/200/gallery_drone/ equally"):
         dataset_queries(model, dataset, index)
     small_worlds.write(dataset.root / "Testing" / "200" / "gallery_drone" / "0001" / "2.jpg", small_worlds.place(3))
     index.add(["0001/2.jpg"], tiles[2:])

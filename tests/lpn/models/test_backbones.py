@@ -114,7 +114,5 @@ def test_weights_that_are_missing_or_a_graph_are_refused_as_that(tmp_path: Path)
     with pytest.raises(ModelFileError, match=r"There is no model file at .*absent\.onnx"):
         backbone_in(tmp_path / "absent.onnx")
     (tmp_path / "model.onnx").touch()
-    with pytest.raises(
-        ModelFileError, match=r"model\.onnx is an exported graph; give --init the \.safetensors or \.pth"
-    ):
+    with pytest.raises(ModelFileError, match=r"model\.onnx is an exported graph; give --init the \.safetensors or"):
         backbone_in(tmp_path / "model.onnx")

@@ -62,10 +62,7 @@ def test_the_file_that_released_code_would_read(case: str, tmp_path: Path) -> No
         ),
         (("lpn.onnx", "lpn.safetensors"), r"run holds 2 models \(lpn\.onnx, lpn\.safetensors\); name the file"),
         (("lpn.onnx", "lpn.v2.pth"), r"run holds 2 models \(lpn\.onnx, lpn\.v2\.pth\); name the file"),
-        (
-            ("train.py", "a/b/c/net_119.pth"),
-            r"run holds no model file \(net_\*\.pth, .*\); name the file, or the folder that",
-        ),
+        (("train.py", "a/b/c/net_119.pth"), r"run holds no model file \(net_\*\.pth, .*\); name the file, or the"),
     ],
 )
 def test_a_folder_that_leaves_it_open_names_what_it_holds(

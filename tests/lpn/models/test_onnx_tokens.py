@@ -91,9 +91,7 @@ def test_what_does_not_fit_is_one_sentence(tmp_path: Path, model_file: Path) -> 
         lpn.load(model_file, pooling="mean")
     with pytest.raises(InputError, match="has no class token for the pooling cls"):
         lpn.load(token_file(tmp_path / "bare.onnx", front=0), pooling="cls")
-    with pytest.raises(
-        ModelFileError, match=r"returns last_hidden_state .* whose number fits a map of the picture's 36 x 24"
-    ):
+    with pytest.raises(ModelFileError, match=r"last_hidden_state .* whose number fits a map of the picture's 36 x 24"):
         lpn.load(token_file(tmp_path / "odd.onnx", size=(36, 24)), pooling="mean")
     with pytest.raises(InputError, match="is exported already"):
         export(file, tmp_path / "out.onnx")

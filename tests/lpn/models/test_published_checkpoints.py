@@ -169,6 +169,8 @@ UNUSED_OPTIONS = {
     "an unknown tag": "out: !Path runs",
     "an alias": "a: &1 [0]\nb: *1",
     "a huge number": "seed: " + "9" * 5000,
+    "no date": "day: 2001-99-99",
+    "no truth value": "flag: !!bool x",
 }
 
 
@@ -234,7 +236,5 @@ def test_an_lpn_on_a_se_resnet_is_not_read_without_its_gates() -> None:
     names = ("layer1.0.conv3.weight", "layer3.5.conv1.weight", "layer4.0.conv1.weight")
     state = dict.fromkeys(names, torch.zeros(1))
     assert infer_backbone(state, "net.pth") == ("resnet50", "layer4")
-    with pytest.raises(
-        ModelFileError, match=r"on a SE-ResNet \(layer1\.0\.se\.fc1\.weight\), .* `backbone: timm:seresnet50`"
-    ):
+    with pytest.raises(ModelFileError, match=r"a SE-ResNet \(layer1\.0\.se\.fc1\.weight\), .*: timm:seresnet50`"):
         infer_backbone(state | {"layer1.0.se.fc1.weight": torch.zeros(1)}, "net.pth")

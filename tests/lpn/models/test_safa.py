@@ -81,12 +81,7 @@ def test_poolings_of_vgg_keep_the_last_row_and_column_in_safa_only() -> None:
 def test_layers_have_the_published_shapes_and_start() -> None:
     torch.manual_seed(0)
     layers = SpatialAware(80, 8)
-    assert [tuple(parameter.shape) for parameter in layers.parameters()] == [
-        (8, 80, 40),
-        (8, 1, 40),
-        (8, 40, 80),
-        (8, 1, 80),
-    ]
+    assert [tuple(one.shape) for one in layers.parameters()] == [(8, 80, 40), (8, 1, 40), (8, 40, 80), (8, 1, 80)]
     for weight in (layers.weight1.detach(), layers.weight2.detach()):
         # A normal of 0.005 cut at two standard deviations has 0.88 of its deviation left.
         assert float(weight.abs().max()) <= 0.01
@@ -136,11 +131,8 @@ def test_only_satellites_are_unrolled() -> None:
 
 def test_a_saved_and_an_exported_model_answer_as_the_network(model_file: Path) -> None:
     images = seeded.pictures(5, 2, 32, 160)
-    original, saved, exported = (
-        TorchModel(network(SHARED)),
-        lpn.load(model_file),
-        lpn.load(model_file.with_suffix(".onnx")),
-    )
+    saved, exported = lpn.load(model_file), lpn.load(model_file.with_suffix(".onnx"))
+    original = TorchModel(network(SHARED))
     for view in SPEC.views:
         parts, features = original.run(images, view)[:2]
         np.testing.assert_array_equal(saved.part_embeddings(images, view), parts)

@@ -83,19 +83,12 @@ def test_a_file_of_that_name_in_the_working_folder_comes_first(tmp_path: Path, m
     monkeypatch.chdir(tmp_path)
     shutil.copy(DEMO_MODEL, tmp_path / "city-lpn")
     assert model_file("city-lpn") == Path("city-lpn")
-    with pytest.raises(
-        ModelFileError, match=r"city-lpn is an ONNX graph under another ending; rename it to city-lpn\.onnx"
-    ):
-        lpn.load("city-lpn")
 
 
 @pytest.mark.parametrize(
     ("name", "message"),
     [
-        (
-            "city-lnp",
-            r"no model file at city-lnp, and no model of that name ships; the nearest is city-lpn \(lpn models",
-        ),
+        ("city-lnp", r"file at city-lnp, and no model of that name ships; the nearest is city-lpn \(lpn models"),
         ("zzz", "no model of that name ships; lpn models lists city-baseline, city-lpn"),
         ("city-lnp.onnx", "There is no model file at city-lnp.onnx; check the path"),
         ("models/city-lpn", "There is no model file at models/city-lpn; check the path"),

@@ -50,9 +50,8 @@ def wide(make_once: MakeOnce) -> Path:
             ground = images.resize(small_worlds.place(100 + i), 192, 192)
             shown = images.resize(images.zoom(ground, 2 / STEP**steps), 96, 96)
             tile = images.resize(images.zoom(ground, 2), 96, 96)
-            for role in ("query", "gallery"):
-                small_worlds.write(folder / "places/test" / f"{role}_drone" / f"{i:04d}/1.png", shown)
-                small_worlds.write(folder / "places/test" / f"{role}_satellite" / f"{i:04d}/{i:04d}.png", tile)
+            small_worlds.write(folder / f"places/test/query_drone/{i:04d}/1.png", shown)
+            small_worlds.write(folder / f"places/test/gallery_satellite/{i:04d}/{i:04d}.png", tile)
 
     return make_once("wide-places", fill) / "places"
 
@@ -162,13 +161,11 @@ def test_evaluation_by_a_calibration_finds_more_and_says_so(model: Model, wide: 
     better = calibrated(task, calibration)
     plain, moved = task.evaluate(), better.evaluate()
     assert moved.recall["1"] > plain.recall["1"]
-    assert "calibrated without labels on 48 drone and 48 satellite pictures" in moved.sentence
+    assert "calibrated without labels on 24 drone and 24 satellite pictures" in moved.sentence
     assert moved.to_dict()["calibration"]["ratio"] == pytest.approx(STEP**2)
     assert plain.to_dict()["calibration"] is None
     assert turned(better, 90).evaluate().recall["1"] < moved.recall["1"]
-    with pytest.raises(
-        InputError, match=r"The scale is 12, and the calibration zooms drone pictures by up to .*expected"
-    ):
+    with pytest.raises(InputError, match=r"scale is 12, and the calibration zooms drone pictures by up to .*expected"):
         changed(better, Change(scale=12)).evaluate()
 
 
@@ -303,9 +300,7 @@ def test_every_way_to_a_scoring_ranks_alike(model: Model, wide: Path, model_file
     [
         ({"calibrate": "yes"}, "calibrate is 'yes'; expected True, False, or None"),
         ({"csls": 25}, "over 25 nearest queries, and there are 24; expected 1 to 24"),
-        ({"csls": -1}, "over -1 nearest queries, and there are 24"),
         ({"csls": "many"}, "over 'many' nearest queries, and there are 24; expected a whole number from 1 to 24"),
-        ({"csls": True}, "over True nearest queries"),
         ({"task": 7}, "The task is 7; with this model, places has the tasks drone-to-satellite"),
         ({"data": 7}, "The data set is of the type int; expected its folder"),
         ({"model": 7}, "The model is of the type int; expected a model, its file, or a name"),
@@ -343,7 +338,5 @@ def test_pictures_of_queries_come_with_a_calibration_or_csls(model: Model, wide:
         with pytest.raises(InputError, match="give it as queries, together with one of both, or leave all three out"):
             lpn.Gallery.of_folder(tiles, model, **options)
     gallery = lpn.Gallery.of_folder(tiles, model, queries=drones, calibrate=True)
-    with pytest.raises(
-        InputError, match="is for drone and satellite pictures, and this one is of street; change the view"
-    ):
+    with pytest.raises(InputError, match="drone and satellite pictures, and this one is of street; change the view"):
         gallery.calibration.own_zoom(model, np.zeros((8, 8, 3), np.uint8), "street")

@@ -78,9 +78,8 @@ def test_lists_of_true_tiles_without_the_trapezoid(golden: dict[str, Any]) -> No
     assert [field_metrics.recall_at(hits, k) for k in (1, 5, 10)] == [found.recall(k) for k in (1, 5, 10)]
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_average_precision_without_the_trapezoid_is_the_mean_precision(seed: int) -> None:
-    rng = np.random.default_rng(seed)
+def test_average_precision_without_the_trapezoid_is_the_mean_precision() -> None:
+    rng = np.random.default_rng(0)
     query, gallery = rng.standard_normal((8, 6)), rng.integers(-1, 2, (40, 6)).astype(float)
     none = np.zeros(0, np.int64)
     lists = [rng.choice(40, rng.integers(1, 6), replace=False) for _ in range(8)]

@@ -13,6 +13,7 @@ from hypothesis.extra import numpy as arrays
 from lpn.core.errors import InputError
 from lpn.datasets import Truth
 from lpn.retrieval import gallery_search, metrics
+from tests.lpn.retrieval.test_ranks import plainly
 from tools.fixtures import seeded
 
 Case = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
@@ -33,18 +34,11 @@ def case(seed: int, queries: int, classes: int, per_class: int, dim: int, noise:
 
 
 def by_the_book(query: np.ndarray, query_labels: np.ndarray, gallery: np.ndarray, labels: np.ndarray) -> list[float]:
-    """The protocol query by query, with a full sort."""
-    curve, precision = np.zeros(len(labels)), 0.0
-    for descriptor, label in zip(query.astype(float), query_labels, strict=True):
-        order = np.argsort(-(gallery.astype(float) @ descriptor), kind="stable")
-        rows = np.flatnonzero(labels[order[labels[order] != -1]] == label)
-        if len(rows) == 0:
-            continue
-        curve[rows[0] :] += 1
-        for i, row in enumerate(rows):
-            precision += ((i + 1) / (row + 1) + (i / row if row else 1)) / 2 / len(rows)
-    at = [curve[k] for k in (0, min(4, len(labels) - 1), min(9, len(labels) - 1), round(0.01 * len(labels)))]
-    return [100 * value / len(query) for value in (*at, precision)]
+    """The figures from a whole sort of each query's scores."""
+    truth = [Truth(np.flatnonzero(labels == label), np.flatnonzero(labels == -1)) for label in query_labels]
+    first, *_, precision = map(np.array, zip(*plainly(query, gallery, truth), strict=True))
+    depths = (0, 4, 9, round(0.01 * len(labels)))
+    return [100 * float(value.mean()) for value in (*((first >= 0) & (first <= k) for k in depths), precision)]
 
 
 KEYS = ("recall@1", "recall@5", "recall@10", "recall@1%", "ap")

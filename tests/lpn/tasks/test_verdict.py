@@ -33,28 +33,18 @@ def ranked(cosines: object, weights: object = None, true: tuple[int, ...] | None
 
 
 @pytest.mark.parametrize(
-    ("cosines", "weights", "headline", "parts"),
+    ("tenths", "weights", "headline", "parts"),
     [
-        ([[0.9, 0.5, 0.5, 0.5], [0.5] * 4], None, "Ring 1 adds most: 0.200 of the lead of 0.200", (0,)),
-        (
-            [[0.9, 0.9, 0.1, 0.5], [0.5, 0.6, 0.6, 0.5]],
-            None,
-            "Rings 1 and 2 decide: without either one, a wrong tile wins",
-            (0, 1),
-        ),
-        ([[0.5, 0.5, 0.5, 0.9], [0.4, 0.4, 0.8, 0.6]], None, "Ring 4 decides: without it, a wrong tile wins", (3,)),
-        (
-            [[0.8, 0.5, 0.5, 0.8], [0.5] * 4],
-            None,
-            "Rings 1 and 4 add most, alike: 0.150 and 0.150 of the lead of 0.300",
-            (0, 3),
-        ),
-        ([[0.5] * 4, [0.5] * 4], None, "Nearly a tie: the nearest wrong tile is 0.001 behind or less", ()),
-        ([[0.9, 0.1, 0.1, 0.1], [0.4, 0.9, 0.9, 0.9]], (1, 0, 0, 0), "Lead over the nearest wrong tile: 1.000", ()),
+        ([[9, 5, 5, 5], [5] * 4], None, "Ring 1 adds most: 0.200 of the lead of 0.200", (0,)),
+        ([[9, 9, 1, 5], [5, 6, 6, 5]], None, "Rings 1 and 2 decide: without either one, a wrong tile wins", (0, 1)),
+        ([[5, 5, 5, 9], [4, 4, 8, 6]], None, "Ring 4 decides: without it, a wrong tile wins", (3,)),
+        ([[8, 5, 5, 8], [5] * 4], None, "Rings 1 and 4 add most, alike: 0.150 and 0.150 of the lead of 0.300", (0, 3)),
+        ([[5] * 4, [5] * 4], None, "Nearly a tie: the nearest wrong tile is 0.001 behind or less", ()),
+        ([[9, 1, 1, 1], [4, 9, 9, 9]], (1, 0, 0, 0), "Lead over the nearest wrong tile: 1.000", ()),
     ],
 )
-def test_a_right_answer(cosines: object, weights: object, headline: str, parts: tuple[int, ...]) -> None:
-    verdict = judge(ranked(cosines, weights), NAMES, "ring")
+def test_a_right_answer(tenths: list[list[int]], weights: object, headline: str, parts: tuple[int, ...]) -> None:
+    verdict = judge(ranked(np.array(tenths) / 10, weights), NAMES, "ring")
     assert (verdict.sign, verdict.headline, verdict.parts) == (True, headline, parts)
     assert verdict.sentence.startswith(f"It leads the nearest wrong tile by {verdict.lead:.3f}")
     assert verdict.gains is not None
@@ -115,11 +105,8 @@ def test_an_answer_without_a_truth_or_a_rival() -> None:
 def test_parts_of_any_number_and_name() -> None:
     eight = judge(ranked([[0.6] * 7 + [0.8], [0.5] * 8], true=(1,)), [str(i) for i in range(1, 9)])
     assert eight.headline == "All eight parts prefer the wrong tile, part 8 most"
-    strips = ranked([[0.6, 0.5, 0.6], [0.5, 0.7, 0.1]], true=(1,))
-    assert (
-        judge(strips, ["sky", "middle", "road"]).headline
-        == "Part middle prefers the truth, parts sky and road outvote it"
-    )
+    strips = judge(ranked([[0.6, 0.5, 0.6], [0.5, 0.7, 0.1]], true=(1,)), ["sky", "middle", "road"])
+    assert strips.headline == "Part middle prefers the truth, parts sky and road outvote it"
     whole = judge(ranked([[0.9], [0.6]]), ["1 whole"])
     assert (whole.headline, whole.parts) == ("Lead over the nearest wrong tile: 0.600", ())
 
@@ -159,20 +146,13 @@ def test_no_headline_of_the_demo_is_false(tasks: list[Task]) -> None:
         for scoring in ("plain", "calibrated", "csls")
     }
     for task in tasks:
-        weights = np.full(4, 0.25)
+        gallery = task.gallery_descriptors.astype(float)
         for query in range(len(task.queries)):
             verdict = judge(task.search(query), task.part_names, "ring")
             # d² part by part, from the descriptors; under CSLS less the tiles' terms, as those of the query alter no difference.
-            shares = (
-                -2
-                * weights
-                * 4
-                * np.einsum(
-                    "nd,gnd->gn", task.query_descriptors[query].astype(float), task.gallery_descriptors.astype(float)
-                )
-            )
+            shares = -2 * np.einsum("nd,gnd->gn", task.query_descriptors[query].astype(float), gallery)
             if task.csls_tiles is not None:
-                shares += 2 * weights * task.csls_tiles
+                shares += task.csls_tiles / 2
             true = task.gallery_labels == task.query_labels[query]
             kinds[check(verdict, shares, true)] += 1
     assert min(kinds[kind] for kind in ("decide", "most", "all", "some", "outvote")) > 20, kinds

@@ -27,7 +27,7 @@ from lpn.training.trainer import Trainer
 from lpn.training.training_set import Fold, TrainingSet, paired_pictures
 from tests.lpn.training.test_losses import total_loss
 from tools.fixtures import layouts
-from tools.fixtures.trainings import QUICK
+from tools.fixtures.trainings import QUICK, make_resnets_shallow
 
 SETS = layouts.TRAIN_SETS
 # Pictures as they are, so that a batch tells which files it has.
@@ -178,15 +178,7 @@ def test_pair_losses_compare_the_rows_of_one_place_only() -> None:
     assert not outputs["drone"][0].grad.any()
 
 
-TINY = {
-    "backbone": "resnet18",
-    "last_layer": "layer3",
-    "size": 32,
-    "width": 0,
-    "batch": 3,
-    "epochs": 2,
-    "warmup_epochs": 0,
-}
+TINY = {"backbone": "resnet18", "last_layer": "layer3", "size": 32, "batch": 3, "epochs": 2, "warmup_epochs": 0}
 
 
 @pytest.mark.parametrize("name", ["paper", "small", "metric-released"])
@@ -194,6 +186,7 @@ def test_the_updates_that_are_announced_are_those_that_run(
     gaps: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
 ) -> None:
     recipe = replace(RECIPES[name], **TINY, lr=1e-5, precision="float32")
+    make_resnets_shallow(monkeypatch)
     steps: list[int] = []
     step = Learner.step
     monkeypatch.setattr(Learner, "step", lambda self, *rest: (steps.append(rest[1]), step(self, *rest))[1])

@@ -53,11 +53,8 @@ def test_a_network_that_the_options_name_answers_as_timms(name: str, claim: str,
     side = 56 if "patch14" in name else 64
     made, own = network(name, (side, side))
     pictures = seeded.pictures(21, 2, side, side)
-    model = opened(
-        prefixed("model.", own) | {"logit_scale": torch.ones(())},
-        tmp_path,
-        f"model: timm/{name}\nh: {side}\nw: {side}\n",
-    )
+    state = prefixed("model.", own) | {"logit_scale": torch.ones(())}
+    model = opened(state, tmp_path, f"model: timm/{name}\nh: {side}\nw: {side}\n")
     assert (model.contract.claim, model.contract.method) == (claim, "Sample4Geo")
     assert model.contract.title == f"Sample4Geo {name}, {side} x {side}"
     assert model.contract.mean == timm_networks.normalisation(name)[0]

@@ -110,9 +110,7 @@ def test_timm_is_imported_where_torchvision_is_missing_and_no_stand_in_stays(mon
     for name in [name for name in sys.modules if name.partition(".")[0] == "timm"]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "timm", None)
-    with pytest.raises(
-        InputError, match=r"comes from timm, which is not installed; pip install 'lpn-explorer\[models\]'"
-    ):
+    with pytest.raises(InputError, match=r"comes from timm, which is not installed; pip install 'lpn-.*\[models\]'"):
         timm_networks.named_network("test_vit", (64, 64))
 
 
@@ -127,11 +125,7 @@ def _two_blocks() -> State:
 @pytest.mark.parametrize(
     ("state", "lost", "message"),
     [
-        (
-            small_mccg(2),
-            "model_1.classifier_mcb1.add_block.0.weight",
-            r"lacks model_1\.classifier_mcb1\.add_block\.0\.weight",
-        ),
+        (small_mccg(2), "model_1.classifier_mcb1.add_block.0.weight", r"lacks model_1\.classifier_mcb1\.add_block\.0"),
         (small_denseuav(), "head.head.classifier.add_block.1.bias", r"lacks head\.head\.classifier\.add_block\.1\.b"),
         (_two_blocks(), "backbone.backbone.blocks.0.norm1.weight", r"lacks backbone\.backbone\.blocks\.0\.norm1"),
         (_two_blocks(), "backbone.backbone.blocks.0.attn.qkv.bias", r"has .*blocks\.1\.attn\.qkv\.bias, and others"),
@@ -159,15 +153,13 @@ STATES = {
 
 
 @pytest.mark.parametrize("method", STATES)
-@pytest.mark.parametrize("entry", ["model_1.proj.0.weight", "model_1.head.fusion.weight", "model_1.bn.weight"])
-def test_entries_that_are_not_read_are_named(
-    method: str, entry: str, tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_entries_that_are_not_read_are_named(method: str, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     """The released code's entries of training alone are no news, and those of a method that is built on it are."""
     opened(STATES[method], tmp_path)
     assert "released code does not have" not in caplog.text
-    opened(STATES[method] | {entry: torch.zeros(2, 2)}, tmp_path)
-    assert f"has entries that {method}'s released code does not have, 1 in number ({entry})" in caplog.text
+    for entry in ("model_1.proj.0.weight", "model_1.head.fusion.weight", "model_1.bn.weight"):
+        opened(STATES[method] | {entry: torch.zeros(2, 2)}, tmp_path)
+        assert f"has entries that {method}'s released code does not have, 1 in number ({entry})" in caplog.text
 
 
 def test_the_buffers_of_an_older_timm_are_not_named(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:

@@ -29,12 +29,8 @@ METHODS = {"SALAD": ("backbone.model.", "aggregator."), "MegaLoc": ("backbone.",
 def dinov2() -> State:
     """A DINOv2 of two blocks under torch.hub's names, with positions of 4 x 4 patches."""
     shapes: dict[str, list[int]] = {"patch.weight": [WIDTH, 3, PATCH, PATCH], "patch.bias": [WIDTH]}
-    shapes |= {
-        "class": [1, 1, WIDTH],
-        "positions": [1, SIDE * SIDE + 1, WIDTH],
-        "norm.weight": [WIDTH],
-        "norm.bias": [WIDTH],
-    }
+    shapes |= {"class": [1, 1, WIDTH], "positions": [1, SIDE * SIDE + 1, WIDTH]}
+    shapes |= {"norm.weight": [WIDTH], "norm.bias": [WIDTH]}
     for block in "01":
         own = {f"{name}.weight": [WIDTH, WIDTH] for name in ("q", "k", "v", "proj")}
         own |= {f"{name}.{kind}": [WIDTH] for name in ("norm1", "norm2") for kind in ("weight", "bias")}
@@ -50,15 +46,9 @@ def dinov2() -> State:
             old = next((one for one in names if key.startswith(one)), "")
             state[key.replace(old, names[old], 1) if old else key] = value
         elif name[:2] not in ("q.", "k.", "v."):
-            own_name = {
-                "proj": "attn.proj",
-                "fc1": "mlp.fc1",
-                "fc2": "mlp.fc2",
-                "scale1": "ls1.gamma",
-                "scale2": "ls2.gamma",
-            }
+            to = {"proj": "attn.proj", "fc1": "mlp.fc1", "fc2": "mlp.fc2", "scale1": "ls1.gamma", "scale2": "ls2.gamma"}
             layer, dot, kind = name.partition(".")
-            state[f"blocks.{block}.{own_name.get(layer, layer)}{dot}{kind}"] = value
+            state[f"blocks.{block}.{to.get(layer, layer)}{dot}{kind}"] = value
         else:
             kind = name[2:]
             state[f"blocks.{block}.attn.qkv.{kind}"] = torch.cat([given[f"{block}.{one}.{kind}"] for one in "qkv"])
