@@ -123,7 +123,7 @@ def test_a_variable_takes_the_place_of_auto(model_file: Path, monkeypatch: pytes
     monkeypatch.setenv("LPN_PROVIDER", "gpu")
     for file, reason in (
         (model_file, "has no gpu, but "),
-        (safetensors, "provider 'gpu' is not PyTorch's, .* LPN_PROVIDER"),
+        (safetensors, "on cpu or cuda only, not on 'gpu'; .* LPN_PROVIDER"),
     ):
         with pytest.raises(InputError, match=reason):
             lpn.load(file)
