@@ -82,7 +82,7 @@ class ModelsBeside:
 
 @dataclass(kw_only=True)
 class ExploreLive(ServeOptions, LiveInput):
-    """Follow a flight in a browser while it flies, as lpn locate --live locates it."""
+    """Show a flight in progress in a browser, located as by lpn locate --live."""
 
     SERVES: ClassVar[bool] = True
 
@@ -123,12 +123,12 @@ class Explore(ModelsBeside, ServeOptions, SourceOptions):
     query: str | None = None
     """Name of the query to open with, as the picker shows it; by default the first."""
     beside_weather: Advanced[tuple[WeatherName, ...]] = ()
-    """Weathers, such as fog rain, in which to compare the model with itself, beside the models of --beside."""
+    """Weathers, such as fog rain; the model under each is one more to compare with, besides those of --beside."""
     register: Advanced[bool] = True
     """Lay each photo of a flight over the map; this goes on in the background, and its answers are kept."""
     map_error: MapError = None
     stories: Advanced[Path | None] = None
-    """File (.json) in which S on the page keeps steps of stories; by default stories.json beside the data."""
+    """File (.json) for the steps of stories that the key S saves; by default stories.json beside the data."""
 
     def run(self) -> None:
         from explorer.app import serve

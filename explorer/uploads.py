@@ -21,7 +21,7 @@ KINDS = "JPEG, PNG, or WebP"
 # decoded at a fraction of their size; smaller ones, such as photos of 20 megapixels, at full size.
 MAX_SIDE = 1600
 _MAX_NAME = 80
-# Maximum of scans of a progressive JPEG; 1 and 10 are usual. A scan needs few bytes but the time of a whole picture.
+# Maximum number of scans of a progressive JPEG; 1 and 10 are usual. A scan needs few bytes but the time of a whole picture.
 _MAX_SCANS = 100
 
 # Limits the memory of decoding for all browsers: the largest JPEG takes 140 MB, the largest PNG or

@@ -69,7 +69,7 @@ FIELDS: tuple[PanelField[Any], ...] = (
     PAINT,
     SPOT,
     PanelField("flight_over", OneOf(("off", "swipe", "correct")), "off", "flight_over"),
-    # Names of tracks, separated by points, or "none". Default: tags, corrections, and the most frequent deciding stage.
+    # Names of tracks, separated by full stops, or "none". Default: tags, corrections, and the most frequent deciding stage.
     PanelField("flight_tracks", Line(), "", "flight_tracks"),
     # The middle and the width of the visible map.
     PanelField("flight_view", MetresOf(3), (), "flight_view"),
@@ -108,7 +108,7 @@ class FlightPart(PanelPart):
     def _work(self) -> float | None:
         state, result, workspace = self.tab.state, self.tab.result, self.tab.base
         job = workspace.registration
-        running = job is not None and not job.wait(0)  # read before the flight: at its end, the job replaces the flight
+        running = job is not None and not job.wait(0)  # before the snapshot: when the job ends, it replaces the flight
         seen, addresses = self._shared.snapshot(), self._pictures.addresses
         if self._sent.get("flight") is not seen:
             self._sent["flight"] = seen

@@ -1,4 +1,4 @@
-"""Rate limits: token buckets, and one of them for each address that sends wrong access tokens."""
+"""Rate limits by token buckets, with one bucket for each address that guesses access tokens."""
 
 from __future__ import annotations
 

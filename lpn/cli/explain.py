@@ -98,7 +98,7 @@ class ExplainCommand(SourceOptions):
             write_atomic(self.png, pair_figure.encode(figure))
 
     def _of_source(self) -> Answer:
-        """Answer a query of a source, or a picture file, compared with the named tile or the top match."""
+        """Answer a source's query or a picture file, and compare it with the named tile or the top match."""
         from lpn.core import images
         from lpn.descriptors.transforms import Change
         from lpn.library.analyser import OwnPicture, QueryAnalyser, QueryRequest, describe_tile
@@ -183,7 +183,7 @@ def _show(console: Console, answer: Answer, evidence: Evidence | None) -> None:
     """Print each part's share of the score."""
 
     match, weights, names = answer.chosen, answer.ranking.weights, answer.task.part_names
-    taken = f"CSLS takes {sum(match.constants):.4f}, " if match.constants else ""
+    taken = f"CSLS subtracts {sum(match.constants):.4f}, " if match.constants else ""
     sums = () if evidence is None else evidence.part_sums
     several = len(names) > 1
     of_part = ("part", "cosine", "weight", "adds to the score") if several else ("score",)

@@ -27,7 +27,7 @@ class OwnFileFormat(Generic[_Contents]):
         encode: the inverse of `decode`.
         empty: returns the contents of a file that does not exist.
         smaller: the remedy for too large contents, such as "shorten other notes first".
-        max_bytes: maximum of bytes of the file.
+        max_bytes: maximum number of bytes of the file.
     """
 
     holds: str

@@ -44,9 +44,9 @@ _INSTEAD = {
     **dict.fromkeys((".mp4", ".mov", ".srt"), "make a flight of it with lpn flight, and give that with a --map"),
     **dict.fromkeys((".pth", ".safetensors", ".onnx"), "give it as --model, beside a data set's folder"),
 }
-# The deepest list of a split is three folders below (Testing/150/query_drone).
+# The deepest picture folders of a data set lie three levels below its root (Testing/150/query_drone).
 _LEVELS = 3
-# Maximum of folders that a search for a data set looks into.
+# Maximum number of folders that a search for a data set looks into.
 _MOST_FOLDERS = 2000
 
 

@@ -29,7 +29,7 @@ T = TypeVar("T")
 _MIN_PICTURES = 32
 
 
-class DescribedRow(NamedTuple):
+class DescribedBatch(NamedTuple):
     """The descriptors of one batch.
 
     Attributes:
@@ -45,8 +45,8 @@ class DescribedRow(NamedTuple):
 
 def describe_each(
     model: Model, items: Sequence[T], prepare: Callable[[T], Float32Array], view: View, threads: int | None = None
-) -> Iterator[DescribedRow]:
-    """Yield descriptors of all items, mirror included, batch by batch in order of completion.
+) -> Iterator[DescribedBatch]:
+    """Yield descriptors of all items, with mirrors if the contract sums both, batch by batch in order of completion.
 
     After an error, batches in progress are completed and yielded before it is raised.
 
@@ -64,7 +64,7 @@ def describe_each(
     lock = nullcontext() if model.parallel else threading.Lock()
     batches = iter([range(a, min(a + model.batch, len(items))) for a in range(0, len(items), model.batch)])
 
-    def work(batch: range) -> DescribedRow:
+    def work(batch: range) -> DescribedBatch:
         described, inputs, broken = [], [], []
         for i in batch:
             try:
@@ -73,16 +73,16 @@ def describe_each(
             except PictureError as error:
                 broken.append((i, error))
         if not inputs:
-            return DescribedRow([], np.zeros((0, model.n_parts, model.embedding), np.float32), broken)
+            return DescribedBatch([], np.zeros((0, model.n_parts, model.embedding), np.float32), broken)
         stacked = np.stack(inputs)
         with lock:
-            return DescribedRow(described, model.descriptors(stacked, view), broken)
+            return DescribedBatch(described, model.descriptors(stacked, view), broken)
 
     failed: BaseException | None = None
     pool = ThreadPoolExecutor(threads, "lpn-inference")
     try:
         # One more batch than threads, so that no thread is idle while this one yields.
-        waiting: set[Future[DescribedRow]] = {pool.submit(work, batch) for batch in islice(batches, threads + 1)}
+        waiting: set[Future[DescribedBatch]] = {pool.submit(work, batch) for batch in islice(batches, threads + 1)}
         while waiting:
             done, waiting = wait(waiting, return_when=FIRST_COMPLETED)
             if failed is None:

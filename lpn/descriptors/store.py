@@ -390,7 +390,7 @@ class Store:
         return found
 
     def by_part(self, places: Int64Array) -> Iterator[tuple[int, Int64Array]]:
-        """Yield the number of each part that holds some of the places, and their indices."""
+        """Yield the number of each part that holds some of the places, and the indices of these places."""
         owners = np.searchsorted(self.starts, places, "right") - 1
         for number in np.unique(owners).tolist():
             yield number, np.flatnonzero(owners == number)
@@ -405,7 +405,7 @@ class Store:
         return self._places_from(0)
 
     def take_names(self, before: Store) -> None:
-        """Take over the names of an earlier version if parts were only added to it, so that not all are read again."""
+        """Reuse the names that an earlier `Store` has read, if only parts were added since."""
         known = len(before.parts)
         if "place_of" in before.__dict__ and self.parts[:known] == before.parts:
             places = before.place_of | self._places_from(known)
@@ -468,7 +468,7 @@ def open_store(folder: str | Path, known: Mapping[str, Part] | None = None) -> S
 def check_replaceable(
     held: Manifest, parts: Iterable[tuple[Path, PartRows]], kind: DescriptorKind, where: object
 ) -> None:
-    """Raise StoreError if a store holds other descriptors, or is an index, because its tiles could not be restored.
+    """Raise StoreError if a store holds other descriptors, or is an index, whose tiles could not be restored.
 
     Args:
         parts: parts in its folder, with their rows.

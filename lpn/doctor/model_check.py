@@ -18,7 +18,7 @@ from lpn.models.base import Model
 from lpn.models.trace import Trace
 from lpn.retrieval import describe_picture
 
-# The largest error of cells and constants as a share of the part's largest value.
+# Allowed error of cells and constants, as a share of the part's largest value.
 TOLERANCE = 1e-5
 # Pictures of each view for the proof.
 PICTURES = 4
@@ -32,7 +32,7 @@ class ModelFinding:
         healthy: True if nothing contradicts the contract.
         error: the largest error of cells and constants as a share of the part's largest value; None without cells, or if another
             fault was found first.
-        message: one sentence about the result.
+        message: the result in words.
     """
 
     view: View
@@ -49,7 +49,7 @@ class ModelFinding:
 def check_model(model: Model, pictures: Mapping[View, Sequence[tuple[str, UInt8Array]]]) -> Iterator[ModelFinding]:
     """Describe pictures in each view of a model, and compare cells and constants with the parts.
 
-    At the level "exact", cells must also agree between the pictures, because nothing may be chosen for a picture.
+    At the level "exact", cell weights, slopes, and constants must also be equal for all pictures.
 
     Args:
         pictures: names and pictures by view, (H, W, 3) uint8.
@@ -107,7 +107,7 @@ def _check_view(model: Model, view: View, pictures: Sequence[tuple[str, UInt8Arr
         if contract.level == "exact" and (differing := _differing(trace, first)):
             message = (
                 f"The {differing} of {printable(name)} differ from those of {printable(pictures[0][0])}, but by the contract "
-                "('exact') they are equal for all pictures; name the differing quantity in held."
+                "('exact') they are equal for all pictures; add that quantity to the contract's 'held'."
             )
             return ModelFinding(view, False, None, message)
     if not contract.has_cells:
@@ -119,8 +119,8 @@ def _check_view(model: Model, view: View, pictures: Sequence[tuple[str, UInt8Arr
         return ModelFinding(view, False, None, message)
     if error > TOLERANCE:
         message = (
-            f"Cells and constants of part {of} miss it by {error:.1g} of its largest value on {at} (allowed: "
-            f"{TOLERANCE:g}); the contract leaves something out, such as a bias, a scale, or a layer that is not linear."
+            f"Cells and constants do not add up to part {of}: the error is {error:.1g} of its largest value on {at} (allowed: "
+            f"{TOLERANCE:g}). The contract leaves something out, such as a bias, a scale, or a layer that is not linear."
         )
         return ModelFinding(view, False, error, message)
     proof = (

@@ -14,7 +14,7 @@ from lpn.core.arrays import FloatingArray, Int64Array, UInt8Array
 from lpn.drawing.part_areas import PartAreas
 from lpn.drawing.theme import HEAT, HEAT_AGAINST, part_colour
 
-# Heat up to this is not painted. A greyed picture is its grey level times the second number, plus the third.
+# Heat values up to the first number are not painted. A greyed picture is its grey level times the second, plus the third.
 _BARE, _GREY, _RAISED = 0.3, 0.61, 10.0
 # Pixels of a part's border.
 _LINE = 2
@@ -56,7 +56,7 @@ def evidence_limit(*maps: FloatingArray) -> float:
 
 
 def evidence_scale(width: int, height: int) -> UInt8Array:
-    """Draw the colour scale of `with_evidence`, from the limit against at the left to the limit for at the right."""
+    """Draw the colour scale of `with_evidence`, from strongest evidence against (left) to strongest evidence for (right)."""
     values = np.broadcast_to(np.linspace(-1, 1, width), (height, width))
     return with_evidence(np.full((height, width, 3), 70, np.uint8), values, 1.0)
 

@@ -137,7 +137,7 @@ class SweepResult:
     def heading(self) -> float | None:
         """Estimate the heading of the query, 0 .. 360 degrees clockwise from north.
 
-        None unless the sweep is a rotation. The estimate needs no ground truth, but a north-up gallery. On the demo, in steps
+        None unless the sweep is a rotation. The estimate needs a north-up gallery and no ground truth. On the demo, in steps
         of 15 degrees, the median error is 12 degrees for pictures from straight above and 33 for tilted ones (chance: 90). One
         in ten estimates is opposite for pictures from straight above, and four in ten for tilted ones.
         """
@@ -228,7 +228,7 @@ def changes_over(
 
 
 def apply_to_base(over: SweptProperty, base: Change, changes: Iterable[Change]) -> list[Change]:
-    """Return the base change, then the base change with each other swept value of `changes`."""
+    """Return the base change, then a copy of it for every different swept value in `changes`."""
     name = CHANGE_FIELD[over]
     swept = [replace(base, **{name: getattr(change, name)}) for change in changes]
     return [base, *(change for change in swept if swept_value(over, change) != swept_value(over, base))]

@@ -184,8 +184,8 @@ def device_of(provider: ProviderName, name: str) -> torch.device:
     provider = resolve_provider(provider)
     if provider not in ("auto", "cpu", "cuda"):
         raise InputError(
-            f"The provider {printable(provider)[:60]!r} is not PyTorch's, which computes {name} on cpu or cuda; give one of "
-            "those with --provider or LPN_PROVIDER, or lpn export the model for another provider of ONNX Runtime."
+            f"PyTorch computes {name} on cpu or cuda only, not on {printable(provider)[:60]!r}; give one of the two with "
+            "--provider or LPN_PROVIDER, or lpn export the model for another provider of ONNX Runtime."
         )
     if provider == "cuda" and not torch.cuda.is_available():
         raise InputError(
@@ -320,7 +320,7 @@ def load_backbone(network: LPN, path: str | Path) -> tuple[int, int, list[str]]:
 
 
 def load_heads(network: LPN, path: str | Path) -> str:
-    """Fill the heads of the parts from a whole model with equal parts, without class layers.
+    """Fill the heads, without class layers, from a whole model of equal parts.
 
     Returns:
         A sentence on whether they were filled, with the reason if not.
@@ -335,7 +335,7 @@ def load_heads(network: LPN, path: str | Path) -> str:
     names = ("n_parts", "layout", "weighting", "activation", "pooling", "embedding", "last_layer")
     differs = [name for name in names if getattr(held, name) != getattr(spec, name)]
     if differs:
-        described = ", ".join(f"{name} {getattr(held, name)} for {getattr(spec, name)}" for name in differs)
+        described = ", ".join(f"{name} {getattr(held, name)} instead of {getattr(spec, name)}" for name in differs)
         return f"{path.name} has other parts ({described}), so the heads of the parts start anew."
     for name, head in zip(network.head_names, network.heads, strict=True):
         for key, tensor in head.add_block.state_dict().items():

@@ -53,7 +53,7 @@ class Entries:
         return replace(self, state=cut, names=names, prefix=self.prefix + prefix)
 
     def renamed(self, patterns: Mapping[str, str]) -> Entries:
-        """Return the entries under other names: the first pattern that matches a name's beginning replaces it."""
+        """Return the entries under other names: the value of the first matching pattern replaces a name's beginning."""
         state, names = {}, {}
         for key, value in self.state.items():
             found = (pattern for pattern in patterns if re.match(pattern, key))
@@ -91,8 +91,8 @@ class Entries:
         for key in unread:
             if key.rpartition(".")[2] in _OF_LAYER and _layer(key) in layers:
                 raise ModelFileError(
-                    f"{self.name} has {key}, and others of its kind are missing; the file is incomplete or of a changed model, "
-                    "so give a whole checkpoint."
+                    f"{self.name} has {key}, but the model reads only other entries of this layer; the file is incomplete or of "
+                    "a changed model, so give a whole checkpoint."
                 )
         return [key for key in unread if not re.search(rf"num_batches_tracked$|{unused}", key)]
 

@@ -37,10 +37,10 @@ def infer_spec(state: StateDict, options: dict[str, Any], name: str = "the file"
     rings; see also `with_named_branch`. The two branches model_1 and model_2 are
     - one network for all three views, with University-1652's rings, if they are equal;
     - else satellite and street with the layout "cvusa" of the released CVUSA and CVACT models, since the released code trains
-      no other LPN of two views. Equal branches, too, are satellite and street if the options `data_dir` or `name` mention
-      these data sets, `model_2` says street, or `share` is false.
+      no other LPN of two views. Equal branches are read as satellite and street only if the options `data_dir` or `name`
+      mention these data sets, `model_2` says street, or `share` is false.
 
-    Readings without a confirming option are logged, and so is a default input size.
+    An interpretation of branches that no option confirms is logged, as is a default input size.
 
     The option `backbone` names a backbone of timm, such as "timm:convnext_tiny".
 
@@ -123,7 +123,7 @@ def with_named_branch(state: StateDict, options: Mapping[str, Any], name: str) -
 
 
 def name_unknown(name: str, method: str, unknown: Sequence[str]) -> None:
-    """Log entries that are not read and that the method's released code lacks: a later method may have written the file."""
+    """Warn of unread entries that the method's released code lacks: a later method may have written the file."""
     if unknown:
         log.warning(
             "%s has entries that %s's released code does not have, %d in number (%s); they are not read, so if descriptors "

@@ -65,7 +65,7 @@ class Reproduction:
         train: whether to train missing networks; otherwise their rows are not run.
         queries: queries shown in figures 7 and 8; Figures 1, 3, and 4 show the first.
         from_scratch: whether to train from random weights, without `init`.
-        partial: whether a row without its data set only states that; otherwise its table is refused.
+        partial: whether a row may lack its data set, and then says so; otherwise its table is refused.
     """
 
     data: Sequence[str]
@@ -206,7 +206,7 @@ class Reproduction:
             for row in table.rows:
                 if not self.partial and not row.quoted and (lacking := self._lacks_data(table, row)):
                     raise InputError(
-                        f"{table.title}: {lacking}; give them, or ask for all, which leaves such rows out."
+                        f"{table.title}: {lacking}; give them, or run lpn reproduce all, which leaves such rows out."
                     )
         for measure in dict.fromkeys(table.measure for table in wanted):
             for source in self._sources.get(MEASURED_ON[measure], ()):
@@ -236,7 +236,7 @@ class Reproduction:
                 if use.training.name == job.training.name:
                     views = job.source.places(job.recipe.sets).views
                     use.check(views, f"{job.source.name}, on which {job.training.name} is trained,")
-        # The number of steps is known only if the training can run.
+        # Computing the number of steps raises an error if the training cannot run.
         for job in left:
             _ = job.steps
         lacking: dict[str, dict[str, None]] = {}
@@ -277,7 +277,7 @@ class Reproduction:
 
     def _say_lacking(self, figure: str, lacking: Sequence[str]) -> None:
         if lacking:
-            how = "not drawn" if len(lacking) == len(SHOWN[figure]) else "drawn with the others"
+            how = "not drawn" if len(lacking) == len(SHOWN[figure]) else "drawn without some networks"
             self._say(
                 f"{figure} {how}: there is no network {' or '.join(lacking)}; give it as --model {lacking[0]}=FILE, or train it."
             )

@@ -142,7 +142,7 @@ def truth_of_rows(
 
 
 def in_rows(truth: Sequence[Truth], row_of: Int64Array) -> list[Truth]:
-    """Convert lists to rows; `row_of` has the row of each gallery position, -1 for none."""
+    """Convert gallery positions in each truth to rows of the result; `row_of` has the row of each position, -1 for none."""
 
     def there(tiles: Int64Array) -> Int64Array:
         rows = row_of[tiles]
@@ -172,8 +172,8 @@ def load_saved(path: str | Path, n_parts: int = 1) -> PublishedResult:
     """Read a `pytorch_result.mat`; needs the extra `train`.
 
     Args:
-        n_parts: number of parts of a descriptor; 1 does not divide it. Metrics do not depend on this number, except for averaged
-            queries, because each part of an average is normalised.
+        n_parts: number of parts of a descriptor; 1 keeps the descriptor whole. Metrics do not depend on this number, except for
+            averaged queries, because each part of an average is normalised.
 
     Raises:
         DataError: when the file is missing, is not a MATLAB file, or lacks entries.

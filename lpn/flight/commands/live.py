@@ -42,7 +42,7 @@ class LiveInput(ModelOptions):
     """The map, the model, and the sources of a live flight."""
 
     live: str
-    """Pictures: a folder that fills, a video, or the address of a stream (rtsp://, udp://, http://)."""
+    """Pictures: a folder that receives photos, a video, or the address of a stream (rtsp://, udp://, http://)."""
     map: Path
     """Map: a folder of lpn map, or a georeferenced picture."""
     model: Path | None = None

@@ -2,7 +2,7 @@
 
 The angles turn a camera that looks straight down with the picture's top to the north. The first turn is about the picture's
 upward direction (roll), the second about its rightward direction (pitch + 90), the third about the vertical (heading). Near the
-vertical, where nearly all pictures of a map are taken, the three angles are distinct. A gimbal counts its roll about the
+vertical, where nearly all pictures are taken, these angles have no gimbal lock. A gimbal counts its roll about the
 optical axis instead, which near the vertical is the heading; `from_gimbal` converts.
 
 Vectors are (north, east, down); those of a camera's body are (picture's top, picture's right, optical axis).
@@ -68,7 +68,7 @@ def upright_values(
     Args:
         values: named as in `Frame`; None where unknown.
         turns: quarter turns clockwise from the picture as it was taken to the frame.
-        across_longer_side: whether the field of view spans the longer side, as in subtitles, and not the width as taken.
+        across_longer_side: whether the field of view spans the longer side (as in subtitles), not the width before the turns.
     """
     upright = dict(values)
     told = turned(values.get("heading"), values.get("pitch"), values.get("roll"), turns)

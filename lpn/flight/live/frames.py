@@ -28,7 +28,7 @@ from lpn.flight.files.videos import position, turns_of
 
 # Called with sentences for the user.
 Say = Callable[[str], None]
-# Seconds between two scans of a folder, and seconds for which an unreadable file may still be in writing.
+# Seconds between two scans of a folder, and seconds for which an unreadable file counts as incomplete.
 _POLL, _UNFINISHED = 0.2, 2.0
 # The pause after a scan of a folder is this many times its duration, up to this many seconds.
 _BACK_OFF, _LONGEST_PAUSE = 9, 15.0
@@ -41,8 +41,8 @@ class ArrivedPicture:
     """A picture of a flight in progress.
 
     Attributes:
-        frame: its name, size, and the camera's data of its file; `time` is in seconds: UTC for a photo, the position in a
-            video, None for a stream.
+        frame: the picture's name, size, and camera data from its file. `time` is in seconds: UTC or local for a photo (see
+            `utc`), the position in a video, None for a stream.
         received: its arrival in seconds of the monotonic clock.
         picture: RGB, (H, W, 3); None if it is read from the frame's file on demand, so that dropped pictures are not decoded.
         utc: whether the frame's time is UTC.
@@ -101,7 +101,7 @@ class LiveSource:
             return picture
 
     def replaced(self) -> bool:
-        """Return whether a newer picture waits; if so, count the last one that was taken as dropped."""
+        """Return whether a newer picture waits; if so, the last result of `take` counts as dropped."""
         with self._changed:
             self.dropped += self._waiting is not None
             return self._waiting is not None
@@ -196,7 +196,7 @@ def stream_pictures(source: Path | str, say: Say, fov: float | None = None) -> P
         raise InputError(f"{name} cannot be opened as a video or stream; check the name, and that it sends.")
     turns = turns_of(capture)
     if turns:
-        say(f"{name} is turned by {90 * turns}° by its file, and the heading of its telemetry with it.")
+        say(f"{name} asks for a turn of {90 * turns}°; the heading of its telemetry is turned equally.")
 
     def read(stop: threading.Event) -> Iterator[ArrivedPicture]:
         nonlocal capture
@@ -209,7 +209,7 @@ def stream_pictures(source: Path | str, say: Say, fov: float | None = None) -> P
                 if is_file:
                     break
                 if was_open:
-                    say(f"{name} has stalled; it is opened again until it sends.")
+                    say(f"{name} has stalled; it is reopened every few seconds until pictures arrive.")
                 capture.release()
                 stop.wait(_RETRY)
                 capture = opened()
@@ -254,6 +254,6 @@ def open_source(source: str, say: Say, fov: float | None = None) -> LiveSource:
             raise InputError(f"{printable(path.name)} is not a supported video; expected {', '.join(VIDEOS)}.")
         return LiveSource(stream_pictures(path, say, fov), say)
     raise InputError(
-        f"There is no {printable(source)}; give a folder that fills, a video, or the address of a stream, such as "
+        f"There is no {printable(source)}; give a folder that receives photos, a video, or the address of a stream, such as "
         "rtsp://127.0.0.1:8554/drone."
     )

@@ -22,7 +22,7 @@ from lpn.flight.live.frames import ArrivedPicture, Say
 # Seconds for which values count: quickly changing ones, and heights.
 FRESH, _HEIGHT_HOLDS = 2.0, 10.0
 _SLOW = ("height_above_ground", "height_above_takeoff", "altitude", "fov")
-# Maximum of a link's entries in memory, enough for some seconds.
+# Maximum number of a link's entries in memory, enough for some seconds.
 _ENTRIES = 256
 _WAIT = 0.2
 
@@ -35,7 +35,7 @@ class TelemetryValue(NamedTuple):
 
 
 class LiveTelemetry:
-    """A source of heading, height, and position of pictures; this base class adds nothing to the picture's file."""
+    """A source of heading, height, and position of pictures; this base class uses only the data in the picture's file."""
 
     def value(self, picture: ArrivedPicture) -> TelemetryValue:
         """Return the picture's frame with the telemetry at its time."""
@@ -152,7 +152,7 @@ class MavlinkLink(LiveTelemetry):
             try:
                 message = self._link.recv_match(blocking=True, timeout=_WAIT)
             except Exception as error:  # damaged bytes, or a link that breaks; the flight goes on
-                self._warn(f"{self._address} failed ({printable(str(error))[:100]}); it is read on.")
+                self._warn(f"{self._address} failed ({printable(str(error))[:100]}); reading continues.")
                 self._stop.wait(_WAIT)
                 continue
             if message is None:

@@ -1,4 +1,4 @@
-"""The words of verdicts, and of refusals by their codes; a name in braces is a number of the refusal, with its format."""
+"""Texts of verdicts, and of refusals by code; braces contain a number's name and format."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ AGAINST: Mapping[str, str] = {
     "sequence": "its neighbours disagree",
 }
 
-_EQUAL = "it may be an equal building."
+_EQUAL = "this may be another building that looks the same."
 _WORDS: Mapping[Code, str] = {
     "no tag": "The photo has no GPS tag to search around; leave --prior out to search the whole map.",
     "too large": "More than {blocks:.0f} blocks of the map would have to be searched for this photo; give --model, or --prior "
@@ -47,8 +47,8 @@ _WORDS: Mapping[Code, str] = {
     "beyond": "Where the drone can have been, the map resembles this photo and its neighbours too little. By these scores it was "
     "beyond the map's edge, or so near it that no piece of the map shows the photo whole, with a probability of "
     "{probability:.2f}.",
-    "unproven": "Nothing shows that the map is of this place. A proof takes steps along the headings that are more probable "
-    "than others, or registrations that agree with the sequence more often than by chance.",
+    "unproven": "Nothing shows that the map is of this place. Proof would be a path that follows the headings better than by "
+    "chance, or registrations that agree with the sequence more often than by chance.",
     "few": "Only {photos:.0f} of {all:.0f} photos fit this map (different views: {views:.0f}). So few may fit a map of another "
     "place by chance, and nothing else confirms this map.",
     "turned": f"The photo fits the map here, but turned by {{degrees:.1f}}° from the direction that its heading and the other "

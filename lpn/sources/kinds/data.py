@@ -21,7 +21,7 @@ class DataSource(TaskSource):
     noun = "a data set"
     takes = NETWORK | {"task", "calibrate", "csls", "parts", "shift", "scale", "weather", "per_query", "beside_weather"}
     takes |= {"beside", "beside_kind", "beside_pooling"}
-    priority = -1  # `open_dataset` reports the fault of anything else
+    priority = -1  # `open_dataset` reports the error for any other source
 
     @classmethod
     def recognises(cls, options: SourceOptions) -> bool:
@@ -71,7 +71,7 @@ def open_data(
     names: Sequence[str] = (),
     weights: Sequence[float] | None = None,
 ) -> OpenedSource:
-    """Open a data set under an opened model.
+    """Open a data set with a loaded model.
 
     Args:
         model_name: the model's name to display.

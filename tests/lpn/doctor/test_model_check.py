@@ -51,7 +51,7 @@ def test_what_breaks_the_account_is_named() -> None:
 
     forgets = next(check_model(Forgets(), {"drone": noise()}))
     assert not forgets.healthy
-    assert "of part 2 miss it by 0.0" in forgets.message
+    assert "add up to part 2: the error is 0.0" in forgets.message
     assert "a picture of squares" in forgets.message
     lies = next(check_model(Lies(), {"drone": noise()}))
     assert not lies.healthy
@@ -101,7 +101,7 @@ def test_a_small_part_is_proved_on_its_own_scale() -> None:
     lies = changed(GateModel(), parts=small(1e-6), features=small(-3e-6))
     found = next(check_model(lies, {"drone": noise()}))
     assert not found.healthy
-    assert "of part 2 miss it by 4 of its largest value" in found.message
+    assert "add up to part 2: the error is 4 of its largest value" in found.message
 
 
 @pytest.mark.parametrize(
@@ -115,7 +115,7 @@ def test_what_is_chosen_for_each_picture_is_not_exact(model: Model, differing: s
         found = next(check_model(model, {"drone": pictures}))
         assert (found.healthy, found.error) == (False, None)
         assert found.message.startswith(f"The {differing} of a picture of squares ")
-        assert "name the differing quantity in held" in found.message
+        assert "add that quantity to the contract's 'held'" in found.message
 
 
 def test_the_demo_s_model_is_proved_on_its_pictures(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -122,7 +122,10 @@ def test_a_variable_takes_the_place_of_auto(model_file: Path, monkeypatch: pytes
     assert not gpu.asked
     assert lpn.load(model_file, "cuda").device == "cuda"
     monkeypatch.setenv("LPN_PROVIDER", "gpu")
-    for file, reason in ((model_file, "has no gpu, but "), (safetensors, "'gpu' is not PyTorch's, .* LPN_PROVIDER")):
+    for file, reason in (
+        (model_file, "has no gpu, but "),
+        (safetensors, "on cpu or cuda only, not on 'gpu'; .* LPN_PROVIDER"),
+    ):
         with pytest.raises(InputError, match=reason):
             lpn.load(file)
 

@@ -460,7 +460,7 @@ def test_figures_have_their_own_names_and_say_which_network_they_lack(
     # One place: the drone picture and its tile, each without and with activation.
     image = images.load_picture(tmp_path / "out" / "figure1.png")
     assert image.shape[:2] == (420, 420)
-    assert "figure1 drawn with the others: there is no network instance" in said(made)
+    assert "figure1 drawn without some networks: there is no network instance" in said(made)
     assert [file.name for file in made.run(["figure3", "figure4"])] == ["figure3.png", "figure4.png"]
     none = reproduction(places, tmp_path / "none", train=False)
     assert none.run(["figure8"]) == []

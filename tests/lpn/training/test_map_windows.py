@@ -198,7 +198,7 @@ def test_a_training_lowers_the_loss_resumes_and_goes_on_from_its_model(
     assert "last.safetensors fills the heads of all 4 parts." in said
     assert losses(tmp_path / "more")[0] < whole[0]
     _, said = train(town, tmp_path / "other", replace(QUICK, epochs=1, n_parts=2), init=model)
-    assert "has other parts (n_parts 4 for 2), so the heads of the parts start anew." in said
+    assert "has other parts (n_parts 4 instead of 2), so the heads of the parts start anew." in said
 
 
 @pytest.mark.parametrize(

@@ -376,7 +376,7 @@ def test_frames_of_a_video_have_their_times_and_its_turn(tmp_path: Path) -> None
     pictures = list(stream_pictures(video, said.append, fov=70.0)(threading.Event()))
     assert [picture.frame.time for picture in pictures] == pytest.approx([0.0, 0.1, 0.2, 0.3, 0.4])
     assert {(one.frame.width, one.frame.height, one.frame.fov, one.turns) for one in pictures} == {(48, 64, 70.0, 1)}
-    assert said == ["v.mp4 is turned by 90° by its file, and the heading of its telemetry with it."]
+    assert said == ["v.mp4 asks for a turn of 90°; the heading of its telemetry is turned equally."]
 
 
 @pytest.mark.parametrize(
