@@ -128,7 +128,7 @@ def test_each_command_takes_a_task_from_each_source(
     told = capsys.readouterr()
     if command == "explain" and source in ("published", "arrays"):
         assert status == 2
-        assert "holds descriptors and no network" in told.err
+        assert "has descriptors and no network" in told.err
         assert not file.exists()
     elif command == "explore":
         assert (status, len(opened)) == (0, 1), told.err

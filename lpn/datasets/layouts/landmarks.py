@@ -18,6 +18,7 @@ from typing import NamedTuple
 from lpn.core.errors import DataError
 from lpn.core.files import printable
 from lpn.core.lists import numbered_lines
+from lpn.core.texts import counted
 from lpn.datasets.base import Dataset, PictureRow, Size, files_below
 from lpn.datasets.integrity import picture_errors
 
@@ -109,8 +110,8 @@ def _query(root: Path, file: Path) -> _Query:
     except ValueError as error:
         content = printable(lines[0][:80]) if lines else "nothing"
         raise DataError(
-            f"{where} says {content!r} (lines: {len(lines)}); expected one line: a picture's name and its box as left, top, "
-            "right, bottom in pixels."
+            f"{where} says {content!r} in {counted(len(lines), 'line')}; expected one line: a picture's name and its box as left, "
+            "top, right, bottom in pixels."
         ) from error
     listed = (file.with_name(f"{stem}_{kind}.txt") for kind in ("good", "ok", "junk"))
     good, ok, junk = (

@@ -156,7 +156,7 @@ def test_pairs_without_satellites_go_by_their_first_view(tmp_path: Path) -> None
         (f"satellite,street,place\na.jpg,b.jpg,{'9' * 30}\n", "has the place"),
         ("satellite,street,split\n,,test\n", "names no picture"),
         ("satellite,street\n../a.jpg,b.jpg\n", r"Line 2 of pairs\.csv names the file '\.\./a\.jpg'"),
-        ("satellite,street,place\na.jpg,b.jpg,1\na.jpg,c.jpg,2\n", r"Line 3 .* gives a\.jpg the place 2, after 1"),
+        ("satellite,street,place\na.jpg,b.jpg,1\na.jpg,c.jpg,2\n", r"Line 3 .* has a\.jpg at place 2, earlier at 1"),
         ("satellite,street\nabsent1.jpg,absent2.jpg\n", "the first file left out is absent1.jpg"),
     ],
 )

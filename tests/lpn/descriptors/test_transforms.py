@@ -91,7 +91,7 @@ def test_a_box_is_rounded_cut_at_the_borders_and_must_hold_something() -> None:
     np.testing.assert_array_equal(images.crop(picture, (10.4, 20.6, 300, 50)), picture[21:50, 10:])
     np.testing.assert_array_equal(images.crop(picture, (-5, -5, 3, 4)), picture[:4, :3])
     for box in ((5.0, 5.0, 5.0, 9.0), (-9.0, 0.0, -2.0, 5.0), (200.0, 0.0, 300.0, 5.0)):
-        with pytest.raises(PictureError, match="nothing of query 7"):
+        with pytest.raises(PictureError, match="no pixel of query 7"):
             images.crop(picture, box, "query 7")
 
 

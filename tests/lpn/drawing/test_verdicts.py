@@ -19,7 +19,7 @@ def test_reweighting_states_its_effect_on_all_queries() -> None:
     none = np.zeros(0, np.int64)
     assert verdicts.describe_reweighting(None, None) == "No choice of part weights would put the truth first."
     helped = verdicts.describe_reweighting(change, Effect(50.0, 52.0, np.arange(3), np.arange(1), 100))
-    assert "70 : 30 %; over all 100 queries it helps: 3 gained, 1 lost, R@1 50.0 to 52.0 %." in helped
+    assert "70 : 30 %; over 100 queries it helps: 3 gained, 1 lost, R@1 50.0 to 52.0 %." in helped
     assert "it harms" in verdicts.describe_reweighting(change, Effect(50.0, 49.0, none, np.arange(1), 100))
     assert "neither helps nor harms" in verdicts.describe_reweighting(change, Effect(50.0, 50.0, none, none, 100))
 

@@ -291,7 +291,7 @@ def test_init_from_a_whole_model_fills_its_backbone_and_no_head(places: Path, tm
     _, said = trainer(
         places, tmp_path / "more", replace(QUICK, last_layer="layer4"), init=tmp_path / "init.safetensors"
     )
-    assert "as initialised: layer4" in said.getvalue()
+    assert "start from random values: layer4" in said.getvalue()
     with pytest.raises(LPNError, match="no model file"):
         trainer(places, tmp_path / "other", init=tmp_path / "absent.pth")
 

@@ -128,7 +128,7 @@ def _two_blocks() -> State:
         (small_mccg(2), "model_1.classifier_mcb1.add_block.0.weight", r"lacks model_1\.classifier_mcb1\.add_block\.0"),
         (small_denseuav(), "head.head.classifier.add_block.1.bias", r"lacks head\.head\.classifier\.add_block\.1\.b"),
         (_two_blocks(), "backbone.backbone.blocks.0.norm1.weight", r"lacks backbone\.backbone\.blocks\.0\.norm1"),
-        (_two_blocks(), "backbone.backbone.blocks.0.attn.qkv.bias", r"has .*blocks\.1\.attn\.qkv\.bias, and others"),
+        (_two_blocks(), "backbone.backbone.blocks.0.attn.qkv.bias", r"has .*blocks\.1\.attn\.qkv\.bias, but the model"),
     ],
 )
 def test_a_lost_entry_makes_no_smaller_model(state: State, lost: str, message: str, tmp_path: Path) -> None:
