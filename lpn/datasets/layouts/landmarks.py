@@ -110,8 +110,8 @@ def _query(root: Path, file: Path) -> _Query:
     except ValueError as error:
         content = printable(lines[0][:80]) if lines else "nothing"
         raise DataError(
-            f"{where} says {content!r} in {counted(len(lines), 'line')}; expected one line: a picture's name and its box as left, "
-            "top, right, bottom in pixels."
+            f"{where} says {content!r} in {counted(len(lines), 'line')}; expected one line: a picture's name and its box as "
+            "left, top, right, bottom in pixels."
         ) from error
     listed = (file.with_name(f"{stem}_{kind}.txt") for kind in ("good", "ok", "junk"))
     good, ok, junk = (
