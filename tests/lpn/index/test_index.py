@@ -216,6 +216,18 @@ def test_an_exact_index_orders_tiles_as_a_scan_in_float64_does(tmp_path: Path, s
         assert ties == sorted(ties, key=tiles.names.index)
 
 
+def test_replaced_tiles_are_cleared_away(tmp_path: Path) -> None:
+    tiles = Tiles.draw(400)
+    with create_index(tmp_path / "index", KIND) as index:
+        tiles.add_to(index)
+        for start in range(0, 400, 40):
+            index.add(tiles.names[start : start + 40], tiles.descriptors[start : start + 40])
+        held = json.loads((tmp_path / "index" / "store.json").read_text())["parts"]
+        assert sum(entry["rows"] for entry in held) == 400  # a part whose tiles are all replaced is deleted
+        assert len(list((tmp_path / "index").iterdir())) == 11
+        assert index.count() == 400
+
+
 class Killed(BaseException):
     """In place of the process's end."""
 
