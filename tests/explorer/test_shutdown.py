@@ -114,7 +114,7 @@ def test_a_note_that_is_being_saved_is_saved(seconds: float, places: Path, model
             explorer.stopped()
         else:
             assert explorer.ended()[0] == 0
-            assert explorer.out.endswith("Stopped.\n")
+            assert "Stopped.\n" in explorer.out  # viser may say so later, as nothing waits for it any more
             assert explorer.err.endswith("A file is still being written\n")
     assert [note.text for note in read_notes(data / "notes.csv").values()] == ["It must not be lost."]
 
